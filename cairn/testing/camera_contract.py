@@ -144,7 +144,7 @@ class PicturesContract(Contract):
             [(ports[topic], to_ns(message.header.stamp)) for topic, message in came],
         )
 
-    def test_rate(self, pictures: Pictures) -> None:
+    def test_rate_is_nominal(self, pictures: Pictures) -> None:
         """Images arrive at the nominal rate. A lower rate means lost frames."""
         stamps = timed.stamps_of(pictures.outlines["left"])
         timed.check_rate(stamps, self.rate_hz, self.rate_tolerance)
@@ -186,7 +186,7 @@ class PicturesContract(Contract):
                 "publish the camera info first"
             )
 
-    def test_frames(self, pictures: Pictures) -> None:
+    def test_frame_ids_are_as_configured(self, pictures: Pictures) -> None:
         """Images and camera infos have the frames that tf uses."""
         for side in self.sides():
             frame = self.frames[side]
@@ -198,7 +198,7 @@ class PicturesContract(Contract):
         for side in self.sides():
             check_image(pictures.whole[side])
 
-    def test_sizes_are_those_of_the_calibration(self, pictures: Pictures) -> None:
+    def test_image_sizes_equal_those_of_the_calibration(self, pictures: Pictures) -> None:
         """Each image has the size of its camera info, and both sides have the same size."""
         for side in self.sides():
             check_size(pictures.whole[side], pictures.infos[side][0].message, side)
@@ -215,7 +215,7 @@ class PicturesContract(Contract):
         for side, info in infos.items():
             check_calibration(info, side)
 
-    def test_the_baseline_is_positive(self, pictures: Pictures) -> None:
+    def test_baseline_is_positive(self, pictures: Pictures) -> None:
         """The right camera is to the right of the left one, by a plausible distance in meters."""
         if not (self.stereo and self.calibrated):
             pytest.skip("a single or uncalibrated camera has no baseline")

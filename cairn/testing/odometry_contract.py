@@ -95,7 +95,7 @@ class OdometryContract(Contract):
         with transforms:
             return Drive(before, (), (), (), transforms.messages)
 
-    def test_rate(self, drive: Drive) -> None:
+    def test_rate_is_nominal(self, drive: Drive) -> None:
         """Odometry arrives at the nominal rate, on which subscribers rely."""
         timed.check_rate(timed.stamps_of(drive.before), self.rate_hz, self.rate_tolerance)
 
@@ -109,7 +109,7 @@ class OdometryContract(Contract):
         """On arrival, stamps are neither too old nor in the future by the deployment's clock."""
         timed.check_present(drive.before, -self.early_s, self.oldest_s, self.early_s)
 
-    def test_frames(self, drive: Drive) -> None:
+    def test_frame_ids_are_as_configured(self, drive: Drive) -> None:
         """Frames are named as in REP 105."""
         check_frames(drive.all[0], self.odom_frame, self.base_frame)
 
@@ -118,7 +118,7 @@ class OdometryContract(Contract):
         for odom in drive.all:
             check_pose(odom)
 
-    def test_covariance(self, drive: Drive) -> None:
+    def test_covariance_is_valid(self, drive: Drive) -> None:
         """Covariances are symmetric, and variances are not negative, as filters require."""
         for odom in drive.all:
             check_covariance(odom)

@@ -74,7 +74,7 @@ class ScanContract(Contract):
         with robot.read(cls.topic(robot, cls.port), LaserScan) as reading:
             return undisturbed(lambda: cls.sample(reading, cls.sample_count, after=reading.count))
 
-    def test_rate(self, scans: Scans) -> None:
+    def test_rate_is_nominal(self, scans: Scans) -> None:
         """Scans arrive at the nominal rate, on which filters and watchdogs rely."""
         timed.check_rate(timed.stamps_of(scans), self.rate_hz, self.rate_tolerance)
 
@@ -100,7 +100,7 @@ class ScanContract(Contract):
             pytest.skip("time_increment = 0: the duration of a sweep is unknown")
         timed.check_present(scans, 0.9 * sweep_s, self.oldest_s + sweep_s, self.early_s)
 
-    def test_frame(self, scans: Scans) -> None:
+    def test_frame_id_is_as_configured(self, scans: Scans) -> None:
         """All scans have the frame that tf and the maps use."""
         check_frame((scan.message.header.frame_id for scan in scans), self.frame)
 
@@ -118,12 +118,12 @@ class ScanContract(Contract):
         returns = sum(int(np.isfinite(scan.message.ranges).sum()) for scan in scans)
         assert returns, f"none of {len(scans)} scans contains a finite range"
 
-    def test_angles_agree(self, scans: Scans) -> None:
+    def test_angle_fields_agree_with_the_number_of_beams(self, scans: Scans) -> None:
         """The angles agree with the number of beams, in radians; `angle_max` is the last beam."""
         for scan in scans:
             check_angles(scan.message)
 
-    def test_times_agree(self, scans: Scans) -> None:
+    def test_time_fields_agree_with_the_rate(self, scans: Scans) -> None:
         """`scan_time` agrees with the rate and with `time_increment`, where they are set."""
         check_times(scans[0].message, self.rate_hz, max(self.rate_tolerance, self.jitter))
 

@@ -16,7 +16,7 @@ def names(folder: Path) -> list[str]:
     return sorted(one.name for one in folder.iterdir())
 
 
-def test_a_file_is_made_and_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
+def test_file_is_created_and_replaced_without_leftovers(tmp_path: Path) -> None:
     file = tmp_path / "order.json"
     replace_file(file, b"first")
     replace_file(file, b"second", durable=False)
@@ -25,7 +25,7 @@ def test_a_file_is_made_and_replaced_and_nothing_else_is_left(tmp_path: Path) ->
     assert names(tmp_path) == ["order.json"]
 
 
-def test_a_full_disk_is_the_callers_matter_and_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+def test_full_disk_raises_and_leaves_the_file_unchanged(tmp_path: Path) -> None:
     file = tmp_path / "order.json"
     replace_file(file, b"old")
     with room_for(200), pytest.raises(OSError, match="File too large"):
@@ -35,7 +35,7 @@ def test_a_full_disk_is_the_callers_matter_and_leaves_the_file_as_it_was(tmp_pat
     assert names(tmp_path) == ["order.json"]
 
 
-def test_a_lost_folder_and_a_folder_in_the_files_place_are_the_callers_matter(
+def test_missing_folder_or_folder_in_place_of_the_file_raises(
     tmp_path: Path,
 ) -> None:
     with pytest.raises(FileNotFoundError):
@@ -47,7 +47,7 @@ def test_a_lost_folder_and_a_folder_in_the_files_place_are_the_callers_matter(
     assert names(tmp_path) == ["order.json"]
 
 
-def test_content_is_on_the_disk_before_it_gets_the_name(
+def test_content_is_synced_to_disk_before_the_file_is_renamed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "order.json"
@@ -65,7 +65,7 @@ def test_content_is_on_the_disk_before_it_gets_the_name(
     assert when_synced == [(b"new", b"old")]
 
 
-def test_what_a_killed_writer_left_is_no_hindrance(tmp_path: Path) -> None:
+def test_leftover_of_a_killed_writer_is_replaced(tmp_path: Path) -> None:
     file = tmp_path / "order.json"
     replace_file(file, b"old")
     killed = """

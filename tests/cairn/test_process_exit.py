@@ -35,8 +35,8 @@ def send():
 for work in (receive, send):
     threading.Thread(target=work, daemon=True).start()
 assert received.wait(20)
-atexit.register(lambda: print("what was to be done at the end"))
-print("said before", end=" ")
+atexit.register(lambda: print("printed at exit"))
+print("printed first,", end=" ")
 end_process(3)
 """
 
@@ -48,7 +48,7 @@ def test_threads_within_zenoh_do_not_turn_the_exit_code_into_an_abort() -> None:
     )
 
     assert (ended.returncode, ended.stderr) == (3, "")
-    assert ended.stdout == "said before what was to be done at the end\n"
+    assert ended.stdout == "printed first, printed at exit\n"
 
 
 @pytest.fixture
@@ -57,11 +57,11 @@ def file(tmp_path: Path) -> Path:
 
 
 def report(log: ExitLog, code: int | None, signal: int | None = None) -> ExitReport:
-    """The report on process 7, which ended like this."""
+    """Return the report on process 7 for this exit code or signal."""
     return log.report(7, code, Exited(7, "base", code, signal).manner)
 
 
-def test_a_killed_process_is_reported_with_its_signal_and_log(file: Path) -> None:
+def test_killed_process_is_reported_with_its_signal_and_log(file: Path) -> None:
     log = ExitLog(file)
     file.write_text("INFO all is well\n")
 
@@ -73,7 +73,7 @@ def test_a_killed_process_is_reported_with_its_signal_and_log(file: Path) -> Non
     )
 
 
-def test_the_reason_that_a_process_has_logged_is_reported(file: Path) -> None:
+def test_reason_logged_by_a_process_is_reported(file: Path) -> None:
     log = ExitLog(file)
     file.write_text(
         "process 6 ended: earlier\nTraceback\n"
@@ -88,7 +88,7 @@ def test_the_reason_that_a_process_has_logged_is_reported(file: Path) -> None:
 
 
 @pytest.mark.processes
-def test_a_process_logs_its_reason_in_one_line(file: Path) -> None:
+def test_process_logs_its_reason_in_one_line(file: Path) -> None:
     log = ExitLog(file)
     program = (
         "from cairn.process_exit import log_reason; log_reason('tick: ValueError:\\nno device')"
@@ -117,13 +117,13 @@ def test_lines_of_an_earlier_process_are_not_reported(file: Path) -> None:
     assert report(log, 1).reason == f"exit code 1 (process 7, log {file})"
 
 
-def test_a_process_without_a_log_is_reported(file: Path) -> None:
+def test_process_without_a_log_is_reported(file: Path) -> None:
     log = ExitLog(file)
     assert report(log, 3).reason == f"exit code 3 (process 7, log {file})"
     assert report(log, 0).normal
 
 
-def test_work_that_was_not_done_is_a_normal_end_without_success(file: Path) -> None:
+def test_exit_code_for_work_not_done_is_a_normal_end_without_success(file: Path) -> None:
     log = ExitLog(file)
     file.write_text("process 7 ended: 2 of 3 goals were reached")
 

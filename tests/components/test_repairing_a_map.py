@@ -8,18 +8,15 @@ import numpy as np
 import pytest
 import yaml
 
-from cairn import Qos
 from cairn.components.map_builder.importing import alter, write_map
 from cairn.components.replay.mrclam import MrclamDataset, read_landmarks
-from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
+from cairn.testing.lockstep import DeploymentHarness
 
 pytestmark = pytest.mark.slow
 
 
-MANY = Qos("reliable", "transient_local", 100_000)
 END_S = 400.0  # of 886 s: it is registered within 190 s and must stay there
 
 
@@ -76,24 +73,23 @@ def test_displaced_landmark_is_registered_at_its_true_position(
     file = tmp_path / "run.yaml"
     file.write_text(yaml.safe_dump(page, sort_keys=False))
 
-    run = LockstepRun(load_deployment(file), seed=0)
-    outside = run.bus.node("/robot/outside", pytest.fail)
-    poses = outside.subscribe("/robot/pose", PoseWithCovarianceStamped, MANY, _nothing)
-    maps = outside.subscribe("/robot/visual_map", VisualMap, MANY, _nothing)
-    changes = outside.subscribe("/robot/visual_map_changes", VisualMapChange, MANY, _nothing)
-    assert run.run(_nothing).normal
+    with DeploymentHarness(file) as harness:
+        poses = harness.read("pose", PoseWithCovarianceStamped)
+        maps = harness.read("visual_map", VisualMap)
+        changes = harness.read("visual_map_changes", VisualMapChange)
+        assert harness.run_to_end().normal
 
-    kinds = {(c.object_id, c.kind) for c in _all(changes)}
+    kinds = {(c.object_id, c.kind) for c in changes.messages}
     assert (object_id, VisualMapChange.REMOVED) in kinds
     assert may_remove_others or {i for i, kind in kinds if kind == VisualMapChange.REMOVED} == {
         object_id
     }
-    final = {o.object_id: o for o in _all(maps)[-1].objects}
+    final = {o.object_id: o for o in maps.messages[-1].objects}
     assert {o.state for o in final.values()} == {VisualObject.LIVE}
     for true in surveyed.objects:
         found = final[true.object_id]
         assert math.hypot(found.x - true.x, found.y - true.y) < 0.3
-    assert _rmse(_all(poses), truth) < 0.30
+    assert _rmse(poses.messages, truth) < 0.30
 
 
 def _rmse(poses: list[PoseWithCovarianceStamped], truth: Any) -> float:
@@ -103,14 +99,3 @@ def _rmse(poses: list[PoseWithCovarianceStamped], truth: Any) -> float:
     dx = x - np.interp(time, truth[:, 0], truth[:, 1])
     dy = y - np.interp(time, truth[:, 0], truth[:, 2])
     return float(np.sqrt(np.mean(dx**2 + dy**2)))
-
-
-def _all(subscription: Any) -> list[Any]:
-    messages = []
-    while (message := subscription.take()) is not None:
-        messages.append(message)
-    return messages
-
-
-def _nothing() -> None:
-    pass

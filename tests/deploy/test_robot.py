@@ -10,7 +10,7 @@ DEPLOY = Path(__file__).parents[2] / "deploy"
 DRIVERS = {"base", "range_scanner", "stereo_camera"}
 
 
-def test_the_robot_is_the_simulated_one_with_other_drivers() -> None:
+def test_robot_deployment_differs_from_the_simulated_one_only_in_drivers() -> None:
     real = _components(load_deployment(DEPLOY / "robot.yaml"))
     simulated = _components(
         load_deployment(DEPLOY / "sim.yaml", [DEPLOY / "pixels.yaml"], ["start=null"])
@@ -23,13 +23,13 @@ def test_the_robot_is_the_simulated_one_with_other_drivers() -> None:
         assert differing == {"plugin", "parameters"}
 
 
-def test_its_base_may_be_one_of_ros_2() -> None:
+def test_overlay_replaces_the_base_by_a_ros2_base() -> None:
     robot = load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_ros2_base.yaml"])
 
     assert robot.member("base").spec.plugin == "ros2_base"
 
 
-def test_it_may_have_no_camera() -> None:
+def test_overlay_removes_the_camera() -> None:
     robot = load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_without_camera.yaml"])
 
     assert {"base", "range_scanner", "localizer"} <= _components(robot).keys()

@@ -31,19 +31,19 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
 
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
-def test_the_drivers_tests_pass_where_only_wheels_are(installed: Environment) -> None:
+def test_driver_tests_pass_with_installed_wheels_only(installed: Environment) -> None:
     done = installed.run("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
 
     assert re.search(r"^\d+ passed in", done, re.MULTILINE), done
 
 
 @pytest.mark.realtime  # as the other, so that both share an environment
-def test_the_driver_is_found_there_by_its_name(installed: Environment) -> None:
+def test_installed_driver_is_found_by_its_name(installed: Environment) -> None:
     assert "Measures ranges with a Lantern" in installed.run("cairn", "plugins", "lantern_scanner")
     assert "no problem: scanner" in installed.run("cairn", "check", "deploy/lantern.yaml")
 
 
-def test_what_the_page_quotes_stands_in_the_files(page_blocks: Callable[[str], Any]) -> None:
+def test_quotes_on_the_page_equal_the_files(page_blocks: Callable[[str], Any]) -> None:
     quoted = [block for block in page_blocks(PAGE) if block.title]
 
     assert len(quoted) >= 3

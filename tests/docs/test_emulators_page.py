@@ -22,7 +22,7 @@ pytestmark = pytest.mark.processes
 PAGE = "docs/drivers/emulators.md"
 
 
-def test_the_transcript_is_what_is_printed(
+def test_transcript_equals_the_printed_output(
     page_blocks: Callable[[str], Any], tmp_path: Path
 ) -> None:
     (block,) = (block for block in page_blocks(PAGE) if block.language == "console")
@@ -40,7 +40,7 @@ def test_the_transcript_is_what_is_printed(
     assert done.stdout == expected
 
 
-def test_the_emulator_of_ones_own_works(
+def test_example_of_a_users_own_emulator_works(
     page_blocks: Callable[[str], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     titled = {block.title: block.text for block in page_blocks(PAGE) if block.title}

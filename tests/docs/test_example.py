@@ -53,7 +53,7 @@ def test_quoted_blocks_match_the_files(page_blocks: Callable[[str], Any]) -> Non
             assert part.strip("\n") in file, f"not in {block.title}:\n{part}"
 
 
-def test_the_package_is_found_by_its_entry_points(user: Any) -> None:
+def test_package_is_found_by_its_entry_points(user: Any) -> None:
     plugins = {plugin["plugin"]: plugin for plugin in json.loads(user.cairn("plugins", "--json"))}
 
     assert plugins["turtle_wanderer"]["package"] == "turtle-robot 0.1.0"
@@ -63,7 +63,7 @@ def test_the_package_is_found_by_its_entry_points(user: Any) -> None:
     assert "turtle_msgs/msg/BaseState" in user.cairn("schema", "list")
 
 
-def test_a_class_is_found_without_an_entry_point(
+def test_class_is_found_without_an_entry_point(
     shell: Callable[[Path, Path], Any], endpoint: str
 ) -> None:
     user = shell(EXAMPLE, EXAMPLE)
@@ -88,7 +88,7 @@ def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path
     assert logs[0] == logs[1]
 
 
-def test_real_processes_can_be_inspected_and_tuned_as_the_page_says(
+def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
     user: Any, tmp_path: Path, endpoint: str
 ) -> None:
     at = ("--connect", endpoint)
@@ -122,7 +122,7 @@ def test_component_runs_unchanged_in_its_parents_process(
     assert logs == {"root", "turtle_supervisor", "base"}
 
 
-def test_the_packages_own_tests_pass(user: Any) -> None:
+def test_packages_own_tests_pass(user: Any) -> None:
     done = user.run(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
 
     assert "passed" in done

@@ -59,7 +59,7 @@ def test_commands_that_need_no_robot_work_as_shown(
         assert answer.code == 0, answer.err
 
 
-def test_the_readmes_component_passes_the_check_of_its_deployment(
+def test_component_of_the_readme_passes_the_check_of_its_deployment(
     shell: Callable[[Path, Path], Any], page_blocks: Callable[[str], Any], tmp_path: Path
 ) -> None:
     (component,) = [block for block in page_blocks("README.md") if block.language == "python"]
@@ -73,7 +73,7 @@ def test_the_readmes_component_passes_the_check_of_its_deployment(
 
 
 @pytest.mark.parametrize("page", OUTSIDE_THE_SITE)
-def test_links_lead_somewhere(root: Path, page: str) -> None:
+def test_links_have_existing_targets(root: Path, page: str) -> None:
     text = (root / page).read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
         if not target.startswith("docs/images/"):  # made by the demo
@@ -81,7 +81,7 @@ def test_links_lead_somewhere(root: Path, page: str) -> None:
 
 
 @pytest.mark.parametrize("page", OUTSIDE_THE_SITE)
-def test_links_into_a_page_find_their_heading(root: Path, page: str) -> None:
+def test_links_to_headings_have_existing_targets(root: Path, page: str) -> None:
     text = (root / page).read_text(encoding="utf-8")
     for target, heading in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", text):
         other = (root / page).parent / target if target else root / page

@@ -78,7 +78,7 @@ def test_machine_pause_does_not_trigger_hang_detection(launch: Launching) -> Non
     assert run.stop() == 0
 
 
-def test_a_hang_in_the_supervisors_process_restarts_that_process(launch: Launching) -> None:
+def test_hang_in_the_supervisors_process_restarts_that_process(launch: Launching) -> None:
     run = launch(
         """
     components:
@@ -103,7 +103,7 @@ def test_a_hang_in_the_supervisors_process_restarts_that_process(launch: Launchi
     assert run.pid_of("listener") == listener
 
 
-def test_a_component_that_hangs_while_stopping_is_killed_in_time(
+def test_component_that_hangs_while_stopping_is_killed_in_time(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -159,7 +159,7 @@ def test_ctrl_c_does_not_wait_for_a_component_that_hangs_while_starting(
     run.await_line("child stopped: beacon: shut down")
 
 
-def test_a_supervisor_busy_with_one_child_does_not_kill_another_as_hung(launch: Launching) -> None:
+def test_supervisor_busy_with_one_child_does_not_kill_another_as_hung(launch: Launching) -> None:
     run = launch(
         """
     components:

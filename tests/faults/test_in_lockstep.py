@@ -7,7 +7,7 @@ from cairn.testing.launching import Launching
 pytestmark = pytest.mark.processes
 
 
-def test_a_component_that_fails_is_restarted_as_often_as_virtual_time_allows(
+def test_component_that_fails_is_restarted_as_often_as_virtual_time_allows(
     launch: Launching,
 ) -> None:
     run = launch(

@@ -77,7 +77,7 @@ def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_run
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_killed_or_stopped_zygote_fails_the_deployment_and_leaves_nothing(
+def test_killed_or_stopped_zygote_fails_the_deployment_and_leaves_no_process(
     launch: Launching, number: signal.Signals
 ) -> None:
     run = launch(TREE)
@@ -91,7 +91,7 @@ def test_a_killed_or_stopped_zygote_fails_the_deployment_and_leaves_nothing(
 
 
 @pytest.mark.parametrize("stopped", [(), ("beacon", "mobile", "reader", "base", "talker")])
-def test_killing_cairn_up_leaves_nothing(launch: Launching, stopped: tuple[str, ...]) -> None:
+def test_killing_cairn_up_leaves_no_process(launch: Launching, stopped: tuple[str, ...]) -> None:
     with TemporaryDirectory() as sockets:  # pytest's own paths are too long for a socket
         run = launch(TREE, environment={"XDG_RUNTIME_DIR": sockets})
         run.await_line("child active: talker")
@@ -107,7 +107,7 @@ def test_killing_cairn_up_leaves_nothing(launch: Launching, stopped: tuple[str, 
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_stop_signal_stops_all_components_in_reverse_order(
+def test_stop_signal_stops_all_components_in_reverse_order(
     launch: Launching, number: signal.Signals
 ) -> None:
     run = launch(TREE)
@@ -126,7 +126,7 @@ def test_a_stop_signal_stops_all_components_in_reverse_order(
     run.await_line("^ended.*: shut down")
 
 
-def test_a_second_ctrl_c_kills_everything(launch: Launching) -> None:
+def test_second_ctrl_c_kills_everything(launch: Launching) -> None:
     run = launch(
         """
     components:
@@ -146,7 +146,7 @@ def test_a_second_ctrl_c_kills_everything(launch: Launching) -> None:
     run.await_line("cairn: stopped by force, on a second signal")
 
 
-def test_an_orphan_of_a_component_is_killed_with_it(launch: Launching) -> None:
+def test_subprocess_of_a_component_is_killed_with_it(launch: Launching) -> None:
     run = launch(
         """
     components:

@@ -22,7 +22,7 @@ FAILS_AT_START = """
 
 
 @pytest.mark.parametrize("where", ["constructor", "on_configure", "on_activate"])
-def test_a_plugin_that_raises_at_its_first_start_ends_the_deployment_at_once(
+def test_plugin_that_raises_at_its_first_start_ends_the_deployment_at_once(
     launch: Launching, where: str
 ) -> None:
     run = launch(FAILS_AT_START.format(where=where))
@@ -41,7 +41,7 @@ def test_a_plugin_that_raises_at_its_first_start_ends_the_deployment_at_once(
     assert "Traceback" in run.log_of("base")
 
 
-def test_components_that_fail_while_running_are_restarted_with_the_cause_logged(
+def test_components_that_fail_while_running_are_restarted_and_the_cause_is_logged(
     launch: Launching,
 ) -> None:
     expected = {
@@ -82,7 +82,7 @@ def test_components_that_fail_while_running_are_restarted_with_the_cause_logged(
     assert run.stop() == 0
 
 
-def test_a_deployment_with_a_broken_plugin_does_not_start(
+def test_deployment_with_a_broken_plugin_does_not_start(
     launch: Launching,
 ) -> None:
     run = launch("components: {base: {plugin: test_broken}}")
@@ -97,7 +97,7 @@ def test_a_deployment_with_a_broken_plugin_does_not_start(
 
 
 @pytest.mark.parametrize("interpreter", ["shared", "fresh"])
-def test_a_plugin_that_cannot_be_imported_by_its_process_is_named(
+def test_plugin_that_cannot_be_imported_by_its_process_is_named(
     launch: Launching, interpreter: str
 ) -> None:
     run = launch(
@@ -116,7 +116,7 @@ def test_a_plugin_that_cannot_be_imported_by_its_process_is_named(
     )
 
 
-def test_a_component_that_raises_in_its_supervisors_process_is_restarted(
+def test_component_that_raises_in_its_supervisors_process_is_restarted(
     launch: Launching,
 ) -> None:
     run = launch(

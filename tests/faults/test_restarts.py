@@ -31,7 +31,7 @@ def pids(run: Run, strategy: str) -> dict[str, int]:
     return {name: run.pid_of(f"{strategy}_{name}") for name in ("first", "base", "last")}
 
 
-def test_the_strategy_decides_which_children_are_restarted(launch: Launching) -> None:
+def test_strategy_decides_which_children_are_restarted(launch: Launching) -> None:
     groups = "".join(GROUP.format(strategy=strategy) for strategy in RESTARTED)
     run = launch(f"\n    components:{groups}\n")
     active = run.await_line("root: child active: one_for_all")
@@ -75,7 +75,7 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
     )
 
 
-def test_a_transient_component_that_has_finished_is_not_restarted(
+def test_transient_component_that_has_finished_is_not_restarted(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -91,7 +91,7 @@ def test_a_transient_component_that_has_finished_is_not_restarted(
     assert sum("child active: talker" in line for line in run.lines) == 1
 
 
-def test_the_normal_end_of_a_significant_component_ends_the_deployment_normally(
+def test_normal_end_of_a_significant_component_ends_the_deployment_normally(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -116,7 +116,7 @@ def test_the_normal_end_of_a_significant_component_ends_the_deployment_normally(
     assert not any("WARNING" in line for line in run.lines)
 
 
-def test_a_goal_loads_the_plugins_which_can_be_loaded_and_unloaded_singly(
+def test_goal_loads_the_plugins_and_each_can_be_loaded_and_unloaded_alone(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -153,7 +153,7 @@ def test_a_goal_loads_the_plugins_which_can_be_loaded_and_unloaded_singly(
     assert run.stop() == 0
 
 
-def test_a_goal_that_fails_is_reported_and_can_be_sent_again(
+def test_goal_that_fails_is_reported_and_can_be_sent_again(
     launch: Launching,
 ) -> None:
     run = launch(
@@ -185,7 +185,7 @@ def test_a_goal_that_fails_is_reported_and_can_be_sent_again(
     assert not any("failed: automove" in line for line in run.lines)
 
 
-def test_a_restart_on_request_that_fails_for_good_fails_the_supervisor(launch: Launching) -> None:
+def test_requested_restart_that_keeps_failing_fails_the_supervisor(launch: Launching) -> None:
     run = launch(
         """
     supervision: {max_restarts: 0}

@@ -34,7 +34,9 @@ def test_full_disk_for_logs_is_reported_once_and_the_robot_keeps_running(launch:
     assert not any("Traceback" in line or "WARNING" in line for line in run.lines), run
 
 
-def test_a_report_folder_that_cannot_be_made(launch: Launching, tmp_path: Path) -> None:
+def test_report_folder_that_cannot_be_created_is_reported(
+    launch: Launching, tmp_path: Path
+) -> None:
     (tmp_path / "file").touch()
     run = launch(TALK, report=tmp_path / "file" / "report")
 
@@ -46,7 +48,7 @@ def test_a_report_folder_that_cannot_be_made(launch: Launching, tmp_path: Path) 
     assert not any("active" in line for line in run.lines)
 
 
-def test_a_report_that_cannot_be_written_makes_the_run_fail(launch: Launching) -> None:
+def test_report_that_cannot_be_written_makes_the_run_fail(launch: Launching) -> None:
     run = launch(
         """
     components:

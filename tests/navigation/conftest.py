@@ -19,4 +19,4 @@ def drive(tmp_path: Path) -> Iterator[Callable[..., LockstepRobot]]:
 
     yield make
     for one in drives:
-        one.end()
+        one.shutdown()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
 
-from cairn.deployment.load import load_deployment
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose, distance
@@ -20,7 +18,7 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.nav_msgs import OccupancyGrid
 from cairn.schemas.std_msgs import Header
-from tests.navigation.deployed import Deployed, taken
+from cairn.testing.lockstep import DeploymentHarness
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 SIM = DEPLOY / "sim.yaml"
@@ -29,21 +27,25 @@ STOPS_S = 0.95
 a second, and a command takes 0.05 s to the wheels."""
 
 
-class LockstepRobot(Deployed):
-    """`sim.yaml` in lockstep, driven by a test."""
+class LockstepRobot(DeploymentHarness):
+    """`sim.yaml` in lockstep, driven by a test; keeps what the robot publishes.
+
+    `statuses`, `motions` and `collisions` are all messages so far.
+    """
 
     def __init__(self, folder: Path, *sets: str, seed: int = 1) -> None:
-        super().__init__(load_deployment(SIM, sets=[f"settings.report={folder}", *sets]), seed)
-        self._statuses = self.read("navigation_status", NavigationStatus)
-        self._motions = self.read("motion_status", MotionStatus)
-        self._collisions = self.read("collisions", Collision)
+        super().__init__(SIM, sets=[f"settings.report={folder}", *sets], seed=seed)
+        self.statuses = self.read("navigation_status", NavigationStatus).messages
+        self.motions = self.read("motion_status", MotionStatus).messages
+        self.collisions = self.read("collisions", Collision).messages
         self._truths = self.read("truth", PoseStamped)
         self._maps = self.read("map", OccupancyGrid)
-        self.statuses: list[NavigationStatus] = []
-        self.motions: list[MotionStatus] = []
-        self.collisions: list[Collision] = []
-        self.truth: Pose = (math.nan, math.nan, math.nan)
         self._awaited = 0
+
+    @property
+    def truth(self) -> Pose:
+        """The robot's true pose."""
+        return planar_pose(self._truths.messages[-1].pose)
 
     def go(self, x: float, y: float, theta: float = 0.0, frame: str = "map") -> None:
         """Send a goal as RViz does."""
@@ -57,45 +59,45 @@ class LockstepRobot(Deployed):
             last = self.statuses[-1] if self.statuses else NavigationStatus()
             return last.state in NAVIGATION_END_STATES and last.mission_id != self._awaited
 
-        self.await_that(ended, limit_s)
+        self.run_until(ended, limit_s)
         self._awaited = self.statuses[-1].mission_id
         return self.statuses[-1]
 
     def await_state(self, state: int, limit_s: float = 60.0) -> NavigationStatus:
         """Let time pass until a mission is in a state."""
-        self.await_that(lambda: bool(self.statuses) and self.statuses[-1].state == state, limit_s)
+        self.run_until(lambda: bool(self.statuses) and self.statuses[-1].state == state, limit_s)
         return self.statuses[-1]
 
     def await_goal(self, number: int) -> None:
         """Let time pass until the robot drives to goal `number` of the mission."""
-        self.await_that(lambda: bool(self.statuses) and self.statuses[-1].goal == number)
+        self.run_until(lambda: bool(self.statuses) and self.statuses[-1].goal == number)
 
-    def arrives(self, goal: tuple[float, float], limit_s: float = 300.0) -> None:
-        """Assert that the mission succeeds, truly at its goal, without a collision."""
+    def assert_arrives(self, goal: tuple[float, float], limit_s: float = 300.0) -> None:
+        """Assert that the mission succeeds, with the true pose at its goal, without a collision."""
         end = self.await_end(limit_s)
         assert end.state == NavigationStatus.SUCCEEDED, str(self)
         assert distance(self.truth, (*goal, 0.0)) < 0.25
         assert self.collisions == []
 
     def stands(self) -> bool:
-        """Let a second pass; return whether the robot truly did not move."""
+        """Let a second pass; return whether the true pose did not change."""
         before = self.truth
-        self.wait(1.0)
+        self.run_for(1.0)
         return distance(before, self.truth) < 0.005
 
     def time_to_stand(self, limit_s: float = 5.0) -> float:
-        """Let time pass; return how long the robot truly moved from now on [s]."""
+        """Let time pass; return how long the true pose changed from now on [s]."""
         begin = moved = self.now
         while self.now < begin + limit_s:
             before = self.truth
-            self.wait(0.05)
+            self.run_for(0.05)
             if distance(before, self.truth) > 0.0005:
                 moved = self.now
         return moved - begin
 
     def grid(self) -> OccupancyCells:
         """Return the last complete grid map that was published."""
-        maps = taken(self._maps)
+        maps = self._maps.take()
         assert maps, "no new map was published"
         return grid_of(maps[-1])
 
@@ -107,14 +109,6 @@ class LockstepRobot(Deployed):
             if number == 0 or self.statuses[number - 1].state != status.state
         ]
 
-    def hear(self) -> None:
-        """Take the new messages."""
-        self.statuses += taken(self._statuses)
-        self.motions += taken(self._motions)
-        self.collisions += taken(self._collisions)
-        for truth in taken(self._truths):
-            self.truth = planar_pose(truth.pose)
-
     def __str__(self) -> str:
         """Return the published statuses, for the message of a failed assertion."""
         rows: list[str] = []
@@ -122,7 +116,8 @@ class LockstepRobot(Deployed):
             row = f"{status.mission_id} {status.state} {status.goal} {status.reason}"
             if not rows or rows[-1] != row:
                 rows.append(row)
-        return "\n".join([f"at {self.truth}, {self.now:.1f} s", *rows[-25:]])
+        truth = self._truths.messages[-1:]
+        return "\n".join([f"at {truth}, {self.now:.1f} s", *rows[-25:]])
 
 
 def share_occupied(grid: OccupancyCells, x: float, y: float, half_m: float = 0.35) -> float:

@@ -66,7 +66,7 @@ class ObservedRobot:
         self._await(lambda: distance(begin, self._truths[-1][1]) >= meters, "moves")
 
     def await_near(self, goal: Pose, meters: float, since: float = math.inf) -> None:
-        """Wait until the robot is within `meters` of a goal, or was so `since` a time."""
+        """Wait until the robot is within `meters` of a goal, or has been since a time."""
 
         def near() -> bool:
             poses = [self._truths[-1][1], *self.path(since)]
@@ -107,7 +107,7 @@ class ObservedRobot:
 
 
 class RunningGo:
-    """A running `cairn go`: its lines as they come, and its end."""
+    """A running `cairn go`: its output lines and its end."""
 
     def __init__(self, arguments: list[str], **options: Any) -> None:
         self.lines: list[str] = []
@@ -124,8 +124,8 @@ class RunningGo:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
-    def await_word(self, word: str) -> None:
-        """Wait until it has printed a word."""
+    def await_output(self, word: str) -> None:
+        """Wait until it has printed a line with this text."""
         with self._changed:
             found = self._changed.wait_for(
                 lambda: any(word in line for line in self.lines), LIMIT_S

@@ -14,7 +14,6 @@ from cairn import SENSOR, CairnError
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from cairn.schemas.sensor_msgs import LaserScan
-from tests.navigation.deployed import taken
 from tests.navigation.driving import DEPLOY, STOPS_S, LockstepRobot
 
 RobotFactory = Callable[..., LockstepRobot]
@@ -26,23 +25,23 @@ def test_silent_scanner_stops_the_robot_until_it_returns(
     robot = drive()
     robot.go(7.0, 5.0)
     robot.await_state(NavigationStatus.DRIVING)
-    robot.wait(4.0)
+    robot.run_for(4.0)
 
-    robot.ask("mobile_supervisor", "unload", name="range_scanner")
+    robot.request("mobile_supervisor", "unload", name="range_scanner")
 
-    robot.wait(2.0)
+    robot.run_for(2.0)
     assert robot.stands()
     assert robot.motions[-1].state == MotionStatus.STOPPED
     assert re.fullmatch(r"no scan for 2\.\d+ s on /robot/scan", robot.statuses[-1].reason)
-    robot.ask("mobile_supervisor", "load", name="range_scanner")
-    robot.arrives((7.0, 5.0))
+    robot.request("mobile_supervisor", "load", name="range_scanner")
+    robot.assert_arrives((7.0, 5.0))
 
 
 def test_scanner_that_stays_silent_fails_the_mission(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(7.0, 5.0)
     robot.await_state(NavigationStatus.DRIVING)
-    robot.ask("mobile_supervisor", "unload", name="range_scanner")
+    robot.request("mobile_supervisor", "unload", name="range_scanner")
 
     end = robot.await_end(40.0)
 
@@ -64,9 +63,9 @@ def test_invalid_scans_stop_the_robot(drive: RobotFactory, how: str) -> None:
 
     def relay(seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
-            robot.wait(0.05)
-            for scan in taken(scans):
-                robot.publish("scan", invalid(scan, how) if invalidate else scan, SENSOR)
+            robot.run_for(0.05)
+            for scan in scans.take():
+                robot.publish("scan", invalid(scan, how) if invalidate else scan, qos=SENSOR)
 
     relay(1.0)
     robot.go(7.0, 5.0)
@@ -76,7 +75,7 @@ def test_invalid_scans_stop_the_robot(drive: RobotFactory, how: str) -> None:
     relay(0.2)
     x, y, theta = robot.truth
     ahead = (x + 1.4 * math.cos(theta), y + 1.4 * math.sin(theta))
-    robot.ask("world", "furniture", name="barrier", x=ahead[0], y=ahead[1], size=[0.4, 0.4])
+    robot.request("world", "furniture", name="barrier", x=ahead[0], y=ahead[1], size=[0.4, 0.4])
     relay(6.0)
 
     assert robot.collisions == []
@@ -102,9 +101,9 @@ def test_silent_component_stops_the_robot_in_time(
     robot = drive()
     robot.go(6.6, 1.8)
     robot.await_state(NavigationStatus.DRIVING)
-    robot.wait(3.0)
+    robot.run_for(3.0)
 
-    robot.silence(component)
+    robot.suspend(component)
 
     assert missed_after_s < robot.time_to_stand() <= missed_after_s + STOPS_S
     assert robot.collisions == []
@@ -117,24 +116,24 @@ def test_restarted_plugin_does_not_end_the_mission(drive: RobotFactory, componen
     robot = drive()
     robot.go(6.6, 1.8)
     robot.await_state(NavigationStatus.DRIVING)
-    robot.wait(3.0)
+    robot.run_for(3.0)
 
-    robot.ask("automove", "restart", name=component)
+    robot.request("automove", "restart", name=component)
 
-    robot.arrives((6.6, 1.8))
+    robot.assert_arrives((6.6, 1.8))
     assert len({status.mission_id for status in robot.statuses}) == 1
 
 
 @pytest.mark.parametrize("component", ["base", "range_scanner", "automove"])
 def test_restarted_child_does_not_end_the_mission(drive: RobotFactory, component: str) -> None:
     robot = drive()
-    robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
+    robot.request("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
     robot.await_goal(1)
-    robot.wait(2.0)
+    robot.run_for(2.0)
 
-    robot.ask("mobile_supervisor", "restart", name=component)
+    robot.request("mobile_supervisor", "restart", name=component)
 
-    robot.arrives((6.6, 1.8))
+    robot.assert_arrives((6.6, 1.8))
     assert len({status.mission_id for status in robot.statuses}) == 1
     assert all(s.goal > 0 for s in robot.statuses if s.elapsed > 30.0)
 
@@ -144,14 +143,14 @@ STATE_FILE = "components.mobile_supervisor.parameters.state_file=${report}/missi
 
 def test_restarted_supervisor_continues_its_mission(drive: RobotFactory) -> None:
     robot = drive(STATE_FILE)
-    mission = robot.ask("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
+    mission = robot.request("mobile_supervisor", "go", goals=[[3.0, 1.2, 0.0], [6.6, 1.8, 0.0]])
     robot.await_goal(1)
 
-    robot.ask("root", "restart", name="mobile_supervisor")
+    robot.request("root", "restart", name="mobile_supervisor")
 
-    robot.arrives((6.6, 1.8))
+    robot.assert_arrives((6.6, 1.8))
     assert {status.mission_id for status in robot.statuses} == {mission["mission_id"]}
-    assert robot.ask("mobile_supervisor", "mission")["resumed"] == 1
+    assert robot.request("mobile_supervisor", "mission")["resumed"] == 1
 
 
 def test_restarted_supervisor_without_a_mission_leaves_the_robot_standing(
@@ -160,14 +159,14 @@ def test_restarted_supervisor_without_a_mission_leaves_the_robot_standing(
     robot = drive(STATE_FILE)
     robot.go(6.6, 1.8)
     robot.await_state(NavigationStatus.DRIVING)
-    robot.wait(3.0)
+    robot.run_for(3.0)
     (tmp_path / "mission.json").unlink()
 
-    robot.ask("root", "restart", name="mobile_supervisor")
+    robot.request("root", "restart", name="mobile_supervisor")
 
-    robot.wait(2.0)
+    robot.run_for(2.0)
     assert robot.stands()
-    assert robot.ask("mobile_supervisor", "mission") is None
+    assert robot.request("mobile_supervisor", "mission") is None
 
 
 AT_START = (
@@ -209,11 +208,11 @@ def test_invalid_map_fails_the_deployment_at_once(
     robot = drive(f"settings.map={make(tmp_path)}", *AT_START)
 
     with pytest.raises(CairnError, match=cause):
-        robot.wait(1.0)
+        robot.run_for(1.0)
 
-    assert robot.run.end is not None
-    assert not robot.run.end.normal
-    assert robot.run.end.reason.count(cause) == 1
+    assert robot.end is not None
+    assert not robot.end.normal
+    assert robot.end.reason.count(cause) == 1
     assert robot.now == 0.0
 
 

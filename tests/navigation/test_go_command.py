@@ -13,6 +13,7 @@ import pytest
 from cairn.testing.launching import CAIRN, LIMIT_S
 from tests.commands import cairn
 from tests.navigation.processes import ObservedRobot, robot_in
+from tests.wording import assert_words
 
 pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
 
@@ -51,7 +52,7 @@ class TestFromStartToEnd:
         assert going.await_end() == 0
 
         printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
-        assert printed[0] == "mission N: go to (N, N, N deg); Ctrl-C cancels"
+        assert_words(printed[0], "mission N", "(N, N, N deg)", "Ctrl-C")
         assert printed[1:5] == [
             "N s  loading: map_builder",
             "N s  loading: localizer",
@@ -64,7 +65,7 @@ class TestFromStartToEnd:
 
     def test_end_of_the_deployment_is_reported(self, robot: ObservedRobot) -> None:
         going = robot.go(*far_goal(robot))
-        going.await_word("mission ")
+        going.await_output("mission ")
 
         robot.run.stop()
 
@@ -112,7 +113,7 @@ def test_json_output_is_the_result_alone(robot: ObservedRobot) -> None:
 
 def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
     going = robot.go(*far_goal(robot))
-    going.await_word("driving")
+    going.await_output("driving")
     robot.await_moved(0.3)
 
     going.process.send_signal(signal.SIGINT)
@@ -121,15 +122,13 @@ def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
     assert going.await_end() == 130
     assert going.lines[-1] == "canceled: the robot stops\n"
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
-    assert (answer.code, answer.err) == (
-        1,
-        "cairn: mobile_supervisor: there is no mission to cancel\n",
-    )
+    assert answer.code == 1
+    assert_words(answer.err, "cairn", "mobile_supervisor", "no mission")
 
 
 def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
     going = robot.go(*far_goal(robot))
-    going.await_word("driving")
+    going.await_output("driving")
     robot.await_moved(0.3)
 
     going.process.send_signal(signal.SIGTERM)
@@ -186,17 +185,14 @@ def test_json_output_has_the_reason_of_a_rejected_goal(
 
 def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> None:
     going = robot.go("6.6,1.8", "1.4,1.2", "6.6,1.8", "1.4,1.2")  # the whole wait is not enough
-    going.await_word("driving")
+    going.await_output("driving")
     os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
 
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
 
     assert answer.code == 0
     assert re.fullmatch(r"mission \d+ is canceled\n", answer.out)
-    assert answer.err == (
-        "mobile_supervisor does not answer; if it hangs it is killed and restarted: "
-        "waiting up to 30 s\n"
-    )
+    assert_words(answer.err, "mobile_supervisor does not answer", "restarted", "30 s")
     robot.await_stand()
     assert going.await_end() == 1
     assert "canceled after" in going.lines[-1]
@@ -204,7 +200,7 @@ def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> No
 
 def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) -> None:
     first = robot.go(*far_goal(robot))
-    first.await_word("driving")
+    first.await_output("driving")
     answer = cairn("go", "4.0", "5.0", "--no-wait", "--json", connect=robot.run.endpoint)
     mission = answer.json["mission_id"]
 
@@ -219,10 +215,10 @@ def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) 
 
 def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> None:
     going = robot.go(*far_goal(robot))
-    going.await_word("driving")
+    going.await_output("driving")
     (Path(robot.run.report) / "mission.json").unlink()
 
     robot.kill("mobile_supervisor")
 
     assert going.await_end() == 1
-    assert "was lost: its supervisor was restarted and does not know it" in going.lines[-1]
+    assert_words(going.lines[-1], "lost", "supervisor was restarted")

@@ -9,16 +9,17 @@ import pytest
 from cairn import CairnError
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from tests.navigation.driving import STOPS_S, LockstepRobot
+from tests.wording import words_in_order
 
 RobotFactory = Callable[..., LockstepRobot]
 
 
 def test_mission_publishes_its_states_and_ends_at_the_goal(drive: RobotFactory) -> None:
     robot = drive()
-    robot.wait(1.0)
+    robot.run_for(1.0)
 
     robot.go(7.5, 5.0, math.radians(90))
-    robot.arrives((7.5, 5.0))
+    robot.assert_arrives((7.5, 5.0))
 
     assert robot.states() == [
         NavigationStatus.LOADING,
@@ -42,11 +43,11 @@ def test_new_goal_preempts_the_old_one(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(7.5, 5.0)
     robot.await_state(NavigationStatus.DRIVING)
-    robot.wait(4.0)
+    robot.run_for(4.0)
     first = robot.statuses[-1].mission_id
 
     robot.go(1.2, 3.0)
-    robot.arrives((1.2, 3.0))
+    robot.assert_arrives((1.2, 3.0))
 
     assert robot.statuses[-1].mission_id > first
     assert [s.state for s in robot.statuses if s.mission_id == first][
@@ -56,29 +57,31 @@ def test_new_goal_preempts_the_old_one(drive: RobotFactory) -> None:
 
 def test_canceled_mission_leaves_the_robot_standing(drive: RobotFactory) -> None:
     robot = drive()
-    mission = robot.ask("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["mission_id"]
+    mission = robot.request("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["mission_id"]
     robot.await_state(NavigationStatus.DRIVING)
-    robot.wait(4.0)
+    robot.run_for(4.0)
 
-    assert robot.ask("mobile_supervisor", "cancel", mission_id=mission) == {"mission_id": mission}
+    assert robot.request("mobile_supervisor", "cancel", mission_id=mission) == {
+        "mission_id": mission
+    }
 
     assert robot.time_to_stand() <= STOPS_S
     assert robot.await_end(1.0).state == NavigationStatus.CANCELED
     assert robot.motions[-1].state == MotionStatus.STANDING
-    assert robot.ask("mobile_supervisor", "mission")["result"] == "canceled: on request"
-    with pytest.raises(CairnError, match=f"there is no mission {mission} under way"):
-        robot.ask("mobile_supervisor", "cancel", mission_id=mission)
+    assert robot.request("mobile_supervisor", "mission")["result"] == "canceled: on request"
+    with pytest.raises(CairnError, match=words_in_order("no mission", str(mission))):
+        robot.request("mobile_supervisor", "cancel", mission_id=mission)
 
 
 def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
     robot = drive()
     goals = [[3.0, 1.2, 0.0], [6.4, 1.8, 1.5], [6.6, 3.2, 1.5]]
-    robot.ask("mobile_supervisor", "go", goals=goals)
+    robot.request("mobile_supervisor", "go", goals=goals)
 
     for number, (x, y, _) in enumerate(goals[:-1], start=1):
         robot.await_goal(number)
         assert math.dist(robot.truth[:2], (x, y)) < 0.25
-    robot.arrives((6.6, 3.2))
+    robot.assert_arrives((6.6, 3.2))
 
     assert {s.goals for s in robot.statuses} == {3}
 
@@ -110,7 +113,7 @@ def test_blocked_goal_fails_with_the_nearest_position(
     assert re.match(reason, end.reason), end.reason
     assert robot.collisions == []
     robot.go(1.5, 1.2)
-    robot.arrives((1.5, 1.2))
+    robot.assert_arrives((1.5, 1.2))
 
 
 def test_invalid_goal_is_rejected_and_the_mission_continues(drive: RobotFactory) -> None:
@@ -126,8 +129,8 @@ def test_invalid_goal_is_rejected_and_the_mission_continues(drive: RobotFactory)
         ([], "at least one goal"),
     ]:
         with pytest.raises(CairnError, match=why):
-            robot.ask("mobile_supervisor", "go", goals=goals)
+            robot.request("mobile_supervisor", "go", goals=goals)
     robot.go(7.0, 5.0, frame="odom")
 
-    robot.arrives((3.0, 1.2))
+    robot.assert_arrives((3.0, 1.2))
     assert len({status.mission_id for status in robot.statuses}) == 1

@@ -51,7 +51,7 @@ KILLS = [
 ]
 
 
-class Round:
+class Tour:
     """A mission once around the room, while one process after the other is killed."""
 
     def __init__(self, robot: ObservedRobot) -> None:
@@ -60,16 +60,16 @@ class Round:
         self._going: RunningGo | None = None
         self._goals: list[tuple[float, float, int]] = []
 
-    def under_way(self, leg: int) -> RunningGo:
+    def start_leg(self, leg: int) -> RunningGo:
         """Return the running mission; start it again from this leg if it is not running."""
         if self._going is None or self._going.process.poll() is not None:
             self._goals = TOUR[leg:]
             self.killed_at = time.monotonic()
             self._going = self.robot.go(*(f"{x},{y},{turn}deg" for x, y, turn in self._goals))
-            self._going.await_word("driving")
+            self._going.await_output("driving")
         return self._going
 
-    def passed(self) -> list[bool]:
+    def passed_goals(self) -> list[bool]:
         """Return whether the robot was at each goal of the mission."""
         path = self.robot.path()
         return [any(distance(goal, pose) < 0.3 for pose in path) for goal in self._goals]
@@ -85,19 +85,19 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
 
 
 @pytest.fixture(scope="module")
-def once_around(robot: ObservedRobot) -> Round:
-    return Round(robot)
+def tour(robot: ObservedRobot) -> Tour:
+    return Tour(robot)
 
 
 @pytest.mark.parametrize(("component", "leg", "driven"), KILLS)
 def test_killed_process_does_not_end_the_mission(
-    robot: ObservedRobot, once_around: Round, component: str, leg: int, driven: float
+    robot: ObservedRobot, tour: Tour, component: str, leg: int, driven: float
 ) -> None:
-    going = once_around.under_way(leg)
+    going = tour.start_leg(leg)
     left = distance(TOUR[leg - 1], TOUR[leg]) * (1.0 - driven)
-    robot.await_near(TOUR[leg], left, since=once_around.killed_at)
+    robot.await_near(TOUR[leg], left, since=tour.killed_at)
     lines = len(robot.run.lines)
-    once_around.killed_at = time.monotonic()
+    tour.killed_at = time.monotonic()
 
     robot.kill(component)
 
@@ -108,12 +108,12 @@ def test_killed_process_does_not_end_the_mission(
     assert robot.collisions == []
 
 
-def test_mission_ends_at_its_last_goal(robot: ObservedRobot, once_around: Round) -> None:
-    going = once_around.under_way(len(TOUR) - 1)
+def test_mission_ends_at_its_last_goal(robot: ObservedRobot, tour: Tour) -> None:
+    going = tour.start_leg(len(TOUR) - 1)
 
     assert going.await_end() == 0, f"{going}; {robot.run}"
     assert distance(TOUR[-1], robot.pose) < 0.3
-    assert all(once_around.passed())
+    assert all(tour.passed_goals())
     assert robot.collisions == []
 
 
@@ -121,13 +121,13 @@ def test_robot_stands_without_commands_and_continues(robot: ObservedRobot) -> No
     x, y = ("4.8", "1.4") if robot.pose[0] < 3.5 else ("1.2", "1.2")
     lines = len(robot.run.lines)
     going = robot.go(x, y)
-    going.await_word("driving")
+    going.await_output("driving")
     robot.await_moved(0.3)
 
     os.kill(robot.run.pid_of("motion_control"), signal.SIGSTOP)
 
     robot.await_stand()
-    going.await_word("no status from motion control for")
+    going.await_output("no status from motion control for")
     assert going.await_end() == 0, f"{going}; {robot.run}"
     robot.run.await_line(
         "child hung: motion_control: .* in a process that was stopped", after=lines

@@ -9,6 +9,7 @@ import pytest
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.testing.launching import Launching, Run, free_port, launching
 from tests.navigation.driving import SIM, LockstepRobot
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
 
@@ -28,25 +29,23 @@ def launch(tmp_path: Path) -> Iterator[Launching]:
 def test_finished_mission_ends_the_deployment(drive: RobotFactory) -> None:
     robot = drive(REACHABLE, FINISH)
 
-    robot.await_that(lambda: robot.run.end is not None, 60.0)
+    robot.run_until(lambda: robot.end is not None, 60.0)
 
-    assert robot.run.end is not None
-    assert robot.run.end.normal
-    assert robot.run.end.success
-    assert robot.run.end.reason == (
-        "mobile_supervisor has finished: the mission succeeded: arrived at (1.20, 1.20)"
-    )
+    assert robot.end is not None
+    assert robot.end.normal
+    assert robot.end.success
+    assert_words(robot.end.reason, "mobile_supervisor", "mission succeeded", "(1.20, 1.20)")
 
 
 def test_failed_mission_ends_the_deployment_without_success(drive: RobotFactory) -> None:
     robot = drive(OUTSIDE, FINISH)
 
-    robot.await_that(lambda: robot.run.end is not None, 60.0)
+    robot.run_until(lambda: robot.end is not None, 60.0)
 
-    assert robot.run.end is not None
-    assert robot.run.end.normal
-    assert not robot.run.end.success
-    assert "the mission failed: " in robot.run.end.reason
+    assert robot.end is not None
+    assert robot.end.normal
+    assert not robot.end.success
+    assert "the mission failed: " in robot.end.reason
 
 
 def test_preempted_mission_ends_the_deployment_with_the_new_mission(
@@ -56,16 +55,16 @@ def test_preempted_mission_ends_the_deployment_with_the_new_mission(
     robot.await_state(NavigationStatus.DRIVING)
 
     robot.go(2.0, 1.2)
-    robot.arrives((2.0, 1.2))
+    robot.assert_arrives((2.0, 1.2))
 
-    robot.await_that(lambda: robot.run.end is not None, 5.0)
-    assert robot.run.end is not None
-    assert robot.run.end.normal
-    assert not robot.run.end.success
+    robot.run_until(lambda: robot.end is not None, 5.0)
+    assert robot.end is not None
+    assert robot.end.normal
+    assert not robot.end.success
     assert re.fullmatch(
         r"mobile_supervisor has finished: the mission was preempted by mission \d+, which "
         r"succeeded: arrived at \(2.00, 1.20\)",
-        robot.run.end.reason,
+        robot.end.reason,
     )
 
 
@@ -74,10 +73,10 @@ def test_preempted_mission_without_finish_ends_nothing(drive: RobotFactory) -> N
     robot.await_state(NavigationStatus.DRIVING)
 
     robot.go(2.0, 1.2)
-    robot.arrives((2.0, 1.2))
+    robot.assert_arrives((2.0, 1.2))
 
-    robot.wait(1.0)
-    assert robot.run.end is None
+    robot.run_for(1.0)
+    assert robot.end is None
 
 
 @pytest.mark.xdist_group("robots in real time")

@@ -8,6 +8,7 @@ import pytest
 
 from cairn.testing.launching import free_port
 from tests.installed import ROOT, Environment, build_wheels, fresh_environment
+from tests.wording import words_in_order
 
 pytestmark = [pytest.mark.processes, pytest.mark.timeout(600)]
 
@@ -80,7 +81,7 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environm
     return environment
 
 
-def test_the_wheel_holds_one_package_with_its_data(wheel: Path) -> None:
+def test_wheel_contains_one_package_with_its_data(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
 
     top = {name.partition("/")[0] for name in names}
@@ -101,7 +102,7 @@ def test_the_wheel_holds_one_package_with_its_data(wheel: Path) -> None:
     assert not [name for name in names if "__pycache__" in name]
 
 
-def test_a_users_packages_of_the_same_names_run_beside_it(
+def test_packages_of_the_user_may_have_the_names_of_cairns_folders(
     installed: Environment, tmp_path: Path
 ) -> None:
     (tmp_path / "user.yaml").write_text(dedent(DEPLOYMENT), encoding="utf-8")
@@ -115,7 +116,7 @@ def test_a_users_packages_of_the_same_names_run_beside_it(
     assert str(installed.site / "components") in installed.run("python", "-c", where)
 
 
-def test_the_shipped_robot_reaches_a_goal_in_an_empty_folder(
+def test_shipped_robot_reaches_a_goal_in_an_empty_folder(
     installed: Environment, tmp_path: Path
 ) -> None:
     before = _files(installed.site / "cairn")
@@ -130,14 +131,16 @@ def test_the_shipped_robot_reaches_a_goal_in_an_empty_folder(
     assert [file.name for file in tmp_path.iterdir()] == ["report"]
 
 
-def test_a_shipped_deployment_without_its_recording_says_what_to_give(
+def test_shipped_deployment_without_its_recording_asks_for_one(
     installed: Environment, tmp_path: Path
 ) -> None:
-    with pytest.raises(AssertionError, match="is not part of the installed package; name your own"):
+    with pytest.raises(
+        AssertionError, match=words_in_order("not part of the installed package", "name your own")
+    ):
         installed.run("cairn", "up", "replay_mrclam", "--report", "report", folder=tmp_path)
 
 
-def test_a_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path) -> None:
+def test_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path) -> None:
     installed.run("cairn", "init", "my_robot", folder=tmp_path)
     project = tmp_path / "my_robot"
     installed.install(project)

@@ -81,7 +81,7 @@ def test_damaged_message_is_valid_or_rejected(name: str, mutations: int) -> None
     before = _peak_memory()
     outcomes = {"valid": 0, "rejected": 0}
     for _ in range(mutations):
-        message = _decode_or_refuse(cls, damaged(originals, random))
+        message = _decode_or_reject(cls, damaged(originals, random))
         outcomes["rejected" if message is None else "valid"] += 1
         if message is not None:
             assert CODEC.decode(cls, CODEC.encode(message)) == message
@@ -92,7 +92,7 @@ def test_damaged_message_is_valid_or_rejected(name: str, mutations: int) -> None
 
 def test_rejected_messages_are_freed() -> None:
     for cls in EVERY_MESSAGE.values():
-        _decode_or_refuse(cls, b"")
+        _decode_or_reject(cls, b"")
     assert _live_errors() == 0
 
 
@@ -101,12 +101,12 @@ def test_memory_is_bounded_by_the_size_of_the_bytes(name: str) -> None:
     cls = EVERY_MESSAGE[name]
     original = CODEC.encode(samples(name, 30)[-1])
     data = original + bytes(400)
-    _decode_or_refuse(cls, data)
+    _decode_or_reject(cls, data)
     tracemalloc.start()
     for start in range(4, len(original) - 3, 4):
         for count in (len(data) - start, 2**24, 2**31, 2**32 - 1):
             huge = data[:start] + struct.pack("<I", count) + data[start + 4 :]
-            _decode_or_refuse(cls, huge)
+            _decode_or_reject(cls, huge)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 200_000 + 500 * len(data)
@@ -132,7 +132,7 @@ def constructed(value: Any) -> Any:
     return tuple(map(constructed, value)) if isinstance(value, tuple) else value
 
 
-def _decode_or_refuse(cls: type[Any], data: bytes) -> Any | None:
+def _decode_or_reject(cls: type[Any], data: bytes) -> Any | None:
     try:
         return CODEC.decode(cls, data)
     except InvalidMessage:

@@ -24,6 +24,7 @@ from cairn.schemas.message import InvalidMessage, message, reject, type_name
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
 from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
 from cairn.schemas.std_msgs import Header
+from tests.wording import words_in_order
 
 
 def test_omitted_fields_are_zero_and_orientation_is_identity() -> None:
@@ -57,7 +58,7 @@ def test_class_without_fields_is_rejected() -> None:
 
         @message("test_msgs/msg/Nothing")
         class Nothing:
-            """Nothing."""
+            """A class without fields."""
 
 
 def test_message_is_immutable() -> None:
@@ -160,7 +161,9 @@ def test_numpy_scalars_and_enumerations_become_python_numbers() -> None:
 
 def test_message_field_accepts_a_mapping() -> None:
     assert Twist(linear={"x": 1.0}) == Twist(linear=Vector3(x=1.0))  # type: ignore[arg-type]
-    with pytest.raises(InvalidMessage, match=r"Twist: linear\.x = 'fast': must be a finite number"):
+    with pytest.raises(
+        InvalidMessage, match=words_in_order("Twist", "linear.x = 'fast'", "finite number")
+    ):
         Twist(linear={"x": "fast"})  # type: ignore[arg-type]
 
 
@@ -185,7 +188,7 @@ def test_nan_equals_nan_in_messages() -> None:
 def test_replace_validates_the_new_message() -> None:
     sighting = RecognizedObject(object_id=1, range=2.0, bearing=0.0)
     assert replace(sighting, range=3.0).range == 3.0
-    with pytest.raises(InvalidMessage, match=r"range = -1\.0: must be a finite number above 0"):
+    with pytest.raises(InvalidMessage, match=words_in_order("range = -1.0", "above 0")):
         replace(sighting, range=-1.0)
 
 
@@ -230,7 +233,7 @@ def _refusals() -> list[object]:
 
 
 def test_float_beyond_float32_is_rejected() -> None:
-    with pytest.raises(InvalidMessage, match=r"range_max = 1e\+39: is too large for a float32"):
+    with pytest.raises(InvalidMessage, match=words_in_order("range_max = 1e+39", "float32")):
         LaserScan(range_max=1e39)
 
 
@@ -265,5 +268,5 @@ class Battery:
 
 def test_bool_array_rejects_bytes_other_than_0_and_1() -> None:
     raw = np.array([0, 1, 2], np.uint8).view(np.bool_)
-    with pytest.raises(InvalidMessage, match="must hold the bytes 0 and 1 only"):
+    with pytest.raises(InvalidMessage, match=words_in_order("bytes 0 and 1")):
         Battery(voltage=1.0, good=raw)

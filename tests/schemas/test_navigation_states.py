@@ -7,7 +7,7 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 
 
-def test_every_state_is_called_as_its_constant() -> None:
+def test_state_names_equal_the_names_of_their_constants() -> None:
     constants = {
         value: name.lower()
         for name, value in vars(NavigationStatus).items()
@@ -16,7 +16,7 @@ def test_every_state_is_called_as_its_constant() -> None:
     assert constants == NAVIGATION_STATES
 
 
-def test_the_results_are_the_last_states() -> None:
+def test_results_are_the_last_states() -> None:
     assert {NAVIGATION_STATES[state] for state in NAVIGATION_END_STATES} == {
         "succeeded",
         "failed",

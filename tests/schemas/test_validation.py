@@ -37,7 +37,7 @@ def evidence(**changed: Any) -> ObjectEvidence:
     return ObjectEvidence(**(whole | changed))
 
 
-def sighting(**changed: Any) -> RecognizedObject:
+def recognized_object(**changed: Any) -> RecognizedObject:
     whole: dict[str, Any] = {"object_id": 1, "range": 3.0, "bearing": 0.0}
     return RecognizedObject(**(whole | changed))
 
@@ -102,20 +102,23 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
         (lambda: CameraInfo(k=np.zeros(8)), "CameraInfo: k = float64[8]"),
         (lambda: CameraInfo(d=[NAN]), "CameraInfo: d = [nan]: must hold finite numbers only"),  # type: ignore[arg-type]
         (lambda: DiagnosticStatus(level=4), "level = 4: must be an integer from 0 to 3"),
-        (lambda: sighting(range=0.0), "range = 0.0: must be a finite number above 0"),
-        (lambda: sighting(range=INF), "range = inf: must be a finite number above 0"),
-        (lambda: sighting(object_id=-1), "object_id = -1: must be an integer from 0 to 4294967295"),
-        (lambda: sighting(covariance=[1, 2, 2, 1]), "must be positive semidefinite"),
-        (lambda: sighting(covariance=[-1, 0, 0, 1]), "must be positive semidefinite"),
-        (lambda: sighting(covariance=[1, 0.1, 0, 1]), "must be symmetric"),
-        (lambda: sighting(covariance=[1, NAN, NAN, 1]), "must hold finite numbers only"),
+        (lambda: recognized_object(range=0.0), "range = 0.0: must be a finite number above 0"),
+        (lambda: recognized_object(range=INF), "range = inf: must be a finite number above 0"),
+        (
+            lambda: recognized_object(object_id=-1),
+            "object_id = -1: must be an integer from 0 to 4294967295",
+        ),
+        (lambda: recognized_object(covariance=[1, 2, 2, 1]), "must be positive semidefinite"),
+        (lambda: recognized_object(covariance=[-1, 0, 0, 1]), "must be positive semidefinite"),
+        (lambda: recognized_object(covariance=[1, 0.1, 0, 1]), "must be symmetric"),
+        (lambda: recognized_object(covariance=[1, NAN, NAN, 1]), "must hold finite numbers only"),
         (
             lambda: evidence(similarity=1.1),
             "similarity = 1.1: must be a finite number at least 0 an",
         ),
         (lambda: evidence(similarity=NAN), "similarity = nan: must be a finite number at least 0"),
         (lambda: evidence(verdict=5), "verdict = 5: must be an integer from 0 to 4"),
-        (lambda: sighting(corners=[1.0, 2.0]), "must be none, or 8 image coordinates"),
+        (lambda: recognized_object(corners=[1.0, 2.0]), "must be none, or 8 image coordinates"),
         (
             lambda: RecognizedObjectArray(view_right=0.5, view_left=-0.5),
             "view_left = -0.5: must be 0.5 or more",
@@ -169,9 +172,9 @@ def test_invalid_message_is_rejected_with_path_value_and_reason(
         lambda: scan(360, 0.0, 2 * math.pi, 2 * math.pi / 360),
         lambda: scan(1_000_000, -math.pi, math.pi, 2 * math.pi / 1_000_000),
         lambda: scan(1, 0.3, 0.3, 0.0),
-        lambda: sighting(covariance=[0, 0, 0, 0]),
-        lambda: sighting(covariance=[1e300, 1e300, 1e300, 1e300]),
-        lambda: sighting(covariance=[1.0, 1 + 1e-12, 1 + 1e-12, 1.0]),
+        lambda: recognized_object(covariance=[0, 0, 0, 0]),
+        lambda: recognized_object(covariance=[1e300, 1e300, 1e300, 1e300]),
+        lambda: recognized_object(covariance=[1.0, 1 + 1e-12, 1 + 1e-12, 1.0]),
         lambda: evidence(similarity=0.0, distance=0.0),
         lambda: ObjectEvidenceArray(robot_covariance=np.diag([1e-8, 1e8, 0.0]).ravel()),
         lambda: VisualMapChange(old_x=1.0, old_y=2.0, kind=VisualMapChange.REMOVED),

@@ -1,4 +1,4 @@
-"""A network of Zenoh sessions for each test that asks for one."""
+"""A network of Zenoh sessions for each test that requests one."""
 
 from collections.abc import Iterator
 

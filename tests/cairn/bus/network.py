@@ -67,19 +67,19 @@ class Reader:
         assert self._waiting.acquire(timeout=LIMIT_S), "nothing came"
         self._waiting.release()
 
-    def waiting(self) -> list[Any]:
+    def pending(self) -> list[Any]:
         """Return all pending messages."""
         return list(iter(self.subscription.take, None))
 
 
 def node(bus: Bus, name: str) -> Node:
     """Return a node whose error reports fail the test."""
-    return bus.node(name, refuse)
+    return bus.node(name, fail_test)
 
 
-def refuse(complaint: str) -> None:
+def fail_test(problem: str) -> None:
     """Fail the test: no error is expected."""
-    raise AssertionError(complaint)
+    raise AssertionError(problem)
 
 
 def eventually(holds: Callable[[], bool]) -> bool:

@@ -30,7 +30,7 @@ class Client:
         self._session = sdk.ZenohSession.get_instance(**self._where)
         sdk.get_registry().messages_dir = definitions
         self._publishers: dict[str, Any] = {}
-        self._heard: dict[str, queue.SimpleQueue[Any]] = {}
+        self._received: dict[str, queue.SimpleQueue[Any]] = {}
         self._subscribers: list[Any] = []
 
     def advertise(self, topic: str, type: str, node: str) -> None:  # noqa: A002
@@ -39,9 +39,9 @@ class Client:
         )
 
     def subscribe(self, topic: str, type: str, node: str) -> None:  # noqa: A002
-        heard = self._heard[topic] = queue.SimpleQueue()
+        received = self._received[topic] = queue.SimpleQueue()
         subscriber = self._sdk.ROS2Subscriber(
-            topic, type, heard.put, node_name=node, namespace="/ros", **self._where
+            topic, type, received.put, node_name=node, namespace="/ros", **self._where
         )
         self._subscribers.append(subscriber)
 
@@ -49,8 +49,8 @@ class Client:
         publisher = self._publishers[topic]
         publisher.publish(**self._fields(publisher.msg_type, value))
 
-    def hear(self, topic: str) -> Any:
-        return _plain(self._heard[topic].get(timeout=LIMIT_S))
+    def receive(self, topic: str) -> Any:
+        return _plain(self._received[topic].get(timeout=LIMIT_S))
 
     def topics(self) -> Any:
         return self._sdk.get_topic_names_and_types(**self._where)

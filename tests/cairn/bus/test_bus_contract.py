@@ -51,8 +51,8 @@ def words(*numbers: int) -> list[String]:
 
 @pytest.mark.parametrize("qos", [RELIABLE, SENSOR, LATCHED], ids=["reliable", "sensor", "latched"])
 def test_messages_arrive_in_order(pair: Pair, qos: Qos) -> None:
-    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, qos.with_depth(200))
-    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, qos)
+    reader = Reader(node(pair.readers, "/robot/listener"), TOPIC, String, qos.with_depth(200))
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, qos)
     pair.wait_for_peers()
 
     for word in words(*range(200)):
@@ -64,9 +64,9 @@ def test_messages_arrive_in_order(pair: Pair, qos: Qos) -> None:
 
 
 def test_two_publishers_reach_two_subscriptions(pair: Pair) -> None:
-    ear, mouth = node(pair.readers, "/robot/ear"), node(pair.writers, "/robot/mouth")
-    readers = [Reader(ear, TOPIC, String, RELIABLE) for _ in range(2)]
-    writers = [mouth.advertise(TOPIC, String, RELIABLE) for _ in range(2)]
+    listener, talker = node(pair.readers, "/robot/listener"), node(pair.writers, "/robot/talker")
+    readers = [Reader(listener, TOPIC, String, RELIABLE) for _ in range(2)]
+    writers = [talker.advertise(TOPIC, String, RELIABLE) for _ in range(2)]
     pair.wait_for_peers()
 
     for writer, word in zip(writers, words(1, 2), strict=True):
@@ -77,18 +77,22 @@ def test_two_publishers_reach_two_subscriptions(pair: Pair) -> None:
         assert reader.subscription.dropped == 0
 
 
-@pytest.mark.parametrize(("kept", "asked", "got"), [(1, 1, 1), (5, 5, 5), (5, 2, 2), (2, 5, 2)])
+@pytest.mark.parametrize(
+    ("kept", "requested", "received_count"), [(1, 1, 1), (5, 5, 5), (5, 2, 2), (2, 5, 2)]
+)
 def test_late_subscriber_receives_latched_messages(
-    pair: Pair, kept: int, asked: int, got: int
+    pair: Pair, kept: int, requested: int, received_count: int
 ) -> None:
-    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, LATCHED.with_depth(kept))
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, LATCHED.with_depth(kept))
     for word in words(*range(9)):
         writer.publish(word)
     pair.wait_for_peers()
 
-    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, LATCHED.with_depth(asked))
+    reader = Reader(
+        node(pair.readers, "/robot/listener"), TOPIC, String, LATCHED.with_depth(requested)
+    )
 
-    assert reader.next_of(got) == words(*range(9 - got, 9))
+    assert reader.next_of(received_count) == words(*range(9 - received_count, 9))
     pair.wait_for_peers()
     writer.publish(String(data="then"))
     assert reader.next() == String(data="then")
@@ -102,7 +106,7 @@ def test_late_subscriber_of_a_volatile_topic_receives_only_new_messages(
     pair: Pair, writes: Qos, reads: Qos
 ) -> None:
     early = Reader(node(pair.readers, "/robot/early"), TOPIC, String, RELIABLE)
-    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, writes)
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, writes)
     pair.wait_for_peers()
     writer.publish(String(data="before"))
     assert early.next() == String(data="before")
@@ -116,14 +120,14 @@ def test_late_subscriber_of_a_volatile_topic_receives_only_new_messages(
 
 
 def test_latched_messages_end_with_their_publisher(pair: Pair) -> None:
-    mouth = node(pair.writers, "/robot/mouth")
-    first = mouth.advertise(TOPIC, String, LATCHED)
+    talker = node(pair.writers, "/robot/talker")
+    first = talker.advertise(TOPIC, String, LATCHED)
     first.publish(String(data="old"))
     first.close()
-    second = mouth.advertise(TOPIC, String, LATCHED)
+    second = talker.advertise(TOPIC, String, LATCHED)
     pair.wait_for_peers()
 
-    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, LATCHED)
+    reader = Reader(node(pair.readers, "/robot/listener"), TOPIC, String, LATCHED)
     pair.wait_for_peers()
     second.publish(String(data="new"))
 
@@ -132,8 +136,8 @@ def test_latched_messages_end_with_their_publisher(pair: Pair) -> None:
 
 @pytest.mark.parametrize("depth", [1, 10])
 def test_slow_subscriber_keeps_the_newest_and_counts_the_dropped(pair: Pair, depth: int) -> None:
-    slow = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(depth))
-    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
+    slow = Reader(node(pair.readers, "/robot/listener"), TOPIC, String, RELIABLE.with_depth(depth))
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, RELIABLE)
     pair.wait_for_peers()
     writer.publish(String(data="0"))
     slow.await_first()
@@ -142,24 +146,24 @@ def test_slow_subscriber_keeps_the_newest_and_counts_the_dropped(pair: Pair, dep
         writer.publish(word)
 
     assert eventually(lambda: slow.subscription.dropped == 500 - depth)
-    assert slow.waiting() == words(*range(500 - depth, 500))
+    assert slow.pending() == words(*range(500 - depth, 500))
     writer.publish(String(data="next"))
-    assert eventually(lambda: slow.waiting() == [String(data="next")])
+    assert eventually(lambda: slow.pending() == [String(data="next")])
     assert (slow.subscription.received, slow.subscription.dropped) == (depth + 1, 500 - depth)
 
 
 def test_every_pending_message_wakes_the_subscriber_in_any_race(pair: Pair) -> None:
-    reader = Reader(node(pair.readers, "/robot/ear"), TOPIC, String, RELIABLE.with_depth(1))
-    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
+    reader = Reader(node(pair.readers, "/robot/listener"), TOPIC, String, RELIABLE.with_depth(1))
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, RELIABLE)
     pair.wait_for_peers()
     ends = threading.Event()
-    got: list[str] = []
+    texts: list[str] = []
 
     def read() -> None:
         while not ends.is_set():
             word = reader.next()
-            got.append(word.data if word is not None else "")
-            if got[-1] == "last":
+            texts.append(word.data if word is not None else "")
+            if texts[-1] == "last":
                 ends.set()
 
     thread = threading.Thread(target=read)
@@ -170,34 +174,38 @@ def test_every_pending_message_wakes_the_subscriber_in_any_race(pair: Pair) -> N
 
     assert ends.wait(LIMIT_S), "the last message is pending without a wake-up"
     thread.join()
-    heard = [int(word) for word in got[:-1] if word]
-    assert heard == sorted(heard)
+    received = [int(word) for word in texts[:-1] if word]
+    assert received == sorted(received)
 
 
 def test_two_types_on_one_topic_are_reported_to_both_nodes(pair: Pair) -> None:
-    of_mouth: list[str] = []
-    of_ear: list[str] = []
-    mouth = pair.writers.node("/robot/mouth", of_mouth.append)
-    ear = pair.readers.node("/robot/ear", of_ear.append)
-    writer = mouth.advertise(TOPIC, String, RELIABLE)
-    subscription = ear.subscribe(TOPIC, Twist, RELIABLE, lambda: None)
+    talker_problems: list[str] = []
+    listener_problems: list[str] = []
+    talker = pair.writers.node("/robot/talker", talker_problems.append)
+    listener = pair.readers.node("/robot/listener", listener_problems.append)
+    writer = talker.advertise(TOPIC, String, RELIABLE)
+    subscription = listener.subscribe(TOPIC, Twist, RELIABLE, lambda: None)
     pair.wait_for_peers()
 
-    writer.publish(String(data="unheard"))
+    writer.publish(String(data="lost"))
 
     string, twist = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
-    assert eventually(lambda: of_mouth == [type_conflict(TOPIC, string, "/robot/ear", twist)])
-    assert eventually(lambda: of_ear == [type_conflict(TOPIC, twist, "/robot/mouth", string)])
-    assert all(part in of_ear[0] for part in (TOPIC, "/robot/mouth", string, twist))
+    assert eventually(
+        lambda: talker_problems == [type_conflict(TOPIC, string, "/robot/listener", twist)]
+    )
+    assert eventually(
+        lambda: listener_problems == [type_conflict(TOPIC, twist, "/robot/talker", string)]
+    )
+    assert all(part in listener_problems[0] for part in (TOPIC, "/robot/talker", string, twist))
     assert subscription.take() is None
 
 
 def test_closing_twice_is_harmless_and_ends_delivery(pair: Pair) -> None:
-    mouth, ear = node(pair.writers, "/robot/mouth"), node(pair.readers, "/robot/ear")
-    closed = Reader(ear, TOPIC, String, RELIABLE)
-    other = Reader(ear, TOPIC, String, RELIABLE)
-    writer = mouth.advertise(TOPIC, String, RELIABLE)
-    closing = mouth.advertise(TOPIC, String, RELIABLE)
+    talker, listener = node(pair.writers, "/robot/talker"), node(pair.readers, "/robot/listener")
+    closed = Reader(listener, TOPIC, String, RELIABLE)
+    other = Reader(listener, TOPIC, String, RELIABLE)
+    writer = talker.advertise(TOPIC, String, RELIABLE)
+    closing = talker.advertise(TOPIC, String, RELIABLE)
     pair.wait_for_peers()
     closed.subscription.close()
     closing.close()
@@ -210,9 +218,9 @@ def test_closing_twice_is_harmless_and_ends_delivery(pair: Pair) -> None:
     for _ in range(2):
         closing.close()
         closed.subscription.close()
-        mouth.close()
-        ear.close()
-    assert other.waiting() == []
+        talker.close()
+        listener.close()
+    assert other.pending() == []
 
 
 def test_closing_stops_all_threads() -> None:
@@ -234,7 +242,7 @@ def test_closing_stops_all_threads() -> None:
 
 
 def test_received_message_is_immutable(pair: Pair) -> None:
-    reader = Reader(node(pair.readers, "/robot/ear"), "/robot/scan", LaserScan, SENSOR)
+    reader = Reader(node(pair.readers, "/robot/listener"), "/robot/scan", LaserScan, SENSOR)
     writer = node(pair.writers, "/robot/laser").advertise("/robot/scan", LaserScan, SENSOR)
     pair.wait_for_peers()
 
@@ -250,7 +258,7 @@ def test_received_message_is_immutable(pair: Pair) -> None:
 
 
 def test_publishing_without_subscriber_does_not_encode_the_message(pair: Pair) -> None:
-    writer = node(pair.writers, "/robot/mouth").advertise(TOPIC, String, RELIABLE)
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, RELIABLE)
     pair.wait_for_peers()
 
     writer.publish(object())
@@ -259,7 +267,7 @@ def test_publishing_without_subscriber_does_not_encode_the_message(pair: Pair) -
 
 
 def test_first_message_to_a_subscriber_counts_no_drops(pair: Pair) -> None:
-    writer = node(pair.writers, "/robot/mouth").advertise("/robot/speed", Twist, RELIABLE)
+    writer = node(pair.writers, "/robot/talker").advertise("/robot/speed", Twist, RELIABLE)
     early = Reader(node(pair.readers, "/robot/early"), "/robot/speed", Twist, RELIABLE)
     pair.wait_for_peers()
     for _ in range(5):

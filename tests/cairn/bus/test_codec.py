@@ -1,4 +1,4 @@
-"""The codec: views instead of copies, exact errors, messages of anyone's package."""
+"""The codec: views instead of copies, exact errors, messages of any package."""
 
 import math
 import struct
@@ -38,11 +38,12 @@ from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+from tests.wording import assert_words, words_in_order
 
 
 @message("acme_msgs/msg/Arm")
 class Arm:
-    """A message of someone else's package, with every shape of field."""
+    """A message of another package, with every kind of field."""
 
     LEFT: ClassVar[UInt8] = 1
     MAKER: ClassVar[String] = "acme"
@@ -157,8 +158,11 @@ def test_error_names_the_whole_path_to_the_value(codec: Codec) -> None:
     nan_in_last = data[:-8] + struct.pack("<d", math.nan)
     with pytest.raises(InvalidMessage) as rejected:
         codec.decode(TFMessage, nan_in_last)
-    assert str(rejected.value) == (
-        "tf2_msgs/msg/TFMessage: transforms[2].transform.rotation.w = nan: must be a finite number"
+    assert_words(
+        str(rejected.value),
+        "tf2_msgs/msg/TFMessage",
+        "transforms[2].transform.rotation.w = nan",
+        "finite",
     )
 
 
@@ -166,7 +170,8 @@ def test_error_names_the_element_of_a_packed_sequence(codec: Codec) -> None:
     data = codec.encode(PoseArray(poses=Packed(Pose, np.ones((500, 7)))))
     damaged = data[: -8 * 7 - 16] + struct.pack("<d", math.inf) + data[-8 * 7 - 8 :]
     with pytest.raises(
-        InvalidMessage, match=r"PoseArray: poses\[498\]\.orientation\.z = inf: must be a finite"
+        InvalidMessage,
+        match=words_in_order("PoseArray", "poses[498].orientation.z = inf", "finite"),
     ):
         codec.decode(PoseArray, damaged)
 
@@ -215,7 +220,7 @@ def test_field_of_an_unknown_type_is_rejected_by_name(codec: Codec) -> None:
         codec.encode(Odd())
 
 
-def test_images_maps_and_particles_are_bulk(codec: Codec) -> None:
+def test_images_maps_and_particles_are_bulk_messages(codec: Codec) -> None:
     bulk = {cls for cls in (Image, OccupancyGrid, PoseArray, Arm) if codec.is_bulk(cls)}
     assert bulk == {Image, OccupancyGrid, PoseArray, Arm}
     assert not any(codec.is_bulk(cls) for cls in (LaserScan, Twist, TFMessage, Path, Clock))

@@ -1,4 +1,4 @@
-"""Once a process has waited for its peers, not even the first message is lost, whatever they do."""
+"""Once a process has waited for its peers, not even the first message is lost."""
 
 import signal
 import subprocess

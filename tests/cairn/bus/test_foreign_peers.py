@@ -1,4 +1,4 @@
-"""Invalid data from foreign or broken peers is rejected and counted, and does no harm."""
+"""Invalid data from foreign or broken peers is rejected and counted, without other effects."""
 
 import struct
 import time
@@ -112,7 +112,7 @@ def test_peer_that_invents_publishers_does_not_fill_the_memory(
     foreign.session.put(KEY, CODEC.encode(Twist()), attachment=attachment(1, b"\xff" * 16))
 
     def received_the_last() -> bool:
-        return Twist() in reader.waiting()
+        return Twist() in reader.pending()
 
     assert eventually(received_the_last)
     subscription = reader.subscription

@@ -21,7 +21,7 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header, String
 from tests.cairn.bus.network import Network, eventually
-from tests.cairn.runtime.running import Threaded
+from tests.cairn.runtime.threaded import ThreadedComponent
 
 pytestmark = pytest.mark.processes
 
@@ -63,33 +63,33 @@ class Robot(Component):
     scan: In[LaserScan] = In(qos=SENSOR)
     odom: In[Odometry]
     objects: In[RecognizedObjectArray]
-    say_word: Out[String]
-    say_cmd_vel: Out[Twist]
-    say_scan: Out[LaserScan] = Out(qos=SENSOR)
-    say_odom: Out[Odometry]
-    say_objects: Out[RecognizedObjectArray]
+    out_word: Out[String]
+    out_cmd_vel: Out[Twist]
+    out_scan: Out[LaserScan] = Out(qos=SENSOR)
+    out_odom: Out[Odometry]
+    out_objects: Out[RecognizedObjectArray]
 
-    heard: ClassVar[dict[str, Any]] = {}
+    received: ClassVar[dict[str, Any]] = {}
 
     @on("word")
     def on_word(self, message: String) -> None:
-        self.heard["word"] = message
+        self.received["word"] = message
 
     @on("cmd_vel")
     def on_cmd_vel(self, message: Twist) -> None:
-        self.heard["cmd_vel"] = message
+        self.received["cmd_vel"] = message
 
     @on("scan")
     def on_scan(self, message: LaserScan) -> None:
-        self.heard["scan"] = message
+        self.received["scan"] = message
 
     @on("odom")
     def on_odom(self, message: Odometry) -> None:
-        self.heard["odom"] = message
+        self.received["odom"] = message
 
     @on("objects")
     def on_objects(self, message: RecognizedObjectArray) -> None:
-        self.heard["objects"] = message
+        self.received["objects"] = message
 
 
 class Ros2:
@@ -98,7 +98,7 @@ class Ros2:
     def __init__(self, process: "subprocess.Popen[str]") -> None:
         self._process = process
 
-    def ask(self, verb: str, **arguments: Any) -> Any:
+    def request(self, verb: str, **arguments: Any) -> Any:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(json.dumps([verb, arguments]) + "\n")
@@ -130,27 +130,31 @@ def ros2(network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator
             ros2 = Ros2(process)
             for topic, message in MESSAGES.items():
                 name = type_name(type(message))
-                ros2.ask("advertise", topic=f"/robot/{topic}", type=name, node=f"talks_{topic}")
-                ros2.ask("subscribe", topic=f"/robot/say_{topic}", type=name, node=f"hears_{topic}")
+                ros2.request(
+                    "advertise", topic=f"/robot/{topic}", type=name, node=f"talker_{topic}"
+                )
+                ros2.request(
+                    "subscribe", topic=f"/robot/out_{topic}", type=name, node=f"listener_{topic}"
+                )
             yield ros2
         finally:
             process.kill()
 
 
 @pytest.fixture(scope="module")
-def robot(network: Network, ros2: Ros2) -> Iterator[Threaded]:
+def robot(network: Network, ros2: Ros2) -> Iterator[ThreadedComponent]:
     bus = network.bus()
-    robot = Threaded(Robot, bus, name="base")
+    robot = ThreadedComponent(Robot, bus, name="base")
     robot.activate()
     yield robot
     robot.close()
 
 
 @pytest.fixture(scope="module")
-def known(network: Network, robot: Threaded, ros2: Ros2) -> Network:
+def known(network: Network, robot: ThreadedComponent, ros2: Ros2) -> Network:
     """Wait until both know all declarations; the other client has no barrier, only its graph."""
-    topics = {f"/robot/{say}{topic}" for topic in MESSAGES for say in ("", "say_")}
-    assert eventually(lambda: topics <= {name for name, _ in ros2.ask("topics")})
+    topics = {f"/robot/{prefix}{topic}" for topic in MESSAGES for prefix in ("", "out_")}
+    assert eventually(lambda: topics <= {name for name, _ in ros2.request("topics")})
     assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)
     return network
 
@@ -176,26 +180,26 @@ def nodes(network: Network) -> set[str]:
 
 @pytest.mark.parametrize("topic", list(MESSAGES))
 def test_message_of_a_ros2_client_reaches_a_port(
-    known: Network, robot: Threaded, ros2: Ros2, topic: str
+    known: Network, robot: ThreadedComponent, ros2: Ros2, topic: str
 ) -> None:
-    ros2.ask("publish", topic=f"/robot/{topic}", value=to_plain(MESSAGES[topic]))
+    ros2.request("publish", topic=f"/robot/{topic}", value=to_plain(MESSAGES[topic]))
 
-    assert eventually(lambda: topic in Robot.heard)
-    assert Robot.heard[topic] == MESSAGES[topic]
+    assert eventually(lambda: topic in Robot.received)
+    assert Robot.received[topic] == MESSAGES[topic]
 
 
 @pytest.mark.parametrize("topic", list(MESSAGES))
 def test_message_of_a_port_reaches_a_ros2_client(
-    known: Network, robot: Threaded, ros2: Ros2, topic: str
+    known: Network, robot: ThreadedComponent, ros2: Ros2, topic: str
 ) -> None:
-    port: Out[Any] = getattr(robot.runtime.component, f"say_{topic}")
+    port: Out[Any] = getattr(robot.runtime.component, f"out_{topic}")
     port.publish(MESSAGES[topic])
 
-    assert ros2.ask("hear", topic=f"/robot/say_{topic}") == to_plain(MESSAGES[topic])
+    assert ros2.request("receive", topic=f"/robot/out_{topic}") == to_plain(MESSAGES[topic])
 
 
 def test_messages_of_a_ros2_client_are_neither_invalid_nor_dropped(
-    known: Network, robot: Threaded
+    known: Network, robot: ThreadedComponent
 ) -> None:
     ports = {port.port: port for port in robot.runtime.status().ports}
 
@@ -204,12 +208,12 @@ def test_messages_of_a_ros2_client_are_neither_invalid_nor_dropped(
 
 def test_nodes_of_a_ros2_client_are_in_our_graph(known: Network) -> None:
     assert nodes(known) == {"/robot/base"} | {
-        f"/ros/{does}_{topic}" for topic in MESSAGES for does in ("talks", "hears")
+        f"/ros/{role}_{topic}" for topic in MESSAGES for role in ("talker", "listener")
     }
     (talker,) = (
         one
         for one in known.graph()
-        if isinstance(one, EndpointEntity) and one.node.name == "/ros/talks_scan"
+        if isinstance(one, EndpointEntity) and one.node.name == "/ros/talker_scan"
     )
     assert (talker.kind, talker.topic, talker.qos) == ("MP", "/robot/scan", RELIABLE)
     assert talker.type_name == "sensor_msgs/msg/LaserScan"
@@ -219,9 +223,9 @@ def test_nodes_of_a_ros2_client_are_in_our_graph(known: Network) -> None:
 def test_our_node_is_in_the_graph_of_a_ros2_client(known: Network, ros2: Ros2) -> None:
     # zenoh 1.10 now and then answers a peer with nothing, so it has to ask again.
     types = {f"/robot/{name}": [type_name(type(one))] for name, one in MESSAGES.items()}
-    assert eventually(lambda: types.items() <= dict(ros2.ask("topics")).items())
+    assert eventually(lambda: types.items() <= dict(ros2.request("topics")).items())
     scan = {
-        "publishers": [["/ros", "talks_scan", "::,10:,:,:,,"]],
+        "publishers": [["/ros", "talker_scan", "::,10:,:,:,,"]],
         "subscribers": [["/robot", "base", "2::,5:,:,:,,"]],
     }
-    assert eventually(lambda: ros2.ask("info", topic="/robot/scan") == scan)
+    assert eventually(lambda: ros2.request("info", topic="/robot/scan") == scan)

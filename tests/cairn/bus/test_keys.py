@@ -69,14 +69,14 @@ TOKENS: list[tuple[str, NodeEntity | EndpointEntity]] = [
 ]  # fmt: skip
 
 
-def test_data_key_of_a_topic() -> None:
+def test_topic_has_the_data_key_of_rmw_zenoh() -> None:
     assert data_key(0, "/robot1/chatter", type_name(String), type_hash(String)) == (
         "0/robot1/chatter/std_msgs::msg::dds_::String_/"
         "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
     )
 
 
-def test_data_key_of_a_service() -> None:
+def test_service_has_the_data_key_of_rmw_zenoh() -> None:
     assert data_key(2, "/add_two_ints", "example_interfaces/srv/AddTwoInts", ADD_TWO_INTS) == (
         "2/add_two_ints/example_interfaces::srv::dds_::AddTwoInts_/"
         "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
@@ -103,7 +103,7 @@ def test_attachment_equals_that_of_zenohs_own_serializer(
 
 
 @pytest.mark.parametrize("data", [b"", bytes(32), bytes(33), bytes(34), b"x" * 10_000])
-def test_other_bytes_are_rejected_as_attachment(data: bytes) -> None:
+def test_malformed_attachment_is_rejected(data: bytes) -> None:
     with pytest.raises(WireFormatError, match="33 bytes") as rejected:
         Attachment.decode(data)
     assert len(str(rejected.value)) < 200
@@ -160,7 +160,7 @@ def test_tokens_of_humble_without_type_hash_are_parsed() -> None:
         TOKENS[1][0] + "x",
     ],
 )
-def test_other_keys_are_rejected_as_tokens(key: str) -> None:
+def test_malformed_token_is_rejected(key: str) -> None:
     with pytest.raises(WireFormatError) as rejected:
         parse_token(key)
     assert len(str(rejected.value)) < 500

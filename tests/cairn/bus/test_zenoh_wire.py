@@ -25,7 +25,7 @@ TWIST = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
-def test_liveliness_tokens_of_a_node(network: Network) -> None:
+def test_node_declares_the_liveliness_tokens_of_rmw_zenoh(network: Network) -> None:
     bus = network.bus()
     zid = bus.session.info.zid()
     localizer = node(bus, "/robot/localizer")
@@ -51,7 +51,7 @@ def test_liveliness_tokens_of_a_node(network: Network) -> None:
     ]
 
 
-def test_message_on_the_wire(network: Network) -> None:
+def test_published_sample_has_the_key_payload_and_attachment_of_rmw_zenoh(network: Network) -> None:
     bus = network.bus()
     base = node(bus, "/robot/base")
     writer = base.advertise("/robot/cmd_vel", Twist, SENSOR)

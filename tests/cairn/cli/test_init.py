@@ -15,7 +15,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_skeleton_has_the_requested_names_and_no_placeholder(folder: Path) -> None:
+def test_skeleton_has_the_requested_names_and_no_placeholder(folder: Path) -> None:
     answer = cairn("init", "field_rover")
 
     assert (answer.code, answer.err) == (0, "")
@@ -30,7 +30,7 @@ def test_the_skeleton_has_the_requested_names_and_no_placeholder(folder: Path) -
 
 
 @pytest.mark.parametrize("name", ["My_Robot", "my-robot", "1robot", "class", "cairn", "tests"])
-def test_a_name_that_no_package_can_have_is_rejected(folder: Path, name: str) -> None:
+def test_name_that_no_package_can_have_is_rejected(folder: Path, name: str) -> None:
     answer = cairn("init", name)
 
     assert answer.code == 1
@@ -38,7 +38,7 @@ def test_a_name_that_no_package_can_have_is_rejected(folder: Path, name: str) ->
     assert not (folder / name).exists()
 
 
-def test_a_folder_with_files_is_not_changed(folder: Path) -> None:
+def test_folder_with_files_is_not_changed(folder: Path) -> None:
     (folder / "rover").mkdir()
     (folder / "rover" / "thesis.txt").write_text("all of it")
 
@@ -49,7 +49,7 @@ def test_a_folder_with_files_is_not_changed(folder: Path) -> None:
     assert [file.name for file in (folder / "rover").iterdir()] == ["thesis.txt"]
 
 
-def test_an_empty_folder_is_filled(folder: Path) -> None:
+def test_empty_folder_is_filled(folder: Path) -> None:
     (folder / "rover").mkdir()
 
     assert cairn("init", "rover").code == 0
@@ -58,7 +58,7 @@ def test_an_empty_folder_is_filled(folder: Path) -> None:
 
 @pytest.mark.processes
 @pytest.mark.parametrize("check", [("ruff", "check"), ("ruff", "format", "--check"), ("mypy",)])
-def test_the_skeleton_passes_its_own_checks(folder: Path, check: tuple[str, ...]) -> None:
+def test_skeleton_passes_its_own_checks(folder: Path, check: tuple[str, ...]) -> None:
     cairn("init", "my_robot")
     program = [sys.executable, "-m", "mypy"] if check == ("mypy",) else [_ruff(), *check[1:]]
 

@@ -39,7 +39,7 @@ def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
     assert max(map(len, rows)) <= 100
 
 
-def test_ps_as_json_has_everything(command: Command, rover: Run) -> None:
+def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: Run) -> None:
     await_status("/rover/listener", lambda row: row["received"] > 0, rover.endpoint)
 
     rows = {row["component"]: row for row in command("ps", "--json").json}
@@ -133,7 +133,7 @@ def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: 
     assert "logs/" in printed.err
 
 
-def test_logs_follow_goes_on_until_ctrl_c(rover: Run) -> None:
+def test_logs_follow_continues_until_ctrl_c(rover: Run) -> None:
     with subprocess.Popen(
         [CAIRN, "logs", "--follow", "listener", "--connect", rover.endpoint],
         stdout=subprocess.PIPE,

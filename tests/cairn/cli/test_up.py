@@ -14,6 +14,7 @@ import pytest
 
 from cairn.testing.launching import CAIRN, LIMIT_S, Launching, free_port
 from tests.commands import cairn
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
 
@@ -26,7 +27,7 @@ TALK = """
 ENDLESS = "components: {beacon: {plugin: test_beacon}}"
 
 
-def test_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> None:
+def test_up_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> None:
     run = launch(TALK)
 
     assert run.await_end() == 0
@@ -47,7 +48,7 @@ def test_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> 
     assert "child active: talker" in run.log_of("root")
 
 
-def test_a_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path: Path) -> None:
+def test_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path: Path) -> None:
     module = """
         import fcntl
         from cairn import Component
@@ -71,7 +72,7 @@ def test_a_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path:
     assert sum("importing the plugins" in line for line in run.lines) == 1
 
 
-def test_a_report_folder_is_used_again_without_the_old_logs(
+def test_report_folder_is_used_again_without_the_old_logs(
     launch: Launching, tmp_path: Path
 ) -> None:
     logs = tmp_path / "again" / "logs"
@@ -113,7 +114,7 @@ def test_ctrl_c_during_the_start_leaves_no_process(launch: Launching) -> None:
     run.await_nothing_left()
 
 
-def test_a_deployment_with_problems_is_not_started(launch: Launching) -> None:
+def test_deployment_with_problems_is_not_started(launch: Launching) -> None:
     run = launch("components: {talker: {plugin: test_takler}}")
 
     assert run.await_end() == 1
@@ -143,13 +144,13 @@ def test_two_robots_share_a_bus(launch: Launching) -> None:
     assert cairn("ps", connect=first.endpoint).out.startswith("robot  component ")
     several = cairn("param", "list", "root", connect=first.endpoint)
     assert several.code == 1
-    assert "several robots have it: /alpha/root, /beta/root; give --robot" in several.err
+    assert_words(several.err, "/alpha/root, /beta/root", "--robot")
     assert cairn("restart", "beacon", "--robot", "beta", connect=first.endpoint).code == 0
     assert second.stop() == 0
     assert first.stop() == 0
 
 
-def test_on_a_terminal_it_shows_a_live_table(launch: Launching, tmp_path: Path) -> None:
+def test_up_shows_a_live_table_on_a_terminal(launch: Launching, tmp_path: Path) -> None:
     file = launch.write(TALK, bus=f"tcp/127.0.0.1:{free_port()}")
     screen, terminal = pty.openpty()
     with subprocess.Popen(
@@ -179,7 +180,7 @@ def everything_from(screen: int) -> str:
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))
 
 
-def test_a_second_robot_of_the_same_name_is_rejected_and_the_first_goes_on(
+def test_second_robot_of_the_same_name_is_rejected_and_the_first_continues(
     launch: Launching,
 ) -> None:
     first = launch(ENDLESS, robot="alpha")

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from cairn.deployment.plugins import PluginError, installed_plugins, load_plugin
+from tests.wording import assert_words
 
 
 def test_installed_plugins_are_listed_with_package_summary_and_ports() -> None:
@@ -44,10 +45,8 @@ def test_plugin_name_of_two_packages_is_ambiguous(
     with pytest.raises(PluginError) as caught:
         load_plugin("acme_base")
 
-    assert caught.value.found == "2 packages offer a plugin acme_base: other 3, acme-robot 1.2"
-    assert caught.value.remedy == (
-        "name the class directly: other.base:Base or acme_robot.parts:Base"
-    )
+    assert_words(caught.value.found, "acme_base", "other 3", "acme-robot 1.2")
+    assert_words(caught.value.remedy, "class", "other.base:Base", "acme_robot.parts:Base")
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,13 @@ from cairn import CairnError
 from cairn.deployment.load import load_deployment
 from cairn.deployment.shipped import FOLDER, deployment_file, shipped, world_file
 from tests.commands import cairn
+from tests.wording import words_in_order
 
 DEPLOYMENTS = [one for one in shipped() if not one.is_overlay]
 OVERLAYS = [one for one in shipped() if one.is_overlay]
 
 
-def test_a_file_in_the_current_folder_comes_before_a_shipped_one(
+def test_file_in_the_current_folder_comes_before_a_shipped_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -24,14 +25,14 @@ def test_a_file_in_the_current_folder_comes_before_a_shipped_one(
 
 
 @pytest.mark.parametrize("name", ["sim.yaml", "there/sim", "./sim"])
-def test_a_path_is_not_looked_up_by_name(name: str) -> None:
+def test_path_is_not_looked_up_by_name(name: str) -> None:
     assert deployment_file(name) == Path(name)
 
 
-def test_an_unknown_name_is_reported_with_the_known_ones() -> None:
-    with pytest.raises(CairnError, match=r"neither a file smi nor .*: .*sim, .*pixels"):
+def test_unknown_name_is_reported_with_the_known_ones() -> None:
+    with pytest.raises(CairnError, match=words_in_order("smi", "sim, ", "pixels")):
         deployment_file("smi")
-    with pytest.raises(CairnError, match=r"neither a file hell nor .*: hall, museum"):
+    with pytest.raises(CairnError, match=words_in_order("hell", "hall, museum")):
         world_file("hell")
 
 

@@ -38,7 +38,7 @@ def test_one_damaged_stamp_is_not_counted_as_a_wrap() -> None:
     assert clock.seconds(1025) - begin == pytest.approx(0.025)
 
 
-def test_offset_is_the_smallest_delay_and_ignores_late_messages() -> None:
+def test_offset_is_the_smallest_delay_and_late_messages_are_ignored() -> None:
     clock = DeviceClock(1000, 24)
     offsets = [
         clock.offset(t, 100.0 + t + late)
@@ -97,7 +97,7 @@ def restarted_devices(draw: st.DrawFn) -> Stream:
 
 @settings(max_examples=200, deadline=None)
 @given(restarted_devices())
-def test_a_restarted_device_is_followed_from_its_first_message(stream: Stream) -> None:
+def test_restarted_device_is_followed_from_its_first_message(stream: Stream) -> None:
     errors = stream.errors(DeviceClock(1000, 24))
 
     # An impossible delay of less than 0.05 s is not detected.
@@ -121,7 +121,7 @@ def test_one_damaged_stamp_affects_no_other_message(stream: Stream, data: st.Dat
     assert clock.jumps <= 3
 
 
-def test_a_late_message_is_not_mistaken_for_a_restart() -> None:
+def test_late_message_is_not_mistaken_for_a_restart() -> None:
     late = [2.5 if number % 30 == 10 else 0.002 for number in range(200)]
     sent = [0.1 * number for number in range(200)]
     clock = DeviceClock(1000, 24)

@@ -14,13 +14,14 @@ from cairn import CairnError, Component
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.driver.device_thread import RETRY_S, DeviceFeed, DeviceThread
 from cairn.driver.errors import DeviceError
-from tests.cairn.runtime.running import Threaded
+from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.patience import LIMIT_S
+from tests.wording import words_in_order
 
 LOG = logging.getLogger("test_device_thread")
 
 
-def test_a_failed_device_is_opened_again_and_its_recovery_logged(
+def test_failed_device_is_opened_again_and_its_recovery_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -48,7 +49,7 @@ def test_a_failed_device_is_opened_again_and_its_recovery_logged(
     assert "2 times" in messages[1]
 
 
-def test_a_failed_device_is_opened_again_after_a_pause() -> None:
+def test_failed_device_is_opened_again_after_a_pause() -> None:
     retried, attempts = threading.Event(), list[float]()
 
     def serve(_: threading.Event) -> None:
@@ -67,7 +68,7 @@ def test_a_failed_device_is_opened_again_after_a_pause() -> None:
     assert attempts[1] - attempts[0] > 0.9 * RETRY_S
 
 
-def test_a_bug_in_the_driver_is_not_retried() -> None:
+def test_bug_in_the_driver_is_not_retried() -> None:
     failed, failures = threading.Event(), list[Exception]()
 
     def serve(_: threading.Event) -> None:
@@ -85,7 +86,7 @@ def test_a_bug_in_the_driver_is_not_retried() -> None:
     assert [type(failure) for failure in failures] == [KeyError]
 
 
-def test_a_thread_that_does_not_stop_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thread_that_does_not_stop_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cairn.driver.device_thread._STOP_LIMIT_S", 0.01)
     released, serving = threading.Event(), threading.Event()
 
@@ -98,7 +99,7 @@ def test_a_thread_that_does_not_stop_is_an_error(monkeypatch: pytest.MonkeyPatch
     )
     thread.start()
     assert serving.wait(LIMIT_S)
-    with pytest.raises(CairnError, match=r"driver: .* did not stop within 0\.01 s"):
+    with pytest.raises(CairnError, match=words_in_order("driver", "did not stop", "0.01 s")):
         thread.stop()
     released.set()
 
@@ -148,20 +149,20 @@ class Driver(Component):
 
 
 @pytest.fixture
-def running() -> Iterator[Threaded]:
-    it = Threaded(Driver, LockstepBus())
-    it.activate()
-    yield it
-    it.close()
+def running() -> Iterator[ThreadedComponent]:
+    threaded = ThreadedComponent(Driver, LockstepBus())
+    threaded.activate()
+    yield threaded
+    threaded.close()
 
 
-def driver_of(running: Threaded) -> Driver:
+def driver_of(running: ThreadedComponent) -> Driver:
     driver = running.runtime.component
     assert isinstance(driver, Driver)
     return driver
 
 
-def test_a_device_error_is_reported_until_a_measurement_arrives(running: Threaded) -> None:
+def test_device_error_is_reported_until_a_measurement_arrives(running: ThreadedComponent) -> None:
     driver = driver_of(running)
     assert driver.failed_once.wait(LIMIT_S)
     error: Future[str] = Future()
@@ -174,7 +175,9 @@ def test_a_device_error_is_reported_until_a_measurement_arrives(running: Threade
     assert driver.feed.device_error == ""
 
 
-def test_the_oldest_measurements_are_dropped_if_the_component_is_busy(running: Threaded) -> None:
+def test_oldest_measurements_are_dropped_if_the_component_is_busy(
+    running: ThreadedComponent,
+) -> None:
     driver = driver_of(running)
     assert driver.failed_once.wait(LIMIT_S)
     running.loop.post(driver.be_busy)
@@ -185,7 +188,7 @@ def test_the_oldest_measurements_are_dropped_if_the_component_is_busy(running: T
     assert driver.feed.dropped == 8 - len(driver.published)
 
 
-def test_a_bug_on_the_device_thread_fails_the_component(running: Threaded) -> None:
+def test_bug_on_the_device_thread_fails_the_component(running: ThreadedComponent) -> None:
     driver = driver_of(running)
     driver.measure.set()
     assert driver.all_measured.wait(LIMIT_S)

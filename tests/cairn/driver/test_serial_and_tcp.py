@@ -14,6 +14,7 @@ from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import LinkLost
 from cairn.driver.serial_and_tcp import SerialLink, TcpLink, find_port
 from tests.patience import LIMIT_S
+from tests.wording import words_in_order
 
 
 @pytest.fixture
@@ -24,7 +25,9 @@ def end(tmp_path: Path) -> Any:
     end.unplug()
 
 
-def test_bytes_go_both_ways_over_a_serial_line(end: PtyEnd, tmp_path: Path) -> None:
+def test_bytes_are_transferred_in_both_directions_over_a_serial_line(
+    end: PtyEnd, tmp_path: Path
+) -> None:
     link = SerialLink(str(tmp_path / "device"), 115200)
     link.write(b"QT\n")
     end.write(b"00P\n\n")
@@ -39,19 +42,19 @@ def test_bytes_go_both_ways_over_a_serial_line(end: PtyEnd, tmp_path: Path) -> N
     link.close()
 
 
-def test_a_port_is_opened_exclusively(end: PtyEnd, tmp_path: Path) -> None:
+def test_port_is_opened_exclusively(end: PtyEnd, tmp_path: Path) -> None:
     link = SerialLink(str(tmp_path / "device"), 115200)
-    with pytest.raises(LinkLost, match="device cannot be opened: another program has it open"):
+    with pytest.raises(LinkLost, match=words_in_order("device", "another program")):
         SerialLink(str(tmp_path / "device"), 115200)
     link.close()
 
 
-def test_a_missing_port_raises_link_lost(tmp_path: Path) -> None:
-    with pytest.raises(LinkLost, match=r"nothing cannot be opened: No such file or directory"):
+def test_missing_port_raises_link_lost(tmp_path: Path) -> None:
+    with pytest.raises(LinkLost, match=words_in_order("nothing", "No such file")):
         SerialLink(str(tmp_path / "nothing"), 115200)
 
 
-def test_a_file_is_refused_as_a_port(tmp_path: Path) -> None:
+def test_file_is_rejected_as_a_port(tmp_path: Path) -> None:
     (tmp_path / "notes").touch()
 
     with pytest.raises(LinkLost, match=r"notes cannot be opened: .*serial port"):
@@ -76,7 +79,7 @@ def server() -> Any:
         yield server
 
 
-def test_bytes_go_both_ways_over_tcp(server: socket.socket) -> None:
+def test_bytes_are_transferred_in_both_directions_over_tcp(server: socket.socket) -> None:
     link = TcpLink("127.0.0.1", server.getsockname()[1])
     peer, _ = server.accept()
     link.write(b"QT\n")
@@ -95,7 +98,7 @@ def test_bytes_go_both_ways_over_tcp(server: socket.socket) -> None:
     link.close()
 
 
-def test_a_refused_connection_raises_link_lost(server: socket.socket) -> None:
+def test_refused_connection_raises_link_lost(server: socket.socket) -> None:
     port = server.getsockname()[1]
     server.close()
 
@@ -125,5 +128,5 @@ def test_ports_are_found_by_usb_numbers(monkeypatch: pytest.MonkeyPatch) -> None
         match=r"several .*: /dev/ttyACM0 \(H1\), /dev/ttyACM1 \(H2\)",
     ):
         find_port("usb:15D1:0000")
-    with pytest.raises(LinkLost, match="usb:15d1:0000:H3: no such device is plugged in"):
+    with pytest.raises(LinkLost, match=words_in_order("usb:15d1:0000:H3", "plugged in")):
         find_port("usb:15d1:0000:H3")

@@ -11,6 +11,7 @@ from cairn.deployment.model import ChildSpec
 from cairn.placement.component_host import ComponentHost
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.testing.launching import LIMIT_S, free_port
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
 
@@ -72,7 +73,7 @@ def test_requests_make_the_transitions_of_the_life_cycle(bus: ZenohBus, endpoint
     host.close()
 
 
-def test_a_component_that_finishes_has_a_normal_exit_report(bus: ZenohBus, endpoint: str) -> None:
+def test_component_that_finishes_has_a_normal_exit_report(bus: ZenohBus, endpoint: str) -> None:
     host = hosted(bus, endpoint, Brief)
     host.request("configure", LIMIT_S)
     host.request("activate", LIMIT_S)
@@ -84,7 +85,7 @@ def test_a_component_that_finishes_has_a_normal_exit_report(bus: ZenohBus, endpo
     host.close()
 
 
-def test_a_failing_transition_raises_and_ends_the_component(bus: ZenohBus, endpoint: str) -> None:
+def test_failing_transition_raises_and_ends_the_component(bus: ZenohBus, endpoint: str) -> None:
     host = hosted(bus, endpoint, Broken)
 
     with pytest.raises(CairnError, match="configure failed: ValueError: no device"):
@@ -99,7 +100,7 @@ def test_a_failing_transition_raises_and_ends_the_component(bus: ZenohBus, endpo
     host.close()
 
 
-def test_a_loop_that_fails_has_an_abnormal_exit_report(
+def test_loop_that_fails_has_an_abnormal_exit_report(
     bus: ZenohBus, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     host = hosted(bus, endpoint, Idle)
@@ -113,5 +114,5 @@ def test_a_loop_that_fails_has_an_abnormal_exit_report(
     assert host.ended.wait(LIMIT_S)
     assert host.exit_report is not None
     assert not host.exit_report.normal
-    assert host.exit_report.reason == "its loop failed: KeyError: 'a defect of ours'"
+    assert_words(host.exit_report.reason, "loop", "KeyError: 'a defect of ours'")
     host.close()

@@ -1,16 +1,17 @@
 """Lockstep: virtual time, a fixed order of calls, and the same bytes for the same seed."""
 
 import hashlib
+from typing import Any
 
 import pytest
 
-from cairn import LATCHED, SECOND, CairnError, Component, In, Out, Qos, every, from_ns, on
+from cairn import CairnError, Component, In, Out, every, from_ns, on
 from cairn.bus.codec import Codec
 from cairn.placement.lockstep import LockstepExecutor
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.std_msgs import Header
-from tests.cairn.runtime.running import Lockstep, taken
+from cairn.testing.lockstep import ComponentHarness, Lockstep, LockstepReading
 
 
 def test_calls_are_made_in_order_of_time_and_ties_in_order_of_arrival() -> None:
@@ -42,7 +43,7 @@ def test_calls_for_a_past_time_are_made_now_after_those_that_are_due() -> None:
     assert made == [("first", 7), ("second", 7), ("past", 7)]
 
 
-def test_a_run_ends_when_its_condition_holds() -> None:
+def test_run_ends_when_its_condition_holds() -> None:
     executor = LockstepExecutor()
     made: list[int] = []
     for time in range(10):
@@ -54,7 +55,7 @@ def test_a_run_ends_when_its_condition_holds() -> None:
     assert (made, executor.now()) == ([0, 1, 2, 3, 4, 5], 5)
 
 
-def test_a_run_without_any_calls_left_is_an_error() -> None:
+def test_run_without_any_calls_left_is_an_error() -> None:
     executor = LockstepExecutor()
     executor.at(1, lambda: None)
 
@@ -62,7 +63,7 @@ def test_a_run_without_any_calls_left_is_an_error() -> None:
         executor.run(lambda: False)
 
 
-def test_an_endless_exchange_at_one_instant_is_an_error() -> None:
+def test_endless_exchange_at_one_instant_is_an_error() -> None:
     executor = LockstepExecutor()
     scheduler = executor.scheduler()
 
@@ -74,7 +75,7 @@ def test_an_endless_exchange_at_one_instant_is_an_error() -> None:
         executor.run(lambda: False)
 
 
-def test_a_scheduler_wakes_at_the_earliest_time_that_is_set() -> None:
+def test_scheduler_wakes_at_the_earliest_time_that_is_set() -> None:
     executor = LockstepExecutor()
     scheduler = executor.scheduler()
     woken: list[int] = []
@@ -92,7 +93,7 @@ def test_a_scheduler_wakes_at_the_earliest_time_that_is_set() -> None:
     assert woken == [20, 110]
 
 
-def test_a_stopped_scheduler_makes_no_further_calls() -> None:
+def test_stopped_scheduler_makes_no_further_calls() -> None:
     executor = LockstepExecutor()
     scheduler = executor.scheduler()
     made: list[str] = []
@@ -120,7 +121,7 @@ class Driver(Component):
 
 
 class Base(Component):
-    """Moves with an error of its own and answers at once; a second one is called before it."""
+    """Replies to each command within a few nanoseconds of random delay."""
 
     cmd_vel: In[Twist]
     pose: Out[PoseStamped]
@@ -137,37 +138,31 @@ class Base(Component):
 
 
 def digest_of_run(seed: int) -> str:
-    """A digest of all bytes that a run of two seconds publishes, in their order per topic."""
+    """Return a digest of all bytes that a run of two seconds publishes, in order per topic."""
     lockstep = Lockstep()
-    topics = {
-        topic: lockstep.read(topic, message, qos)
-        for topic, message, qos in (
-            ("cmd_vel", Twist, LATCHED),
-            ("pose", PoseStamped, LATCHED),
-            ("component_status", ComponentStatus, Qos("reliable", "transient_local", 100)),
-        )
-    }
-    parts = [
-        lockstep.add(component, name=name, seed=seed)
+    readings: list[LockstepReading[Any]] = [
+        lockstep.read("cmd_vel", Twist),
+        lockstep.read("pose", PoseStamped),
+        lockstep.read("component_status", ComponentStatus),
+    ]
+    components = [
+        ComponentHarness(component, name=name, seed=seed, beside=lockstep)
         for name, component in (("left", Base), ("right", Base), ("driver", Driver))
     ]
-    for part in parts:
-        part.activate()
-    for half in range(1, 5):
-        lockstep.run_until(half * SECOND // 2)
-        for part in parts:
-            part.runtime.heartbeat.publish()
-    for part in parts:
-        part.ask("shutdown")
+    for _ in range(4):
+        lockstep.run_for(0.5)
+        for component in components:
+            component.runtime.heartbeat.publish()
+    for component in components:
+        component.request("shutdown")
     digest, codec = hashlib.sha256(), Codec()
-    for topic, subscription in topics.items():
-        messages = taken(subscription)
-        assert len(messages) >= 20, f"too little on {topic} to show anything"
-        for message in messages:
+    for reading in readings:
+        assert len(reading.messages) >= 20, f"too few messages on {reading.topic}"
+        for message in reading.messages:
             digest.update(codec.encode(message))
     return digest.hexdigest()
 
 
-def test_the_same_seed_publishes_the_same_bytes() -> None:
+def test_same_seed_publishes_the_same_bytes() -> None:
     assert digest_of_run(seed=1) == digest_of_run(seed=1)
     assert digest_of_run(seed=1) != digest_of_run(seed=2)

@@ -23,7 +23,7 @@ class Machine:
             self.clock.update()
 
 
-def test_time_passes_as_on_the_machine() -> None:
+def test_time_passes_like_the_clock_of_the_machine() -> None:
     machine = Machine()
     machine.run(10.0)
     machine.time_s += 0.125
@@ -31,7 +31,7 @@ def test_time_passes_as_on_the_machine() -> None:
     assert machine.clock.now() == 10.125
 
 
-def test_a_pause_counts_for_one_second_at_most() -> None:
+def test_pause_counts_for_one_second_at_most() -> None:
     machine = Machine()
     machine.run(1.0)
     machine.time_s += 60.0
@@ -45,7 +45,7 @@ def test_a_pause_counts_for_one_second_at_most() -> None:
     assert machine.clock.now() == 2.0 + PAUSE_S
 
 
-def test_a_call_that_lets_no_other_thread_run_is_no_pause() -> None:
+def test_call_that_blocks_other_threads_does_not_count_as_a_pause() -> None:
     machine = Machine()
     machine.run(1.0)
     machine.time_s += 60.0
@@ -56,7 +56,7 @@ def test_a_call_that_lets_no_other_thread_run_is_no_pause() -> None:
     assert machine.clock.now() == 61.0
 
 
-def test_its_thread_observes_until_it_is_closed() -> None:
+def test_clock_thread_runs_until_the_clock_is_closed() -> None:
     observations: queue.SimpleQueue[None] = queue.SimpleQueue()
 
     def processor_time() -> float:

@@ -51,7 +51,7 @@ def test_start_progress_and_stop_are_notified(launch: Launching, manager: Manage
     run.await_end()
 
 
-def test_a_root_that_hangs_sends_no_watchdog_messages(manager: Manager) -> None:
+def test_root_that_hangs_sends_no_watchdog_messages(manager: Manager) -> None:
     service = service_manager({"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "3000"})
 
     service.notify(active=True, healthy=False)
@@ -60,7 +60,7 @@ def test_a_root_that_hangs_sends_no_watchdog_messages(manager: Manager) -> None:
     assert manager.receive_until("STOPPING=1") == ["READY=1\nSTATUS=active"]
 
 
-def test_the_watchdog_does_not_start_before_all_is_active(manager: Manager) -> None:
+def test_watchdog_does_not_start_before_all_components_are_active(manager: Manager) -> None:
     service = service_manager({"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "3000"})
 
     service.notify(active=False, healthy=True)

@@ -8,6 +8,7 @@ from cairn.planar.pose_tracker import PoseTracker
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
+from tests.wording import assert_words
 
 SECOND = 1_000_000_000
 
@@ -20,7 +21,7 @@ def driven(tracker: PoseTracker, seconds: float = 2.0, speed: float = 0.5) -> Po
     return tracker
 
 
-def test_pose_is_carried_on_by_odometry_in_both_directions_of_time() -> None:
+def test_pose_is_moved_by_odometry_forward_and_backward_in_time() -> None:
     tracker = driven(PoseTracker())
     tracker.set_pose(11 * SECOND, (3.0, 4.0, np.pi / 2))
     assert tracker.pose_at(12 * SECOND) == pytest.approx((3.0, 4.5, np.pi / 2))
@@ -58,7 +59,7 @@ def test_time_that_is_set_back_forgets_everything() -> None:
     tracker = driven(PoseTracker())
     tracker.set_pose(12 * SECOND, (3.0, 4.0, 0.0))
     assert tracker.add_odometry(5 * SECOND, (1.0, 0.0, 0.0)) is OdometryChange.RESET
-    assert tracker.change == "went back in time by 7.0 s"
+    assert_words(tracker.change, "back in time", "7.0 s")
     assert tracker.pose_at(5 * SECOND) is None
     assert tracker.odometry_at(4 * SECOND) is None
 

@@ -30,11 +30,11 @@ class Base(Component):
         self.calls: list[str] = []
 
     @on("word")
-    def hear(self, word: String) -> None:
+    def receive(self, word: String) -> None:
         self.calls.append(word.data)
 
     @on("map")
-    def chart(self, word: String) -> None:
+    def receive_map(self, word: String) -> None:
         self.calls.append(f"map {word.data}")
 
 

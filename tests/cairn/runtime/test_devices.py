@@ -10,8 +10,9 @@ import pytest
 from cairn import LATCHED, CairnError, Component, Out
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.schemas.std_msgs import String
+from cairn.testing.lockstep import ComponentHarness
 from tests.cairn.runtime.base import Base
-from tests.cairn.runtime.running import Lockstep, Threaded
+from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.patience import LIMIT_S
 
 
@@ -20,78 +21,77 @@ class Driver(Component):
 
     clock_source: ClassVar[Literal["deployment", "system", "device"]] = "device"
     latched: Out[String] = Out(qos=LATCHED)
-    heard: Out[String]
+    echo: Out[String]
 
     def on_configure(self) -> None:
         self.threads: list[str] = []
         self.called = threading.Event()
 
-    def hear(self) -> None:
+    def note_thread(self) -> None:
         self.threads.append(threading.current_thread().name)
         self.called.set()
 
 
 def test_call_posted_by_another_thread_runs_as_a_handler() -> None:
-    part = Threaded(Driver, LockstepBus())
-    driver = part.runtime.component
+    threaded = ThreadedComponent(Driver, LockstepBus())
+    driver = threaded.runtime.component
     assert isinstance(driver, Driver)
-    part.activate()
-    driver.post(driver.hear)
+    threaded.activate()
+    driver.post(driver.note_thread)
 
     assert driver.called.wait(LIMIT_S)
     assert driver.threads != [threading.current_thread().name]
-    part.ask("deactivate")
+    threaded.request("deactivate")
     driver.called.clear()
-    driver.post(driver.hear)
-    part.ask("activate")  # answered after what was posted
+    driver.post(driver.note_thread)
+    threaded.request("activate")  # answered after what was posted
     assert not driver.called.is_set()
-    part.close()
+    threaded.close()
 
 
 def test_exception_in_a_posted_call_fails_the_component() -> None:
     def jam() -> None:
         raise ValueError("jammed")
 
-    part = Threaded(Driver, LockstepBus())
-    part.activate()
-    part.runtime.component.post(jam)
+    threaded = ThreadedComponent(Driver, LockstepBus())
+    threaded.activate()
+    threaded.runtime.component.post(jam)
 
-    assert part.ended.wait(LIMIT_S)
-    assert part.end is not None
-    assert part.end.reason == "jam: ValueError: jammed"
-    part.close()
+    assert threaded.ended.wait(LIMIT_S)
+    assert threaded.end is not None
+    assert threaded.end.reason == "jam: ValueError: jammed"
+    threaded.close()
 
 
-def test_device_driver_rejects_lockstep_and_simulated_time(lockstep: Lockstep) -> None:
-    refusal = "part: plugin test drives a device, which cannot follow simulated time"
-    with pytest.raises(CairnError, match=refusal):
-        lockstep.add(Driver)
-    with pytest.raises(CairnError, match=refusal):
-        Threaded(Driver, LockstepBus(), simulated_time=True)
+def test_device_driver_rejects_lockstep_and_simulated_time() -> None:
+    error = r"component: plugin .*\bDriver\b .* device.* simulated time; .*`clock: system`"
+    with pytest.raises(CairnError, match=error):
+        ComponentHarness(Driver)
+    with pytest.raises(CairnError, match=error):
+        ThreadedComponent(Driver, LockstepBus(), simulated_time=True)
 
 
 def test_output_reports_whether_it_has_subscribers() -> None:
     bus = LockstepBus()
-    part = Threaded(Driver, bus)
-    driver = part.runtime.component
+    threaded = ThreadedComponent(Driver, bus)
+    driver = threaded.runtime.component
     assert isinstance(driver, Driver)
-    assert not driver.heard.has_subscribers
-    part.activate()
-    assert not driver.heard.has_subscribers
+    assert not driver.echo.has_subscribers
+    threaded.activate()
+    assert not driver.echo.has_subscribers
     assert driver.latched.has_subscribers  # a late subscriber may appear
     reader = bus.node("/robot/reader", lambda complaint: None)
-    reader.subscribe("/robot/heard", String, driver.heard.qos, lambda: None)
-    assert driver.heard.has_subscribers
-    part.ask("deactivate")
-    assert not driver.heard.has_subscribers
-    part.close()
+    reader.subscribe("/robot/echo", String, driver.echo.qos, lambda: None)
+    assert driver.echo.has_subscribers
+    threaded.request("deactivate")
+    assert not driver.echo.has_subscribers
+    threaded.close()
 
 
-def test_posting_works_in_lockstep(lockstep: Lockstep) -> None:
-    placed = lockstep.add(Base)
-    placed.activate()
+def test_posting_works_in_lockstep() -> None:
+    harness = ComponentHarness(Base)
     called: list[bool] = []
-    placed.component.post(lambda: called.append(True))
-    lockstep.run()
+    harness.component.post(lambda: called.append(True))
+    harness.run_for(0)
 
     assert called == [True]

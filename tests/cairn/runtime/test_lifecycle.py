@@ -7,23 +7,23 @@ import pytest
 from cairn import SECOND, CairnError, every
 from cairn.process_exit import ExitReport
 from cairn.schemas.cairn_msgs import ComponentStatus
-from cairn.schemas.std_msgs import String
-from tests.cairn.runtime.part import BOOM, STEPS, Part, failing, word
-from tests.cairn.runtime.running import Lockstep, taken
+from cairn.testing.lockstep import ComponentHarness
+from tests.cairn.runtime.recording_component import BOOM, STEPS, RecordingComponent, failing, word
+from tests.wording import assert_words
 
 
-def test_whole_life_cycle(lockstep: Lockstep) -> None:
-    part = lockstep.add(Part)
-    states = [part.state]
+def test_whole_life_cycle() -> None:
+    harness = ComponentHarness(RecordingComponent, activate=False)
+    states = [harness.state]
     for step in STEPS:
-        assert part.ask(step) == part.state
-        states.append(part.state)
+        assert harness.request(step) == harness.state
+        states.append(harness.state)
 
     assert states == [
         "unconfigured", "inactive", "active", "inactive", "unconfigured", "finalized"
     ]  # fmt: skip
-    assert part.component.calls == list(STEPS)
-    assert part.ends == [ExitReport(True, "shut down")]
+    assert harness.component.calls == list(STEPS)
+    assert harness.ends == [ExitReport(True, "shut down")]
 
 
 @pytest.mark.parametrize(
@@ -38,98 +38,93 @@ def test_whole_life_cycle(lockstep: Lockstep) -> None:
     ],
 )
 def test_shutdown_from_any_state_releases_everything(
-    lockstep: Lockstep, steps: tuple[str, ...], calls: list[str]
+    steps: tuple[str, ...], calls: list[str]
 ) -> None:
-    part = lockstep.add(Part)
+    harness = ComponentHarness(RecordingComponent, activate=False)
     for step in (*steps, "shutdown"):
-        part.ask(step)
+        harness.request(step)
 
-    assert part.component.calls == calls
-    assert part.ends == [ExitReport(True, "shut down")]
+    assert harness.component.calls == calls
+    assert harness.ends == [ExitReport(True, "shut down")]
 
 
-def test_transition_from_the_wrong_state_is_rejected(lockstep: Lockstep) -> None:
-    part = lockstep.add(Part)
+def test_transition_from_the_wrong_state_is_rejected() -> None:
+    harness = ComponentHarness(RecordingComponent, activate=False)
 
     for step in ("activate", "deactivate", "cleanup"):
         with pytest.raises(CairnError, match=f"cannot {step} in state unconfigured; possible are"):
-            part.ask(step)
+            harness.request(step)
 
-    assert (part.state, part.component.calls) == ("unconfigured", [])
+    assert (harness.state, harness.component.calls) == ("unconfigured", [])
 
 
-def test_only_an_active_component_publishes(lockstep: Lockstep) -> None:
-    class Chatty(Part):
+def test_only_an_active_component_publishes() -> None:
+    class Chatty(RecordingComponent):
         def step(self, name: str) -> None:
             super().step(name)
             self.echo.publish(word(name))
 
-    heard = lockstep.read("echo", String)
-    part = lockstep.add(Chatty)
+    harness = ComponentHarness(Chatty, activate=False)
     for step in STEPS[:-1]:
-        part.ask(step)
-    part.activate()
-    part.ask("shutdown")
+        harness.request(step)
+    harness.activate()
+    harness.request("shutdown")
 
-    assert [one.data for one in taken(heard)] == ["activate", "deactivate"] * 2
+    assert [one.data for one in harness.take("echo")] == ["activate", "deactivate"] * 2
 
 
-def test_status_is_published_at_each_transition_and_at_the_end(lockstep: Lockstep) -> None:
-    statuses = lockstep.read("component_status", ComponentStatus)
-    part = lockstep.add(failing("hear a"), name="ear", plugin="ears", parent="head", restarts=2)
-    part.activate()
-    lockstep.publish("word", word("b"), word("a"))
-    lockstep.run()
+def test_status_is_published_at_each_transition_and_at_the_end() -> None:
+    harness = ComponentHarness(failing("receive a"), name="arm", restarts=2, activate=False)
+    statuses = harness.read("component_status", ComponentStatus)
+    harness.activate()
+    harness.publish("word", word("b"), word("a"))
 
-    published = taken(statuses)
+    published = statuses.take()
     assert [(one.state, one.reason) for one in published] == [
-        ("inactive", ""), ("active", ""), ("finalized", f"hear (port word): {BOOM}")
+        ("inactive", ""), ("active", ""), ("finalized", f"receive (port word): {BOOM}")
     ]  # fmt: skip
     last = published[-1]
-    assert (last.component, last.plugin, last.parent, last.restarts) == ("ear", "ears", "head", 2)
+    plugin = f"{RecordingComponent.__module__}:Failing"
+    assert (last.component, last.plugin, last.restarts) == ("arm", plugin, 2)
     ports = {port.port: (port.topic, port.messages) for port in last.ports}
     assert ports == {"word": ("/robot/word", 2), "echo": ("/robot/echo", 1)}
 
 
-def test_reason_with_nul_or_surrogates_is_published(
-    lockstep: Lockstep, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_reason_with_nul_or_surrogates_is_published(caplog: pytest.LogCaptureFixture) -> None:
     # What pytest captures goes to another process where tests run in parallel: UTF-8 only.
     caplog.set_level(logging.CRITICAL + 1, "cairn")
 
-    class Odd(Part):
+    class Odd(RecordingComponent):
         def step(self, name: str) -> None:
-            if name.startswith("hear"):
+            if name.startswith("receive"):
                 raise RuntimeError("\0 and \ud800")
 
-    statuses = lockstep.read("component_status", ComponentStatus)
-    part = lockstep.add(Odd)
-    part.activate()
-    lockstep.publish("word", word("a"))
-    lockstep.run()
+    harness = ComponentHarness(Odd)
+    statuses = harness.read("component_status", ComponentStatus)
+    harness.publish("word", word("a"))
 
-    assert len(part.ends) == 1
-    assert taken(statuses)[-1].reason == "hear (port word): RuntimeError: ? and ?"
+    assert len(harness.ends) == 1
+    assert_words(statuses.take()[-1].reason, "receive (port word)", "RuntimeError: ? and ?")
 
 
-def test_messages_and_timers_are_handled_only_while_active(lockstep: Lockstep) -> None:
-    class Ticking(Part):
+def test_messages_and_timers_are_handled_only_while_active() -> None:
+    class Ticking(RecordingComponent):
         @every(hz=1)
         def tick(self) -> None:
             self.step(f"tick {self.clock.now() // SECOND}")
 
-    part = lockstep.add(Ticking)
-    part.ask("configure")
-    lockstep.publish("word", word("a"))
-    lockstep.run_until(2 * SECOND)
-    part.ask("activate")
-    lockstep.run_until(4 * SECOND)
-    part.ask("deactivate")
-    lockstep.publish("word", word("b"))
-    lockstep.run_until(6 * SECOND)
-    part.ask("activate")
-    lockstep.run_until(8 * SECOND)
+    harness = ComponentHarness(Ticking, activate=False)
+    harness.request("configure")
+    harness.publish("word", word("a"))
+    harness.run_to(2 * SECOND)
+    harness.request("activate")
+    harness.run_to(4 * SECOND)
+    harness.request("deactivate")
+    harness.publish("word", word("b"))
+    harness.run_to(6 * SECOND)
+    harness.request("activate")
+    harness.run_to(8 * SECOND)
 
-    assert [call for call in part.component.calls if call.startswith(("tick", "hear"))] == [
+    assert [call for call in harness.component.calls if call.startswith(("tick", "receive"))] == [
         "tick 3", "tick 4", "tick 7", "tick 8"
     ]  # fmt: skip

@@ -72,13 +72,13 @@ def test_calls_from_many_threads_never_overlap_and_none_is_lost(running: Running
         if len(made) == 4000:
             done.set()
 
-    def bring(first: int) -> None:
+    def submit(first: int) -> None:
         for number in range(first, first + 1000):
-            bringing = running.loop.deliver if first < 2000 else running.loop.post
-            bringing(lambda: call(number))  # noqa: B023 - may be any of them
+            submit_call = running.loop.deliver if first < 2000 else running.loop.post
+            submit_call(lambda: call(number))  # noqa: B023 - may be any of them
 
     running.start()
-    threads = [threading.Thread(target=bring, args=(first,)) for first in range(0, 4000, 1000)]
+    threads = [threading.Thread(target=submit, args=(first,)) for first in range(0, 4000, 1000)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -132,7 +132,7 @@ def test_exception_in_a_call_ends_the_loop(running: Running) -> None:
 def test_calls_after_the_end_are_discarded_and_released(running: Running) -> None:
     class Call:
         def __call__(self) -> None:
-            raise AssertionError("made behind the end")
+            raise AssertionError("called after the loop stopped")
 
     before, after = Call(), Call()
     gone = [weakref.ref(before), weakref.ref(after)]

@@ -1,4 +1,4 @@
-"""Repeated warnings are logged ever more rarely, and once when they are resolved."""
+"""Repeated warnings are logged less and less often, and once when they are resolved."""
 
 import logging
 

@@ -12,12 +12,12 @@ from cairn.process_exit import ExitReport
 from cairn.runtime.component import ComponentContext
 from cairn.schemas.std_msgs import String
 from tests.cairn.runtime.base import Base, word
-from tests.cairn.runtime.running import Threaded
+from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.patience import LIMIT_S
 
 
 class Slow(Base):
-    """Stays in a handler until it is released."""
+    """Blocks in each handler until it is released."""
 
     def __init__(self, context: ComponentContext) -> None:
         super().__init__(context)
@@ -34,7 +34,7 @@ class Slow(Base):
         self.at_once -= 1
 
     @on("word")
-    def hear(self, word: String) -> None:
+    def receive(self, word: String) -> None:
         self.stay()
 
     @every(hz=1000)
@@ -47,8 +47,8 @@ class Slow(Base):
 
 
 @pytest.fixture
-def slow() -> Iterator[Threaded]:
-    threaded = Threaded(Slow, LockstepBus(), name="slow")
+def slow() -> Iterator[ThreadedComponent]:
+    threaded = ThreadedComponent(Slow, LockstepBus(), name="slow")
     yield threaded
     component = threaded.runtime.component
     assert isinstance(component, Slow)
@@ -56,7 +56,7 @@ def slow() -> Iterator[Threaded]:
     threaded.close()
 
 
-def test_status_names_the_current_handler_and_its_duration(slow: Threaded) -> None:
+def test_status_names_the_current_handler_and_its_duration(slow: ThreadedComponent) -> None:
     component = slow.runtime.component
     assert isinstance(component, Slow)
     assert slow.runtime.status().handler == ""
@@ -70,28 +70,28 @@ def test_status_names_the_current_handler_and_its_duration(slow: Threaded) -> No
     assert first.state == "active"
 
 
-def test_timers_messages_and_requests_are_handled_one_at_a_time(slow: Threaded) -> None:
+def test_timers_messages_and_requests_are_handled_one_at_a_time(slow: ThreadedComponent) -> None:
     component = slow.runtime.component
     assert isinstance(component, Slow)
     slow.activate()
     assert component.within.acquire(timeout=LIMIT_S)
     for _ in range(20):
-        slow.loop.deliver(lambda: slow.runtime.run("hear", component.hear, word("a")))
-        slow.loop.post(lambda: slow.runtime.run("hear", component.hear, word("b")))
+        slow.loop.deliver(lambda: slow.runtime.run("receive", component.receive, word("a")))
+        slow.loop.post(lambda: slow.runtime.run("receive", component.receive, word("b")))
     component.release.release(60)
 
-    assert slow.ask("wait") == "done"
+    assert slow.request("wait") == "done"
     assert component.most_at_once == 1
 
 
-def test_overloading_timers_do_not_block_requests(slow: Threaded) -> None:
+def test_overloading_timers_do_not_block_requests(slow: ThreadedComponent) -> None:
     component = slow.runtime.component
     assert isinstance(component, Slow)
     slow.activate()
     component.release.release(1_000_000)
 
-    assert [slow.ask("wait") for _ in range(20)] == ["done"] * 20
-    assert slow.ask("deactivate") == "inactive"
+    assert [slow.request("wait") for _ in range(20)] == ["done"] * 20
+    assert slow.request("deactivate") == "inactive"
 
 
 def test_finished_component_ends_its_thread() -> None:
@@ -99,10 +99,9 @@ def test_finished_component_ends_its_thread() -> None:
         def on_activate(self) -> None:
             self.finish("nothing to do")
 
-    part = Threaded(Finishes, LockstepBus())
-    part.activate()
+    threaded = ThreadedComponent(Finishes, LockstepBus())
+    threaded.activate()
 
-    assert part.ended.wait(LIMIT_S)
-    part.thread.join(LIMIT_S)
-    assert not part.thread.is_alive()
-    assert part.end == ExitReport(True, "nothing to do")
+    assert threaded.ended.wait(LIMIT_S)
+    threaded.join()
+    assert threaded.end == ExitReport(True, "nothing to do")

@@ -1,6 +1,7 @@
 """Periodic and scheduled calls follow the component's clock, also when it is set."""
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -12,10 +13,11 @@ from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.runtime import Runtime
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.std_msgs import String
-from tests.cairn.runtime.running import Lockstep, Placed
+from cairn.testing.lockstep import ComponentHarness
+from tests.wording import words_in_order
 
 
-class Part(Component):
+class TimeRecorder(Component):
     """Records when it is called."""
 
     word: In[String]
@@ -37,152 +39,134 @@ def seconds(time: float) -> int:
     return round(time * SECOND)
 
 
-def set_clock(lockstep: Lockstep, *times: float) -> None:
+def set_clock(harness: ComponentHarness[Any], *times: float) -> None:
     """Publish clock messages one after another."""
     for time in times:
-        lockstep.publish("clock", Clock(clock=from_ns(seconds(time))))
-        lockstep.run()
+        harness.publish("clock", Clock(clock=from_ns(seconds(time))))
 
 
-def simulated(lockstep: Lockstep) -> Placed[Part]:
-    part = lockstep.add(Part, simulated_time=True)
-    part.activate()
-    return part
+def test_periodic_call_keeps_its_period() -> None:
+    harness = ComponentHarness(TimeRecorder, activate=False)
+    harness.run_to(seconds(0.05))
+    harness.activate()
+    harness.run_to(seconds(0.5))
+
+    assert harness.component.ticks == [0.15, 0.25, 0.35, 0.45]
 
 
-def test_periodic_call_keeps_its_period(lockstep: Lockstep) -> None:
-    part = lockstep.add(Part)
-    lockstep.run_until(seconds(0.05))
-    part.activate()
-    lockstep.run_until(seconds(0.5))
+def test_missed_periods_are_skipped() -> None:
+    harness = ComponentHarness(TimeRecorder, simulated_time=True)
+    set_clock(harness, 0.05, 0.1, 0.15, 1.05, 1.08, 1.1, 1.25)
 
-    assert part.component.ticks == [0.15, 0.25, 0.35, 0.45]
+    assert harness.component.ticks == [0.1, 1.05, 1.1, 1.25]
 
 
-def test_missed_periods_are_skipped(lockstep: Lockstep) -> None:
-    part = simulated(lockstep)
-    set_clock(lockstep, 0.05, 0.1, 0.15, 1.05, 1.08, 1.1, 1.25)
+def test_timers_follow_simulated_time_alone() -> None:
+    harness = ComponentHarness(TimeRecorder, simulated_time=True)
+    harness.run_to(100 * SECOND)
+    assert (harness.component.ticks, harness.component.clock.now()) == ([], 0)
 
-    assert part.component.ticks == [0.1, 1.05, 1.1, 1.25]
+    set_clock(harness, 0.1)
 
-
-def test_timers_follow_simulated_time_alone(lockstep: Lockstep) -> None:
-    part = simulated(lockstep)
-    lockstep.run_until(100 * SECOND)
-    assert (part.component.ticks, part.component.clock.now()) == ([], 0)
-
-    set_clock(lockstep, 0.1)
-
-    assert (part.component.ticks, part.component.clock.now()) == ([0.1], seconds(0.1))
+    assert (harness.component.ticks, harness.component.clock.now()) == ([0.1], seconds(0.1))
 
 
-def test_component_with_system_clock_ignores_simulated_time(lockstep: Lockstep) -> None:
-    class OnSystemTime(Part):
+def test_component_with_system_clock_ignores_simulated_time() -> None:
+    class OnSystemTime(TimeRecorder):
         clock_source = "system"
 
-    part = lockstep.add(OnSystemTime, simulated_time=True)
-    part.activate()
-    lockstep.run_until(seconds(0.2))
-    set_clock(lockstep, 50.0)
+    harness = ComponentHarness(OnSystemTime, simulated_time=True)
+    harness.run_to(seconds(0.2))
+    set_clock(harness, 50.0)
 
-    assert part.component.ticks == [0.1, 0.2]
-
-
-def test_periodic_calls_restart_when_time_is_set_back(lockstep: Lockstep) -> None:
-    part = simulated(lockstep)
-    set_clock(lockstep, 10.0, 10.1, 5.0, 5.05, 5.1, 5.2)
-
-    assert part.component.ticks == [10.0, 10.1, 5.1, 5.2]
+    assert harness.component.ticks == [0.1, 0.2]
 
 
-def test_scheduled_call_waits_for_its_time_when_time_is_set_back(lockstep: Lockstep) -> None:
-    part = simulated(lockstep)
-    set_clock(lockstep, 10.0)
-    part.component.schedule(seconds(11.0), part.component.note)
-    set_clock(lockstep, 5.0, 10.5, 11.0, 12.0)
+def test_periodic_calls_restart_when_time_is_set_back() -> None:
+    harness = ComponentHarness(TimeRecorder, simulated_time=True)
+    set_clock(harness, 10.0, 10.1, 5.0, 5.05, 5.1, 5.2)
 
-    assert part.component.calls == [11.0]
+    assert harness.component.ticks == [10.0, 10.1, 5.1, 5.2]
+
+
+def test_scheduled_call_waits_for_its_time_when_time_is_set_back() -> None:
+    harness = ComponentHarness(TimeRecorder, simulated_time=True)
+    set_clock(harness, 10.0)
+    harness.component.schedule(seconds(11.0), harness.component.note)
+    set_clock(harness, 5.0, 10.5, 11.0, 12.0)
+
+    assert harness.component.calls == [11.0]
 
 
 def test_system_clock_that_is_set_back_does_not_stop_timers() -> None:
     settable = Settable()
-    launch = LaunchRequest(name="part", spec=ChildSpec(plugin="test"))
-    part = Runtime(Part, launch, LockstepBus(), settable, settable, lambda _: None)
-    part.request("configure", {})
-    part.request("activate", {})
+    launch = LaunchRequest(name="component", spec=ChildSpec(plugin="test"))
+    runtime = Runtime(TimeRecorder, launch, LockstepBus(), settable, settable, lambda _: None)
+    runtime.request("configure", {})
+    runtime.request("activate", {})
     for time in (1000.0, 1000.1, 3.0, 3.1, 3.2):
         settable.time = seconds(time)
         settable.on_time()
 
-    assert isinstance(part.component, Part)
-    assert part.component.ticks == [1000.0, 1000.1, 3.1, 3.2]
+    assert isinstance(runtime.component, TimeRecorder)
+    assert runtime.component.ticks == [1000.0, 1000.1, 3.1, 3.2]
     assert settable.wake == seconds(3.3)
 
 
-def test_scheduled_call_is_made_once_at_its_time(lockstep: Lockstep) -> None:
-    part = lockstep.add(Part)
-    part.activate()
-    part.component.schedule(seconds(0.33), part.component.note)
-    part.component.schedule(seconds(0.11), part.component.note)
-    part.component.schedule(seconds(0.33), part.component.note)
-    lockstep.run_until(SECOND)
+def test_scheduled_call_is_made_once_at_its_time() -> None:
+    harness = ComponentHarness(TimeRecorder)
+    harness.component.schedule(seconds(0.33), harness.component.note)
+    harness.component.schedule(seconds(0.11), harness.component.note)
+    harness.component.schedule(seconds(0.33), harness.component.note)
+    harness.run_to(SECOND)
 
-    assert part.component.calls == [0.11, 0.33, 0.33]
-
-
-@pytest.mark.parametrize("add", [lambda one: one.add(Part), simulated])
-def test_call_scheduled_for_the_past_is_made_soon(
-    lockstep: Lockstep, add: Callable[[Lockstep], Placed[Part]]
-) -> None:
-    part = add(lockstep)
-    if part.state != "active":
-        part.activate()
-    part.component.schedule(-5, part.component.note)
-    assert part.component.calls == []
-    lockstep.run()
-
-    assert part.component.calls == [0.0]
+    assert harness.component.calls == [0.11, 0.33, 0.33]
 
 
 @pytest.mark.parametrize("simulated_time", [True, False])
-def test_call_that_reschedules_itself_for_now_does_not_starve_others(
-    lockstep: Lockstep, simulated_time: bool
-) -> None:
-    class Eager(Part):
-        heard = False
+def test_call_scheduled_for_the_past_is_made_soon(simulated_time: bool) -> None:
+    harness = ComponentHarness(TimeRecorder, simulated_time=simulated_time)
+    harness.component.schedule(-5, harness.component.note)
+    assert harness.component.calls == []
+    harness.run_for(0)
+
+    assert harness.component.calls == [0.0]
+
+
+@pytest.mark.parametrize("simulated_time", [True, False])
+def test_call_that_reschedules_itself_for_now_does_not_starve_others(simulated_time: bool) -> None:
+    class Eager(TimeRecorder):
+        received = False
 
         def again(self) -> None:
             self.note()
-            if not self.heard:
+            if not self.received:
                 self.schedule(self.clock.now(), self.again)
 
         @on("word")
-        def hear(self, word: String) -> None:
-            self.heard = True
+        def receive(self, word: String) -> None:
+            self.received = True
 
-    part = lockstep.add(Eager, simulated_time=simulated_time)
-    part.activate()
-    part.component.schedule(0, part.component.again)
-    lockstep.executor.at(0, lambda: lockstep.publish("word", String(data="stop")))
-    lockstep.run()
+    harness = ComponentHarness(Eager, simulated_time=simulated_time)
+    harness.component.schedule(0, harness.component.again)
+    harness.publish("word", String(data="stop"))
 
-    assert part.component.heard
-    assert 1 <= len(part.component.calls) < 10
+    assert harness.component.received
+    assert 1 <= len(harness.component.calls) < 10
 
 
-def test_deactivation_discards_scheduled_calls(lockstep: Lockstep) -> None:
-    part = lockstep.add(Part)
-    part.activate()
-    part.component.schedule(seconds(0.5), part.component.note)
-    part.ask("deactivate")
-    part.ask("activate")
-    lockstep.run_until(SECOND)
+def test_deactivation_discards_scheduled_calls() -> None:
+    harness = ComponentHarness(TimeRecorder)
+    harness.component.schedule(seconds(0.5), harness.component.note)
+    harness.request("deactivate")
+    harness.request("activate")
+    harness.run_to(SECOND)
 
-    assert part.component.calls == []
+    assert harness.component.calls == []
 
 
-def test_failed_periodic_call_runs_once_per_period_after_recovery(lockstep: Lockstep) -> None:
-    class Recovers(Part):
+def test_failed_periodic_call_runs_once_per_period_after_recovery() -> None:
+    class Recovers(TimeRecorder):
         def on_error(self, error: Exception) -> bool:
             return True
 
@@ -192,21 +176,20 @@ def test_failed_periodic_call_runs_once_per_period_after_recovery(lockstep: Lock
             if len(self.ticks) == 1:
                 raise RuntimeError("once")
 
-    part = lockstep.add(Recovers)
-    part.activate()
-    lockstep.run_until(seconds(0.4))
+    harness = ComponentHarness(Recovers)
+    harness.run_to(seconds(0.4))
 
-    assert part.component.ticks == [0.1, 0.2, 0.3, 0.4]
+    assert harness.component.ticks == [0.1, 0.2, 0.3, 0.4]
 
 
 def test_invalid_rate_is_rejected() -> None:
     for hz in (0.0, -1.0, 1001.0, float("nan"), float("inf")):
-        with pytest.raises(CairnError, match="a rate must be above 0 and at most 1000 Hz"):
+        with pytest.raises(CairnError, match=words_in_order("rate", "above 0", "1000 Hz")):
             every(hz=hz)
 
 
 class Settable:
-    """A clock and scheduler in the hands of the test."""
+    """A clock and scheduler that the test sets."""
 
     def __init__(self) -> None:
         self.time = seconds(999.9)

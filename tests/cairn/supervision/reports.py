@@ -76,7 +76,7 @@ class Reports:
 
 
 class Tree:
-    """All processes started from now on: they carry a mark, however they detach."""
+    """All processes started from now on: they carry a mark, even if they detach."""
 
     def __init__(self) -> None:
         self.mark = uuid4().hex

@@ -1,4 +1,4 @@
-"""Children that behave as a test's script says, on a clock that moves only when they say so."""
+"""Children that behave as scripted by a test, on a clock that only they advance."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -53,7 +53,7 @@ def is_killed(child: "ScriptedChild", timeout_s: float) -> None:
 
 @dataclass
 class ScriptedChild:
-    """Does at each step what its script says, otherwise what a good component does."""
+    """Does at each step what its script specifies, by default what a correct component does."""
 
     world: "World"
     name: str
@@ -76,14 +76,14 @@ class ScriptedChild:
             self.world.now_s += timeout_s
         return self.end
 
-    def _step(self, what: str, timeout_s: float, usual: Step) -> None:
-        self.world.steps.append(f"{what} {self.name}")
-        self.script.get(what, usual)(self, timeout_s)
+    def _step(self, step: str, timeout_s: float, usual: Step) -> None:
+        self.world.steps.append(f"{step} {self.name}")
+        self.script.get(step, usual)(self, timeout_s)
 
 
 @dataclass
 class World:
-    """The launcher, the clock, and everything that happened."""
+    """The launcher, the clock, and a record of all steps."""
 
     now_s: float = 100.0
     scripts: dict[str, list[dict[str, Step]]] = field(default_factory=dict)
@@ -96,7 +96,7 @@ class World:
     on_step: Callable[[str], None] = lambda text: None
 
     def script(self, name: str, *incarnations: dict[str, Step]) -> None:
-        """Set what a child does at each step, by incarnation; later ones behave well."""
+        """Set what a child does at each step, by incarnation; later ones are correct."""
         self.scripts[name] = list(incarnations)
 
     def launch(

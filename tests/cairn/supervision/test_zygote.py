@@ -1,4 +1,4 @@
-"""The zygote with real processes: how they start and end, and which clients it refuses."""
+"""The zygote with real processes: how they start and end, and which clients it rejects."""
 
 import math
 import os
@@ -29,11 +29,13 @@ FRESH = pytest.mark.parametrize("fresh", [False, True], ids=["shared", "fresh"])
 
 
 @FRESH
-def test_a_process_inherits_nothing_of_the_zygote(owner: Owner, fresh: bool) -> None:
-    child = owner.spawn("describe", fresh=fresh, said=["a", math.inf, {"b": None}])
+def test_process_inherits_no_files_signal_handlers_or_threads_of_the_zygote(
+    owner: Owner, fresh: bool
+) -> None:
+    child = owner.spawn("describe", fresh=fresh, text=["a", math.inf, {"b": None}])
     facts = owner.reports.of("driver").facts
     assert facts["pid"] == facts["group"] == child.pid
-    assert facts["passed"]["said"] == ["a", math.inf, {"b": None}]
+    assert facts["passed"]["text"] == ["a", math.inf, {"b": None}]
     assert facts["title"] == "cairn: driver"
     assert facts["descriptors"] == {"0": "/dev/null", "1": str(owner.log), "2": str(owner.log)}
     assert (facts["sigterm"], facts["sigchld"], facts["sigint"]) == (True, True, True)
@@ -44,19 +46,19 @@ def test_a_process_inherits_nothing_of_the_zygote(owner: Owner, fresh: bool) -> 
 
 
 @FRESH
-def test_a_process_that_returns_ends_normally_with_its_output_logged(
+def test_process_that_returns_ends_normally_with_its_output_logged(
     owner: Owner, fresh: bool
 ) -> None:
-    child = owner.spawn("speak", said="hello", fresh=fresh)
+    child = owner.spawn("write_output", text="hello", fresh=fresh)
     ended = child.wait(LIMIT_S)
     assert ended == owner.exits.get(timeout=LIMIT_S) == child.exited
     assert ended == Exited(child.pid, "driver", 0, None)
     assert ended.code == 0
-    assert sorted(owner.log.read_text().splitlines()) == ["murmured hello", "said hello"]
+    assert sorted(owner.log.read_text().splitlines()) == ["stderr hello", "stdout hello"]
 
 
 @FRESH
-def test_a_process_that_raises_ends_with_code_1_and_a_traceback(owner: Owner, fresh: bool) -> None:
+def test_process_that_raises_ends_with_code_1_and_a_traceback(owner: Owner, fresh: bool) -> None:
     ended = owner.spawn("fail", device="/dev/ttyUSB0", fresh=fresh).wait(LIMIT_S)
     assert ended is not None
     assert ended.code == 1
@@ -65,7 +67,7 @@ def test_a_process_that_raises_ends_with_code_1_and_a_traceback(owner: Owner, fr
 
 
 @FRESH
-def test_a_crash_is_reported_by_its_signal(owner: Owner, fresh: bool) -> None:
+def test_crash_is_reported_by_its_signal(owner: Owner, fresh: bool) -> None:
     ended = owner.spawn("crash", fresh=fresh).wait(LIMIT_S)
     assert ended is not None
     assert str(ended) == f"driver (process {ended.pid}): killed by SIGSEGV (signal 11)"
@@ -73,9 +75,9 @@ def test_a_crash_is_reported_by_its_signal(owner: Owner, fresh: bool) -> None:
 
 
 @FRESH
-def test_a_signal_reaches_a_process_that_has_just_started(owner: Owner, fresh: bool) -> None:
+def test_signal_reaches_a_process_that_has_just_started(owner: Owner, fresh: bool) -> None:
     for _ in range(5):
-        child = owner.spawn("stay", fresh=fresh)
+        child = owner.spawn("run_until_killed", fresh=fresh)
         child.terminate()
         ended = child.wait(LIMIT_S)
         assert ended is not None
@@ -83,7 +85,7 @@ def test_a_signal_reaches_a_process_that_has_just_started(owner: Owner, fresh: b
 
 
 def test_signals_to_a_process_that_has_ended_have_no_effect(owner: Owner) -> None:
-    child = owner.spawn("speak", said="")
+    child = owner.spawn("write_output", text="")
     child.wait(LIMIT_S)
     child.terminate()
     child.kill()
@@ -101,7 +103,7 @@ def test_killing_ends_even_a_stopped_process_that_ignores_sigterm(owner: Owner) 
     assert ended.signal == signal.SIGKILL
 
 
-def test_a_module_that_cannot_be_imported_fails_only_processes_that_need_it(
+def test_module_that_cannot_be_imported_fails_only_processes_that_need_it(
     tree: Tree, tmp_path: Path
 ) -> None:
     zygote = start_zygote(["no_such_module", "json"], tmp_path / "run")
@@ -113,8 +115,8 @@ def test_a_module_that_cannot_be_imported_fails_only_processes_that_need_it(
         match=r"(?s)^driver could not be started: the module no_such_module cannot be imported: "
         r"ModuleNotFoundError: No module named 'no_such_module'.*Traceback",
     ):
-        client.spawn("driver", f"{CHILDREN}:speak", {}, log, needs=["no_such_module"])
-    other = client.spawn("other", f"{CHILDREN}:speak", {"said": ""}, log, needs=["json"])
+        client.spawn("driver", f"{CHILDREN}:write_output", {}, log, needs=["no_such_module"])
+    other = client.spawn("other", f"{CHILDREN}:write_output", {"text": ""}, log, needs=["json"])
     ended = other.wait(LIMIT_S)
     assert ended is not None
     assert ended.code == 0
@@ -122,7 +124,7 @@ def test_a_module_that_cannot_be_imported_fails_only_processes_that_need_it(
     zygote.close()
 
 
-def test_a_module_that_starts_threads_when_imported_is_named(
+def test_module_that_starts_threads_when_imported_is_named(
     tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "starts_thread.py").write_text(
@@ -137,12 +139,12 @@ def test_a_module_that_starts_threads_when_imported_is_named(
     zygote.close()
 
 
-def test_a_log_that_cannot_be_written_fails_the_start(owner: Owner, tmp_path: Path) -> None:
+def test_log_that_cannot_be_written_fails_the_start(owner: Owner, tmp_path: Path) -> None:
     with pytest.raises(SpawnFailed, match="No such file or directory"):
-        owner.client.spawn("driver", f"{CHILDREN}:stay", {}, tmp_path / "none" / "log")
+        owner.client.spawn("driver", f"{CHILDREN}:run_until_killed", {}, tmp_path / "none" / "log")
 
 
-def test_a_process_can_open_zenoh_sessions_although_its_owner_has_one(owner: Owner) -> None:
+def test_process_can_open_zenoh_sessions_although_its_owner_has_one(owner: Owner) -> None:
     config = zenoh.Config()
     config.insert_json5("listen/endpoints", '["tcp/127.0.0.1:0"]')
     config.insert_json5("scouting/multicast/enabled", "false")
@@ -152,7 +154,7 @@ def test_a_process_can_open_zenoh_sessions_although_its_owner_has_one(owner: Own
     assert ended.code == 0, owner.log.read_text()
 
 
-def test_a_client_that_sends_garbage_loses_its_connection(
+def test_client_that_sends_garbage_loses_its_connection(
     zygote: ZygoteProcess, owner: Owner
 ) -> None:
     with socket.socket(socket.AF_UNIX) as stranger:
@@ -162,10 +164,10 @@ def test_a_client_that_sends_garbage_loses_its_connection(
         while stranger.recv(4096):
             pass
     assert "sent an invalid request" in zygote.log_file.read_text()
-    owner.spawn("speak", said="").wait(LIMIT_S)
+    owner.spawn("write_output", text="").wait(LIMIT_S)
 
 
-def test_a_client_that_does_not_read_its_answers_loses_its_connection(
+def test_client_that_does_not_read_its_answers_loses_its_connection(
     zygote: ZygoteProcess, owner: Owner
 ) -> None:
     request = encode_request(Signal(request=1, pid=0, signal=0, group=False))
@@ -174,13 +176,15 @@ def test_a_client_that_does_not_read_its_answers_loses_its_connection(
         client.connect(str(zygote.socket_path))
         with pytest.raises((BrokenPipeError, ConnectionResetError)):
             client.sendall(request * 100_000)
-    ended = owner.spawn("speak", said="").wait(LIMIT_S)
+    ended = owner.spawn("write_output", text="").wait(LIMIT_S)
     assert ended is not None
     assert f"process {os.getpid()} does not read its answers" in zygote.log_file.read_text()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another user")
-def test_another_user_is_refused(zygote: ZygoteProcess, owner: Owner, tmp_path: Path) -> None:
+def test_connection_of_another_user_is_rejected(
+    zygote: ZygoteProcess, owner: Owner, tmp_path: Path
+) -> None:
     for directory in (zygote.socket_path.parent, *zygote.socket_path.parents[1:-2]):
         directory.chmod(0o755)
     zygote.socket_path.chmod(0o777)
@@ -195,7 +199,7 @@ def test_another_user_is_refused(zygote: ZygoteProcess, owner: Owner, tmp_path: 
     assert "of user 65534" in zygote.log_file.read_text()
 
 
-def test_a_runtime_directory_open_to_others_is_refused(tmp_path: Path) -> None:
+def test_runtime_directory_open_to_others_is_rejected(tmp_path: Path) -> None:
     directory = tmp_path / "run"
     directory.mkdir()
     directory.chmod(0o755)
@@ -203,11 +207,11 @@ def test_a_runtime_directory_open_to_others_is_refused(tmp_path: Path) -> None:
         start_zygote([], directory)
 
 
-def test_the_runtime_directory_is_made_for_its_owner_alone(zygote: ZygoteProcess) -> None:
+def test_runtime_directory_is_made_for_its_owner_alone(zygote: ZygoteProcess) -> None:
     assert stat.S_IMODE(zygote.socket_path.parent.stat().st_mode) == 0o700
 
 
-def test_a_runtime_directory_with_too_long_a_path_is_refused(tmp_path: Path) -> None:
+def test_runtime_directory_with_too_long_a_path_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(CairnError, match=r"exceeds 107 bytes; set XDG_RUNTIME_DIR"):
         start_zygote([], tmp_path / ("x" * 100))
 

@@ -35,7 +35,7 @@ def test_helpers_left_by_a_process_that_returns_are_killed(owner: Owner, how: st
 
 @HIDDEN
 @FRESH
-def test_the_helpers_of_a_killed_process_are_killed(owner: Owner, how: str, fresh: bool) -> None:
+def test_helpers_of_a_killed_process_are_killed(owner: Owner, how: str, fresh: bool) -> None:
     driver = owner.spawn_reporting("keep_helper", how=how, fresh=fresh)
     helper = owner.reports.of("driver's helper")
     os.kill(driver.pid, signal.SIGKILL)
@@ -48,29 +48,29 @@ def test_closing_a_connection_ends_its_processes_and_no_others(
     first, second = make_owner(), make_owner()
     driver = first.spawn_reporting("keep_helper", how="own session")
     helper = first.reports.of("driver's helper")
-    other = second.spawn_reporting("stay", "other")
+    other = second.spawn_reporting("run_until_killed", "other")
     first.client.close()
     driver.await_end()
     helper.await_end()
     assert first.exits.get_nowait().signal == signal.SIGKILL
     assert first.losses.empty()
     with pytest.raises(CairnError, match="is closed"):
-        first.spawn("stay")
+        first.spawn("run_until_killed")
     os.kill(other.pid, 0)
     assert second.exits.empty()
 
 
-def test_the_processes_of_a_killed_owner_end_with_it(owner: Owner) -> None:
+def test_processes_of_a_killed_owner_end_with_it(owner: Owner) -> None:
     middle = owner.spawn_reporting("own", "middle")
     leaf, helper = owner.reports.of("leaf"), owner.reports.of("leaf's helper")
-    bystander = owner.spawn_reporting("stay", "bystander")
+    bystander = owner.spawn_reporting("run_until_killed", "bystander")
     os.kill(middle.pid, signal.SIGKILL)
     leaf.await_end()
     helper.await_end()
     os.kill(bystander.pid, 0)
 
 
-def test_a_fork_of_a_dead_owner_does_not_keep_its_processes_alive(owner: Owner) -> None:
+def test_fork_of_a_dead_owner_does_not_keep_its_processes_alive(owner: Owner) -> None:
     middle = owner.spawn_reporting("own_and_fork", "middle")
     leaf, fork = owner.reports.of("leaf"), owner.reports.of("fork")
     os.kill(middle.pid, signal.SIGKILL)
@@ -78,7 +78,7 @@ def test_a_fork_of_a_dead_owner_does_not_keep_its_processes_alive(owner: Owner) 
     fork.await_end()
 
 
-def test_a_root_killed_during_the_imports_leaves_nothing(tree: Tree, tmp_path: Path) -> None:
+def test_root_killed_during_the_imports_leaves_no_process(tree: Tree, tmp_path: Path) -> None:
     gate = tmp_path / "gate"
     os.mkfifo(gate)
     (tmp_path / "imports_slowly.py").write_text(f"open({str(gate)!r}).read()\n")
@@ -111,18 +111,18 @@ def test_all_processes_end_with_a_killed_zygote(
     assert "zygote lost: " in str(owner.losses.get(timeout=LIMIT_S))
     assert {owner.exits.get_nowait().name, owner.exits.get_nowait().name} == {"driver", "middle"}
     with pytest.raises(ZygoteLost):
-        owner.spawn("stay")
+        owner.spawn("run_until_killed")
     zygote.close()
     assert not zygote.alive
     tree.await_end()
     another = start_zygote([CHILDREN], tmp_path / "run")
     renewed = Owner(another, owner.reports, owner.log)
-    renewed.spawn_reporting("stay", "renewed")
+    renewed.spawn_reporting("run_until_killed", "renewed")
     renewed.client.close()
     another.close()
 
 
-def test_a_zygote_asked_to_end_by_sigterm_leaves_nothing(
+def test_sigterm_to_the_zygote_leaves_no_process(
     owner: Owner, zygote: ZygoteProcess, tree: Tree
 ) -> None:
     owner.spawn_reporting("keep_helper", how="daemon")
@@ -131,7 +131,9 @@ def test_a_zygote_asked_to_end_by_sigterm_leaves_nothing(
     tree.await_end()
 
 
-def test_ending_the_zygote_leaves_nothing(owner: Owner, zygote: ZygoteProcess, tree: Tree) -> None:
+def test_ending_the_zygote_leaves_no_process(
+    owner: Owner, zygote: ZygoteProcess, tree: Tree
+) -> None:
     owner.spawn_reporting("keep_helper", how="daemon")
     owner.reports.of("driver's helper")
     zygote.close()
@@ -139,18 +141,18 @@ def test_ending_the_zygote_leaves_nothing(owner: Owner, zygote: ZygoteProcess, t
     assert not zygote.socket_path.exists()
 
 
-def test_a_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
+def test_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
     owner: Owner, zygote: ZygoteProcess
 ) -> None:
     os.kill(zygote.pid, signal.SIGSTOP)
     with pytest.raises(CairnError, match=r"did not start driver within 0\.05 s"):
         owner.client.spawn(
             "driver",
-            f"{CHILDREN}:stay",
+            f"{CHILDREN}:run_until_killed",
             {"name": "driver", **owner.facts},
             owner.log,
             timeout_s=0.05,
         )
     os.kill(zygote.pid, signal.SIGCONT)
-    owner.spawn("speak", said="").wait(LIMIT_S)
+    owner.spawn("write_output", text="").wait(LIMIT_S)
     # The late one may be killed before it could report: the fixture `tree` sees that it is gone.

@@ -12,7 +12,10 @@ from typing import Any
 from cairn.supervision.zygote_client import ZygoteClient
 
 Argument = dict[str, Any]
-GRANDCHILD = "import sys; sys.path[:] = {path!r}; from {module} import stay; stay({argument!r})"
+GRANDCHILD = (
+    "import sys; sys.path[:] = {path!r}; "
+    "from {module} import run_until_killed; run_until_killed({argument!r})"
+)
 
 
 def announce(argument: Argument, **facts: Any) -> socket.socket:
@@ -24,7 +27,7 @@ def announce(argument: Argument, **facts: Any) -> socket.socket:
     return connection
 
 
-def stay(argument: Argument) -> None:
+def run_until_killed(argument: Argument) -> None:
     """Run until killed, or until the test closes the connection."""
     announce(argument).recv(1)
 
@@ -52,10 +55,10 @@ def describe(argument: Argument) -> None:
     )
 
 
-def speak(argument: Argument) -> None:
+def write_output(argument: Argument) -> None:
     """Write to both streams and return."""
-    sys.stdout.write(f"said {argument['said']}\n")
-    sys.stderr.write(f"murmured {argument['said']}\n")
+    sys.stdout.write(f"stdout {argument['text']}\n")
+    sys.stderr.write(f"stderr {argument['text']}\n")
 
 
 def fail(argument: Argument) -> None:
@@ -71,38 +74,38 @@ def crash(argument: Argument) -> None:
 def ignore_sigterm(argument: Argument) -> None:
     """Run until killed."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    stay(argument)
+    run_until_killed(argument)
 
 
 def leave_helper(argument: Argument) -> None:
-    """Return, but leave a process running, hidden as the argument says."""
+    """Return, but leave a process running, detached as `how` specifies."""
     keep_helper_of(argument)
 
 
 def keep_helper(argument: Argument) -> None:
-    """Run until killed, with a process of its own, hidden as the argument says."""
+    """Run until killed, with a child process, detached as `how` specifies."""
     keep_helper_of(argument)
-    stay(argument)
+    run_until_killed(argument)
 
 
 def own(argument: Argument) -> None:
-    """Run until killed, and own a process that has a helper in turn."""
+    """Run until killed, and own a process that has a helper."""
     client = ZygoteClient(Path(argument["zygote"]))
     leaf = {"name": "leaf", "reports": argument["reports"], "how": "same group"}
     fresh = argument.get("leaf_fresh", False)
     client.spawn("leaf", f"{__name__}:keep_helper", leaf, Path(argument["log"]), fresh=fresh)
-    stay(argument)
+    run_until_killed(argument)
 
 
 def own_and_fork(argument: Argument) -> None:
     """Own a process, and have a fork hold the connection open after the owner's end."""
     client = ZygoteClient(Path(argument["zygote"]))
     leaf = {"name": "leaf", "reports": argument["reports"]}
-    client.spawn("leaf", f"{__name__}:stay", leaf, Path(argument["log"]))
+    client.spawn("leaf", f"{__name__}:run_until_killed", leaf, Path(argument["log"]))
     if os.fork() == 0:
         os.setsid()
-        stay({**argument, "name": "fork"})
-    stay(argument)
+        run_until_killed({**argument, "name": "fork"})
+    run_until_killed(argument)
 
 
 def open_session(argument: Argument) -> None:
@@ -117,7 +120,7 @@ def open_session(argument: Argument) -> None:
 
 
 def keep_helper_of(argument: Argument) -> None:
-    """Start a process that stays, hidden as the argument says."""
+    """Start a process that runs until killed, detached as `how` specifies."""
     helper = {"name": f"{argument['name']}'s helper", "reports": argument["reports"]}
     program = GRANDCHILD.format(module=__name__, path=sys.path, argument=helper)
     if argument["how"] == "daemon":

@@ -18,7 +18,7 @@ from tests.cairn.testing.broken.sampling import arrivals, drive, failures_of, pi
 SECONDS = 0.8  # of scans and of pictures: sixteen
 
 SCANNERS: dict[type[Component], dict[str, str]] = {
-    scanners.SoundScanner: {},
+    scanners.CorrectScanner: {},
     scanners.Millimeters: {
         "test_ranges_are_within_limits": "are these millimeters?",
         "test_surroundings_are_measured_correctly": "a thousand times as far",
@@ -29,7 +29,7 @@ SCANNERS: dict[type[Component], dict[str, str]] = {
     },
     scanners.Clockwise: {"test_surroundings_are_measured_correctly": "on the other side"},
     scanners.Degrees: {
-        "test_angles_agree": "are these degrees?",
+        "test_angle_fields_agree_with_the_number_of_beams": "are these degrees?",
         "test_surroundings_are_measured_correctly": "m are measured",
     },
     scanners.TooFar: {"test_ranges_are_within_limits": "such as 65.533 m"},
@@ -39,22 +39,22 @@ SCANNERS: dict[type[Component], dict[str, str]] = {
         "test_stamps_are_current": "of another clock",
         "test_stamp_is_of_the_first_beam": "of another clock",
     },
-    scanners.OtherFrame: {"test_frame": "'/laser_link'"},
-    scanners.EveryOther: {"test_rate": "10.0"},
+    scanners.OtherFrame: {"test_frame_id_is_as_configured": "'/laser_link'"},
+    scanners.EveryOther: {"test_rate_is_nominal": "10.0"},
 }
 CAMERAS: dict[type[Component], dict[str, str]] = {
-    cameras.SoundCamera: {},
+    cameras.CorrectCamera: {},
     cameras.StampsDiffer: {"test_messages_of_a_pair_have_the_same_stamp": "have the same stamp"},
-    cameras.SwappedSides: {"test_the_baseline_is_positive": "are the sides swapped?"},
+    cameras.SwappedSides: {"test_baseline_is_positive": "are the sides swapped?"},
     cameras.SwappedSizes: {
-        "test_sizes_are_those_of_the_calibration": "width and height are swapped"
+        "test_image_sizes_equal_those_of_the_calibration": "width and height are swapped"
     },
     cameras.Frozen: {"test_images_are_not_frozen": "identical"},
     cameras.WrongEncoding: {"test_images_are_complete": "'GREY'"},
     cameras.InfosLate: {"test_infos_precede_their_images": "before their camera info"},
 }
 BASES: dict[type[Component], dict[str, str]] = {
-    bases.SoundBase: {},
+    bases.CorrectBase: {},
     bases.NeverStops: {"test_base_stops_when_commands_stop": "still moves"},
     bases.RightIsLeft: {"test_left_command_turns_left": "-0.5"},
     bases.TwistInDegrees: {
@@ -79,7 +79,9 @@ class Drives(SafetyContract):
 
 
 @pytest.mark.parametrize("driver", SCANNERS)
-def test_scanners(driver: type[Component], tmp_path: Path) -> None:
+def test_broken_scanner_fails_the_tests_for_its_fault(
+    driver: type[Component], tmp_path: Path
+) -> None:
     device = tmp_path / "device"
     device.touch()
     harness = ComponentHarness(driver, {"device": str(device)})
@@ -89,14 +91,14 @@ def test_scanners(driver: type[Component], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("driver", CAMERAS)
-def test_cameras(driver: type[Component]) -> None:
+def test_broken_camera_fails_the_tests_for_its_fault(driver: type[Component]) -> None:
     seen = pictures(ComponentHarness(driver), SECONDS)
 
     check_failures(failures_of(Images(), pictures=seen), CAMERAS[driver])
 
 
 @pytest.mark.parametrize("driver", BASES)
-def test_bases(driver: type[Component]) -> None:
+def test_broken_base_fails_the_tests_for_its_fault(driver: type[Component]) -> None:
     driven = drive(ComponentHarness(driver), Drives)
 
     check_failures(failures_of(Drives(), drive=driven), BASES[driver])

@@ -23,6 +23,7 @@ from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import Vector3
 from cairn.schemas.std_msgs import String
 from cairn.testing.lockstep import ComponentHarness, DeploymentHarness, Lockstep
+from tests.wording import words_in_order
 
 
 class SumConfig(Config):
@@ -74,7 +75,7 @@ def deployment(tmp_path: Path) -> Path:
     return file
 
 
-def test_a_component_is_fed_and_read_in_virtual_time() -> None:
+def test_component_receives_and_publishes_in_virtual_time() -> None:
     harness = ComponentHarness(Sum, {"factor": 3.0}, start_s=5.0)
     harness.publish("number", Vector3(x=1.0), Vector3(x=2.0))
     assert harness.take("echo") == [Vector3(x=1.0), Vector3(x=2.0)]
@@ -92,7 +93,7 @@ def test_a_component_is_fed_and_read_in_virtual_time() -> None:
     ]
 
 
-def test_messages_published_as_not_handled_wait_until_time_advances() -> None:
+def test_unhandled_messages_are_pending_until_time_advances() -> None:
     harness = ComponentHarness(Sum)
     harness.publish("number", Vector3(x=1.0), handled=False)
     assert harness.component.sum == 0.0
@@ -102,7 +103,7 @@ def test_messages_published_as_not_handled_wait_until_time_advances() -> None:
     assert harness.component.sum == 1.0
 
 
-def test_a_component_walks_its_life_cycle_on_request_and_its_end_is_known() -> None:
+def test_component_follows_life_cycle_requests_and_reports_its_end() -> None:
     harness = ComponentHarness(Sum, activate=False)
     assert harness.state is LifecycleState.UNCONFIGURED
     with pytest.raises(CairnError, match="cannot deactivate in state unconfigured"):
@@ -130,26 +131,26 @@ def test_components_beside_each_other_share_bus_and_time() -> None:
     assert last.take("echo")[-1] == Vector3(x=4.0)
 
 
-def test_a_topic_of_another_type_fails_the_test_at_once() -> None:
+def test_topic_of_another_type_fails_the_test_at_once() -> None:
     harness = ComponentHarness(Sum)
 
     with pytest.raises(AssertionError, match="total"):
         harness.read("total", String)
 
 
-def test_what_was_latched_before_is_read() -> None:
+def test_reading_receives_messages_latched_before() -> None:
     lockstep = Lockstep()
     lockstep.publish("map", String(data="hall"), qos=LATCHED)
 
     assert lockstep.read("map", String).take() == [String(data="hall")]
 
 
-def test_a_condition_that_never_holds_fails_with_the_limit_and_the_time() -> None:
+def test_condition_that_never_holds_fails_with_the_limit_and_the_time() -> None:
     with pytest.raises(AssertionError, match=r"not within 2 s of virtual time.* 2\.000 s"):
         ComponentHarness(Sum).run_until(lambda: False, limit_s=2.0)
 
 
-def test_a_deployment_runs_step_by_step(deployment: Path) -> None:
+def test_deployment_runs_step_by_step(deployment: Path) -> None:
     with DeploymentHarness(deployment) as harness:
         total = harness.read("total", Vector3)
         harness.run_for(1.0)
@@ -165,7 +166,7 @@ def test_a_deployment_runs_step_by_step(deployment: Path) -> None:
     assert harness.end.normal
 
 
-def test_a_deployment_takes_sets_requests_and_parameters(deployment: Path) -> None:
+def test_deployment_takes_sets_requests_and_parameters(deployment: Path) -> None:
     sets = ["components.last.parameters.factor=5.0"]
     with DeploymentHarness(deployment, sets=sets) as harness:
         values = {one["name"]: one["value"] for one in harness.request("last", "parameters")}
@@ -174,7 +175,7 @@ def test_a_deployment_takes_sets_requests_and_parameters(deployment: Path) -> No
         harness.request("first", "deactivate")
         assert harness.state("first") is LifecycleState.INACTIVE
         harness.request("first", "activate")
-        with pytest.raises(CairnError, match="nowhere: no component of this name"):
+        with pytest.raises(CairnError, match=words_in_order("nowhere", "no component")):
             harness.request("nowhere", "deactivate")
 
 
@@ -189,7 +190,7 @@ def test_readings_opened_before_the_start_receive_everything(deployment: Path) -
     harness.shutdown()
 
 
-def test_a_suspended_component_publishes_nothing_and_the_others_go_on(deployment: Path) -> None:
+def test_suspended_component_publishes_nothing_and_the_others_continue(deployment: Path) -> None:
     with DeploymentHarness(deployment) as harness:
         middle, total = harness.read("middle", Vector3), harness.read("total", Vector3)
         harness.suspend("first")
@@ -199,7 +200,7 @@ def test_a_suspended_component_publishes_nothing_and_the_others_go_on(deployment
         assert len(total.messages) == 10
 
 
-def test_a_deployment_that_ends_by_itself_is_run_to_its_end(deployment: Path) -> None:
+def test_deployment_that_ends_by_itself_is_run_to_its_end(deployment: Path) -> None:
     with DeploymentHarness(deployment) as harness:
         harness.publish("word", String(data="enough"))
         end = harness.run_to_end(limit_s=10.0)

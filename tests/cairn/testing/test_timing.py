@@ -1,4 +1,4 @@
-"""Samples during pauses of the computer are taken again; if all are, the test is skipped."""
+"""Samples during pauses of the computer are repeated; if all have pauses, the test is skipped."""
 
 import os
 import select
@@ -39,14 +39,14 @@ def sampler() -> Iterator["subprocess.Popen[str]"]:
         process.kill()
 
 
-def test_a_sample_with_a_pause_is_taken_again(sampler: "subprocess.Popen[str]") -> None:
+def test_sample_with_a_pause_is_repeated(sampler: "subprocess.Popen[str]") -> None:
     assert line(sampler) == "sampling"
     pause(sampler, 0.5)
 
     assert line(sampler) == "sampling"
 
 
-def test_a_computer_that_always_pauses_skips_the_test_with_the_reason(
+def test_computer_that_always_pauses_skips_the_test_with_the_reason(
     sampler: "subprocess.Popen[str]",
 ) -> None:
     for _ in range(3):

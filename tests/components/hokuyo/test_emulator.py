@@ -38,7 +38,7 @@ def _values(frame: bytes) -> list[int]:
     ]
 
 
-def test_a_captured_scan_is_reproduced_byte_by_byte() -> None:
+def test_captured_scan_is_reproduced_byte_by_byte() -> None:
     frame = (DATA / "scip20_GD_urg04lx-ug01_A.bin").read_bytes()
     distances = np.zeros(769, np.int32)
     distances[44:726] = _values(frame)
@@ -49,13 +49,13 @@ def test_a_captured_scan_is_reproduced_byte_by_byte() -> None:
     assert sensor.tick(sensor.due()) == [frame]
 
 
-def test_a_captured_version_is_reproduced_byte_by_byte() -> None:
+def test_captured_version_is_reproduced_byte_by_byte() -> None:
     frame = (DATA / "scip20_VV_urg04lx-ug01.bin").read_bytes()
     sensor = EmulatedScip("URG-04LX-UG01", serial_number="H1510998")
     assert sensor.receive(b"VV\n", 0.0) == [frame]
 
 
-def test_pp_is_as_hokuyo_publishes_it() -> None:
+def test_pp_reply_equals_the_published_one() -> None:
     # urgnetwork, "Obtain status information"
     assert EmulatedScip("URG-04LX").receive(b"PP\n", 0.0) == [
         b"PP\n00P\nMODL:URG-04LX(Hokuyo Automatic Co.,Ltd.);N\nDMIN:20;4\nDMAX:5600;_\n"
@@ -63,7 +63,7 @@ def test_pp_is_as_hokuyo_publishes_it() -> None:
     ]
 
 
-def test_ii_is_as_hokuyo_publishes_it() -> None:
+def test_ii_reply_equals_the_published_one() -> None:
     # The same page: 0x081615 ms after power-on, on RS-232.
     sensor = EmulatedScip("URG-04LX", rs232_baud=19200, clock_start_ms=0x081615)
     assert sensor.receive(b"II\n", 0.0) == [
@@ -143,7 +143,7 @@ def test_commands_are_answered_as_specified(model: str, commands: str, statuses:
     assert _statuses(EmulatedScip(model), commands) == statuses.split()
 
 
-def test_the_speed_of_rs232_can_be_changed() -> None:
+def test_speed_of_rs232_can_be_changed() -> None:
     sensor = EmulatedScip("URG-04LX", rs232_baud=19200)
     assert sensor.baud() == 19200
     assert _statuses(sensor, "SS019200 SS115200") == ["03", "00"]
@@ -171,7 +171,7 @@ def test_state_numbers_follow_the_state() -> None:
     assert numbers == [b"000", b"003", b"004", b"000", b"002", b"000", b"005"]
 
 
-def test_a_reboot_takes_two_commands_within_a_second() -> None:
+def test_reboot_takes_two_commands_within_a_second() -> None:
     sensor = EmulatedScip()
     assert _statuses(sensor, "BM RB") == ["00", "01"]
     assert _statuses(sensor, "RB", now=1.5) == ["01"]
@@ -201,7 +201,7 @@ def test_scip_1_is_used_until_switched_and_again_after_power_on() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(model=st.sampled_from(sorted(MODELS)), noise=st.lists(st.binary(max_size=300), max_size=8))
-def test_noise_does_no_harm(model: str, noise: list[bytes]) -> None:
+def test_sensor_answers_after_noise(model: str, noise: list[bytes]) -> None:
     sensor = EmulatedScip(model)
     for number, data in enumerate(noise):
         for answer in sensor.receive(data, float(number)):
@@ -237,7 +237,7 @@ def test_scans_are_sent_at_the_rate_of_the_mirror() -> None:
     assert times[0] == pytest.approx(10.025 + 0.025 * 1081 / 1440)
 
 
-def test_a_limited_stream_counts_down_and_switches_the_laser_off() -> None:
+def test_limited_stream_counts_down_and_switches_the_laser_off() -> None:
     sensor = EmulatedScip("UTM-30LX")
     replies = _scans(sensor, "MD0000108001203", 3)
     assert [reply.echo for reply in replies] == [
@@ -249,7 +249,7 @@ def test_a_limited_stream_counts_down_and_switches_the_laser_off() -> None:
     assert sensor.due() == float("inf")
 
 
-def test_an_endless_stream_keeps_its_echo_and_string() -> None:
+def test_endless_stream_keeps_its_echo_and_string() -> None:
     replies = _scans(EmulatedScip(), "MD0000108001000;mine", 3)
     assert {reply.echo for reply in replies} == {b"MD0000108001000;mine"}
 
@@ -263,7 +263,7 @@ def test_other_commands_are_answered_between_scans() -> None:
     assert sensor.tick(2.0) == []
 
 
-def test_the_clock_wraps_drifts_and_restarts() -> None:
+def test_clock_wraps_drifts_and_restarts() -> None:
     sensor = EmulatedScip("UTM-30LX", clock_start_ms=CLOCK_MS - 40, drift_ppm=100.0)
     times = [_time_ms(reply) for reply in _scans(sensor, "MD0000000001000", 3)]
     assert times == [CLOCK_MS - 40, CLOCK_MS - 15, 10]
@@ -284,7 +284,7 @@ def test_old_scans_are_not_sent_after_a_busy_line() -> None:
     assert min(times) > 4850
 
 
-def test_a_single_scan_waits_for_the_first_turn_of_the_laser() -> None:
+def test_single_scan_waits_for_the_first_turn_of_the_laser() -> None:
     sensor = EmulatedScip("UST-10LX")
     assert sensor.receive(b"BM\nGD0000108000\n", 0.01) == [b"BM\n00P\n\n"]
     (frame,) = sensor.tick(sensor.due())
@@ -315,7 +315,7 @@ def test_only_ethernet_sensors_notice_a_disconnected_client(model: str) -> None:
     assert bool(sensor.tick(1.0)) == (model == "UTM-30LX")
 
 
-def test_no_two_scans_are_equal_but_for_the_same_seed() -> None:
+def test_scans_differ_unless_the_seed_is_the_same() -> None:
     def sent(seed: int) -> list[SentScan]:
         scans: list[SentScan] = []
         _scans(EmulatedScip("UTM-30LX-EW", seed=seed, on_scan=scans.append), "NE0000108001000", 4)

@@ -20,7 +20,7 @@ def data_of(*values: int) -> ScanData:
     return ScanData(0, np.array(values, np.int32).reshape(-1, 1))
 
 
-def test_angles_and_times_of_a_whole_scan() -> None:
+def test_whole_scan_has_the_angles_and_times_of_the_model() -> None:
     request = ScanRequest(44, 725)
     messages = ScanMessages(URG_04LX, request)
 
@@ -35,7 +35,7 @@ def test_angles_and_times_of_a_whole_scan() -> None:
     assert set(scan.ranges.tolist()) == {1.0}
 
 
-def test_clusters_and_skipped_scans() -> None:
+def test_clusters_and_skipped_scans_change_increments_and_scan_time() -> None:
     request = ScanRequest(0, 1080, cluster=3, skip=3)
     messages = ScanMessages(UTM, request)
 
@@ -71,7 +71,7 @@ def test_range_max_shortens_the_range() -> None:
     assert scan.range_max == 30.0
 
 
-def test_the_chosen_echo_is_the_range() -> None:
+def test_chosen_echo_is_the_range() -> None:
     distances = np.array([[1000, 2000, 3000], [500, -1, -1], [700, 800, -1]], np.int32)
     strengths = np.array([[5, 9, 2], [1, -1, -1], [8, 3, -1]], np.int32)
     data = ScanData(0, distances, strengths)

@@ -1,4 +1,4 @@
-"""Sensors with only the necessary commands of SCIP are driven as well."""
+"""Sensors with only the necessary commands of SCIP are supported."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from cairn.components.hokuyo.protocol import encode_number, with_sum
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
-from tests.components.hokuyo.driving import Driven
+from tests.components.hokuyo.emulated_driver import EmulatedDriver
 
 pytestmark = pytest.mark.slow
 
@@ -76,16 +76,16 @@ class PlainSensor:
 
 
 @pytest.mark.parametrize("wants_laser", [False, True])
-def test_a_sensor_with_the_necessary_commands_only(tmp_path: Path, wants_laser: bool) -> None:
+def test_sensor_with_only_the_mandatory_commands_works(tmp_path: Path, wants_laser: bool) -> None:
     port = tmp_path / "scanner"
     with Emulator(PlainSensor(wants_laser=wants_laser), PtyEnd(port)) as emulator:
-        it = Driven(emulator, None, [], port=str(port))
+        setup = EmulatedDriver(emulator, None, [], port=str(port))
         try:
-            it.component.activate()
-            scans = it.scans.wait(5)
-            report = it.health(lambda status: True)
+            setup.component.activate()
+            scans = setup.scans.wait(5)
+            report = setup.health(lambda status: True)
         finally:
-            it.component.close()
+            setup.component.close()
     stamps = [scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9 for scan in scans]
 
     assert [scan.ranges[0] for scan in scans] == pytest.approx([1.001, 1.002, 1.003, 1.004, 1.005])

@@ -33,7 +33,7 @@ def test_model_and_rate_are_printed(port: str) -> None:
     assert "nominal: 40.00" in answer.out
 
 
-def test_json_output_over_tcp() -> None:
+def test_probe_prints_json_over_tcp() -> None:
     end = TcpEnd(0)
     with Emulator(EmulatedScip("UTM-30LX-EW"), end):
         where = f"tcp:127.0.0.1:{end.port}"
@@ -60,7 +60,7 @@ def test_errors_name_the_device_or_value(words: list[str], message: str) -> None
     assert message in answer.err
 
 
-def test_without_a_port_it_lists_the_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_probe_without_a_port_lists_the_serial_ports(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(list_ports, "comports", list)
 
     assert "no serial port found" in cairn("driver", "probe", "hokuyo").out
@@ -74,7 +74,7 @@ def scan_of(ranges: Any, first: float, step: float) -> LaserScan:
     )
 
 
-def test_the_picture_shows_ahead_up_and_left_on_the_left() -> None:
+def test_picture_shows_forward_up_and_left_on_the_left() -> None:
     # Ahead 2 m, left 4 m, behind nothing, right 1 m.
     scan = scan_of([1.0, 2.0, 4.0, math.inf], -0.5 * math.pi, 0.5 * math.pi)
 
@@ -95,7 +95,7 @@ def test_the_picture_shows_ahead_up_and_left_on_the_left() -> None:
     assert any(row in (5, 6) and 12 <= column <= 13 for row, column in dots)  # right
 
 
-def test_the_picture_reaches_nearly_all_ranges() -> None:
+def test_picture_reaches_nearly_all_ranges() -> None:
     scan = scan_of([2.0] * 99 + [9.0], 0.0, 0.01)
     nothing = scan_of([math.inf] * 10, 0.0, 0.01)
 

@@ -27,6 +27,7 @@ from cairn.components.hokuyo.protocol import (
     with_sum,
     without_sum,
 )
+from tests.wording import words_in_order
 
 _REPLIES = [b"MD0044072501000\n99b\n007GN\nabc\n\n", b"QT\n00P\n\n", b"V\n0\nVEND:x\nPROD:y\n\n"]
 CAPTURED_VV = Path(__file__).parents[2] / "data" / "hokuyo" / "scip20_VV_urg04lx-ug01.bin"
@@ -45,13 +46,13 @@ WHOLE = ScanRequest(44, 725)
 
 
 @pytest.mark.parametrize(("value", "text"), [(1234, b"CB"), (5432, b"1Dh"), (16_000_000, b"m2@0")])
-def test_numbers_of_the_specification(value: int, text: bytes) -> None:
+def test_numbers_are_encoded_as_in_the_specification(value: int, text: bytes) -> None:
     assert encode_number(value, len(text)) == text
     assert decode_number(text) == value
 
 
 @pytest.mark.parametrize("line", [b"00P", b"99b", b"0Ee", b"98a", b"10Q"])
-def test_check_sums_are_those_of_real_sensors(line: bytes) -> None:
+def test_check_sums_equal_those_of_real_sensors(line: bytes) -> None:
     assert check_sum(line[:-1]) == line[-1:]
 
 
@@ -65,20 +66,20 @@ def test_numbers_are_decoded_as_encoded(width: int, data: st.DataObject) -> None
 
 
 @pytest.mark.parametrize("text", [b"0/0", b"0p0", b"0\n0", b"\xff00"])
-def test_other_characters_are_refused_as_numbers(text: bytes) -> None:
+def test_other_characters_are_rejected_as_numbers(text: bytes) -> None:
     with pytest.raises(ScipError, match="numbers"):
         decode_numbers(np.frombuffer(text, np.uint8), 3)
     with pytest.raises(ScipError, match="not a number"):
         decode_number(text)
 
 
-def test_an_incomplete_number_is_refused() -> None:
+def test_incomplete_number_is_rejected() -> None:
     with pytest.raises(ScipError, match="4 characters"):
         decode_numbers(np.frombuffer(b"0000", np.uint8), 3)
 
 
 @given(st.binary(min_size=1, max_size=64), st.data())
-def test_a_changed_character_breaks_the_check_sum(text: bytes, data: st.DataObject) -> None:
+def test_changed_character_breaks_the_check_sum(text: bytes, data: st.DataObject) -> None:
     text = bytes(0x30 + byte % 64 for byte in text)
     line = bytearray(with_sum(text))
     assert without_sum(bytes(line)) == text
@@ -127,14 +128,14 @@ def test_endless_noise_is_discarded() -> None:
     assert splitter.feed(b"x\n\n" + _REPLIES[1])[-1].echo == b"QT"
 
 
-def test_bytes_of_no_reply_are_counted() -> None:
+def test_bytes_outside_of_replies_are_counted() -> None:
     splitter = ReplySplitter()
 
     assert splitter.feed(b"rubbish\n\n" + _REPLIES[1]) == [Reply(b"QT", b"00P", b"")]
     assert splitter.noise == len(b"rubbish")
 
 
-def test_a_captured_version_is_parsed() -> None:
+def test_captured_version_is_parsed() -> None:
     (reply,) = ReplySplitter().feed(CAPTURED_VV.read_bytes())
 
     assert parse_fields(reply.lines) == {
@@ -146,7 +147,7 @@ def test_a_captured_version_is_parsed() -> None:
     }
 
 
-def test_the_spec_of_a_real_sensor_is_parsed() -> None:
+def test_spec_of_a_real_sensor_is_parsed() -> None:
     found = sensor_spec(parse_fields(PP))
 
     assert (found.least_mm, found.most_mm, found.turn_steps) == (20, 5600, 1024)
@@ -170,7 +171,7 @@ def test_sums_with_the_semicolon_and_up_to_an_arrow_are_accepted() -> None:
     assert parse_fields(lines)["MESM"] == "Measuring by Normal Mode<-Ignored"
 
 
-def test_a_wrong_sum_in_a_field_is_refused() -> None:
+def test_wrong_sum_in_a_field_is_rejected() -> None:
     with pytest.raises(ScipError, match="DMIN:20;5"):
         parse_fields([b"DMIN:20;5"])
 
@@ -185,7 +186,7 @@ def test_a_wrong_sum_in_a_field_is_refused() -> None:
         ({"SCAN": "0"}, "impossible"),
     ],
 )
-def test_impossible_specs_are_refused(change: dict[str, str | None], message: str) -> None:
+def test_impossible_specs_are_rejected(change: dict[str, str | None], message: str) -> None:
     values = {key: value for key, value in (parse_fields(PP) | change).items() if value is not None}
 
     with pytest.raises(ScipError, match=message):
@@ -200,7 +201,7 @@ def reply_of(text: bytes, time_ms: int = 1234, echo: bytes = b"MD0000000000000")
     return reply
 
 
-def test_a_captured_scan_is_parsed() -> None:
+def test_captured_scan_is_parsed() -> None:
     (reply,) = ReplySplitter().feed(CAPTURED_GD.read_bytes())
     data = scan_data(reply, WHOLE)
     distances = data.distances[:, 0]
@@ -230,7 +231,7 @@ def test_any_changed_byte_of_a_captured_scan_is_detected() -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(st.data())
-def test_a_missing_or_added_part_is_detected(data: st.DataObject) -> None:
+def test_missing_or_added_part_is_detected(data: st.DataObject) -> None:
     good = CAPTURED_GD.read_bytes()
     begin = data.draw(st.integers(0, len(good) - 3))
     end = data.draw(st.integers(begin, len(good) - 3))
@@ -252,7 +253,7 @@ def _same(right: ScanData, found: ScanData) -> None:
 
 
 @pytest.mark.parametrize("values", [1, 21, 64, 128, 682, 1081])
-def test_lines_may_be_full_or_not(values: int) -> None:
+def test_full_and_shorter_lines_are_parsed(values: int) -> None:
     expected = np.arange(values) * 37 % 30_000
     text = b"".join(encode_number(int(value), 3) for value in expected)
 
@@ -261,7 +262,7 @@ def test_lines_may_be_full_or_not(values: int) -> None:
     assert data.distances[:, 0].tolist() == expected.tolist()
 
 
-def test_two_characters_and_intensities() -> None:
+def test_two_character_ranges_with_intensities_are_parsed() -> None:
     short = scan_data(reply_of(b"CB" * 70), ScanRequest(0, 69, encoding=2))
     both = scan_data(
         reply_of((b"1Dh" + encode_number(99, 3)) * 70), ScanRequest(0, 69, intensity=True)
@@ -277,7 +278,7 @@ ECHOES = st.lists(st.lists(st.integers(0, 262_143), min_size=1, max_size=3), min
 
 
 @given(ECHOES, st.booleans())
-def test_several_echoes(echoes: list[list[int]], intensity: bool) -> None:
+def test_several_echoes_are_parsed(echoes: list[list[int]], intensity: bool) -> None:
     def one(value: int) -> bytes:
         text = encode_number(value, 3)
         return text + encode_number(value // 2, 3) if intensity else text
@@ -298,11 +299,11 @@ def test_several_echoes(echoes: list[list[int]], intensity: bool) -> None:
 @pytest.mark.parametrize(
     "text", [b"&000", b"00&0000", b"000&", b"000&&000000", b"000&000&000&000", b"000&00"]
 )
-def test_marks_of_echoes_that_cannot_be_are_refused(text: bytes) -> None:
+def test_impossible_echo_marks_are_rejected(text: bytes) -> None:
     with pytest.raises(ScipError):
         scan_data(reply_of(text), ScanRequest(0, 0, multi_echo=True))
 
 
-def test_more_or_fewer_values_than_requested_are_refused() -> None:
-    with pytest.raises(ScipError, match="70 values were received, but 71"):
+def test_more_or_fewer_values_than_requested_are_rejected() -> None:
+    with pytest.raises(ScipError, match=words_in_order("70 values", "71")):
         scan_data(reply_of(b"000" * 70), ScanRequest(0, 70))

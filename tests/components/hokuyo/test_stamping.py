@@ -47,7 +47,7 @@ def errors_s(
 
 
 @pytest.mark.parametrize("drift", [0.0, 50e-6, -50e-6, 200e-6, -200e-6])
-def test_stamps_of_a_sensor_whose_clock_was_read(drift: float) -> None:
+def test_stamps_use_the_sensors_clock_if_it_was_read(drift: float) -> None:
     assert np.abs(errors_s(drift, readings=True)).max() < 0.0025
 
 
@@ -76,7 +76,7 @@ def test_without_a_clock_the_stamp_follows_from_the_arrival() -> None:
     assert stamp / SECOND == pytest.approx(10.0 - 0.05 - 0.025 * 1081 / 1440)
 
 
-def test_the_stamp_is_of_the_first_requested_ray() -> None:
+def test_stamp_is_that_of_the_first_requested_ray() -> None:
     whole, part = ScanStamper(UTM), ScanStamper(UTM)
     arrived = 10 * SECOND
 
@@ -87,7 +87,7 @@ def test_the_stamp_is_of_the_first_requested_ray() -> None:
 
 
 @pytest.mark.parametrize("line_s", [0.0, 0.2])
-def test_a_change_of_request_does_not_shift_the_stamps(line_s: float) -> None:
+def test_change_of_request_does_not_shift_the_stamps(line_s: float) -> None:
     stamper = ScanStamper(UTM)
     stamper.calibrate([ClockReading(0, 0, 500_000)])
     errors = []
@@ -103,7 +103,7 @@ def test_a_change_of_request_does_not_shift_the_stamps(line_s: float) -> None:
 
 
 @pytest.mark.parametrize("ran_ms", [1_000, 3_000_000, 10_000_000])
-def test_a_restarted_sensor_is_followed_at_once(ran_ms: int) -> None:
+def test_restarted_sensor_is_followed_at_once(ran_ms: int) -> None:
     stamper = ScanStamper(UTM)
     stamper.calibrate([ClockReading(ran_ms, 0, 500_000)])
     errors = []

@@ -1,4 +1,4 @@
-"""A hall with landmarks and a robot that drives an eight in it, for tests of the localizer."""
+"""A hall with landmarks and a robot that drives on a figure eight, for tests of the localizer."""
 
 import math
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ class Moment:
 
 
 def drive(seconds: float, seed: int = 0, blind: tuple[float, float] = (0, 0)) -> Iterator[Moment]:
-    """The robot's journey; the base follows commands exactly but for noise."""
+    """Yield the moments of a drive; the base follows commands exactly, except for noise."""
     random = np.random.default_rng(seed)
     x, y, theta = 0.0, 0.0, 0.0
     for k in range(int(seconds / STEP_S)):
@@ -62,7 +62,7 @@ def drive(seconds: float, seed: int = 0, blind: tuple[float, float] = (0, 0)) ->
 
 
 def landmarks(**moved: tuple[float, float]) -> list[Landmark]:
-    """The map; `o3=(1.0, 0.5)` writes object 3 that far [m] from its true place."""
+    """The map; `o3=(1.0, 0.5)` moves object 3 by that distance [m] from its true position."""
     shift = {int(name[1:]): move for name, move in moved.items()}
     return [
         Landmark(i, x + shift.get(i, (0, 0))[0], y + shift.get(i, (0, 0))[1], reliability=0.9)

@@ -1,4 +1,4 @@
-"""A robot with the localizer alone that wanders through a random floor plan."""
+"""The localizer alone, on a robot that drives at random through a random floor plan."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def drive(
     scale: float = 1.01,
     speed: float = 0.4,
 ) -> Iterator[Moment]:
-    """A robot that goes ahead and turns away from obstacles; odometry is wrong by `scale`."""
+    """Yield the drive of a robot that turns away from obstacles; odometry is scaled by `scale`."""
     random = np.random.default_rng(seed)
     pose, odometry = start, (0.0, 0.0, 0.0)
     for k in range(round(seconds / STEP_S)):

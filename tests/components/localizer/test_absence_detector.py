@@ -21,7 +21,7 @@ WALL = np.column_stack((np.full(61, 3.0), np.linspace(-1.5, 1.5, 61)))
 NO_MISSES = np.empty((0, 2))
 
 
-def ensure_filter(points: np.ndarray = WALL, scanned: float = 10.0) -> AbsenceDetector:
+def new_detector(points: np.ndarray = WALL, scanned: float = 10.0) -> AbsenceDetector:
     it = AbsenceDetector()
     it.add_scan(scanned, points, NO_MISSES, (0.0, 0.0, 0.0))
     it.add_agreeing(10.0, [2])
@@ -44,44 +44,44 @@ def missed(
 
 
 def test_unrecognized_object_in_view_is_missing() -> None:
-    assert missed(ensure_filter()) == [1]
+    assert missed(new_detector()) == [1]
 
 
 def test_recognized_object_is_not_missing() -> None:
-    assert missed(ensure_filter(), Observation(1, 3.0, 0.0, 0.01, 0.001)) == []
+    assert missed(new_detector(), Observation(1, 3.0, 0.0, 0.01, 0.001)) == []
 
 
 def test_object_recognized_as_an_alternative_is_not_missing() -> None:
-    assert missed(ensure_filter(), Observation(5, 3.0, 0.0, 0.01, 0.001, (1,))) == []
+    assert missed(new_detector(), Observation(5, 3.0, 0.0, 0.01, 0.001, (1,))) == []
 
 
 def test_object_removed_from_the_map_is_not_missing() -> None:
-    assert missed(ensure_filter(), poster=Landmark(1, 3.0, 0.0, live=False)) == []
+    assert missed(new_detector(), poster=Landmark(1, 3.0, 0.0, live=False)) == []
 
 
 def test_person_in_front_hides_the_object() -> None:
     person = np.column_stack((np.full(11, 1.5), np.linspace(-0.2, 0.2, 11)))
 
-    assert missed(ensure_filter(np.concatenate((WALL, person)))) == []
+    assert missed(new_detector(np.concatenate((WALL, person)))) == []
 
 
 def test_object_without_a_beam_in_its_direction_is_not_missing() -> None:
-    assert missed(ensure_filter(WALL[:20])) == []
+    assert missed(new_detector(WALL[:20])) == []
     assert missed(AbsenceDetector()) == []
 
 
 def test_nothing_is_missing_while_the_camera_recognizes_nothing() -> None:
-    assert missed(ensure_filter(scanned=40.0), stamp=40.0) == [1]
-    assert missed(ensure_filter(scanned=41.0), stamp=41.0) == []
+    assert missed(new_detector(scanned=40.0), stamp=40.0) == [1]
+    assert missed(new_detector(scanned=41.0), stamp=41.0) == []
 
 
 def test_nothing_is_missing_without_recent_scans() -> None:
-    assert missed(ensure_filter(scanned=9.1)) == [1]
-    assert missed(ensure_filter(scanned=8.9)) == []
+    assert missed(new_detector(scanned=9.1)) == [1]
+    assert missed(new_detector(scanned=8.9)) == []
 
 
 def test_many_missing_objects_indicate_a_failing_camera() -> None:
-    it = ensure_filter()
+    it = new_detector()
     dark = {1: POSTER, 3: Landmark(3, 2.9, 0.6)}
 
     it.add_scan(14.0, WALL, NO_MISSES, (0.0, 0.0, 0.0))
@@ -96,9 +96,9 @@ def test_many_missing_objects_indicate_a_failing_camera() -> None:
     assert [landmark.object_id for landmark, _, _ in with_another] == [1, 3]
 
 
-def test_scan_is_carried_to_the_current_pose() -> None:
+def test_scan_is_transformed_to_the_current_pose() -> None:
     """A person 1 m ahead; the robot has gone by."""
-    it = ensure_filter(np.array([[1.0, 0.0], [3.0, 0.0]]))
+    it = new_detector(np.array([[1.0, 0.0], [3.0, 0.0]]))
     past = PoseEstimate((1.5, 0.0, 0.0), SURE.covariance)
 
     found = it.missing(10.0, AHEAD, [], {1: POSTER, 2: ELSEWHERE}, past, (1.5, 0.0, 0.0))
@@ -118,6 +118,6 @@ def test_uncertain_heading_narrows_the_expected_view() -> None:
     assert expected(unsure, Landmark(1, 3.0, 0.6), AHEAD) is None
 
 
-def test_beam_without_a_hit_shows_free_sight() -> None:
+def test_beam_without_a_hit_means_a_free_line_of_sight() -> None:
     assert is_visible(np.empty((0, 2)), np.array([[4.0, 0.01]]), 3.0, 0.0)
     assert not is_visible(np.empty((0, 2)), np.array([[2.0, 0.01]]), 3.0, 0.0)

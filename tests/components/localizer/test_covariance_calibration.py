@@ -14,20 +14,20 @@ CELL_M = 0.05
 EXACT_M = 0.027  # what exact beams deviate from a map of such cells
 
 
-def cloud(deviation: float, x: float = 0.0) -> PoseEstimate:
+def estimate_with(deviation: float, x: float = 0.0) -> PoseEstimate:
     return PoseEstimate((x, 0.0, 0.0), np.diag([deviation**2, deviation**2, deviation**2]))
 
 
 def after_corrections(of: float) -> CovarianceCalibrator:
-    """Of a cloud that shrinks from 0.05 to 0.03 m with each scan, and is moved by so much [m]."""
+    """Return a calibrator after scans that shrink a particle set from 0.05 to 0.03 m."""
     stated = CovarianceCalibrator()
     for k in range(200):
-        stated.add_correction(cloud(0.05), cloud(0.03, of * (-1) ** k), 1.0)
+        stated.add_correction(estimate_with(0.05), estimate_with(0.03, of * (-1) ** k), 1.0)
     return stated
 
 
 def deviation(stated: CovarianceCalibrator) -> float:
-    return math.sqrt(stated.calibrated(cloud(0.03), CELL_M)[0, 0])
+    return math.sqrt(stated.calibrated(estimate_with(0.03), CELL_M)[0, 0])
 
 
 def test_consistent_filter_publishes_its_own_covariance() -> None:
@@ -44,12 +44,12 @@ def test_corrections_larger_than_expected_make_it_wider_within_limits() -> None:
     assert 0.05 < deviation(after_corrections(0.12)) < deviation(after_corrections(5.0)) < 0.1
 
 
-def test_scans_taken_on_the_spot_say_little() -> None:
+def test_scans_of_a_standing_robot_change_the_calibration_little() -> None:
     expected = math.sqrt(0.05**2 - 0.03**2)
     still, moving = after_corrections(expected), after_corrections(expected)
     for _ in range(20):
-        still.add_correction(cloud(0.05), cloud(0.03), 0.03)
-        moving.add_correction(cloud(0.05), cloud(0.03), 1.0)
+        still.add_correction(estimate_with(0.05), estimate_with(0.03), 0.03)
+        moving.add_correction(estimate_with(0.05), estimate_with(0.03), 1.0)
 
     assert deviation(still) == pytest.approx(0.03, rel=0.05)
     assert deviation(moving) < 0.022
@@ -101,7 +101,7 @@ def test_scan_without_deviation_changes_nothing() -> None:
     assert deviation(stated) == before
 
 
-def test_the_truth_lies_within_the_stated_sigmas_as_often_as_it_should() -> None:
+def test_truth_lies_within_the_stated_sigmas_as_often_as_it_should() -> None:
     squares: list[float] = []
     for seed in (7, 8, 9):
         grid = floor(9.0, 4, seed)

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 
 def evidence(grid: OccupancyCells, *poses: Pose, seed: int = 0) -> RecentMeasurements:
-    """What a robot saw that came through these poses, with odometry that is right."""
+    """Return the measurements of a robot that drove through these poses, with exact odometry."""
     random = np.random.default_rng(seed)
     scans = RecentScans()
     for pose in poses:
@@ -66,7 +66,7 @@ def test_recent_scans_are_from_different_poses() -> None:
     assert len(scans) <= 2
 
 
-def test_recent_scans_are_carried_to_their_poses() -> None:
+def test_recent_scans_are_transformed_to_their_poses() -> None:
     grid = room()
     poses = [(2.0, 2.0, 0.0), (2.5, 2.0, 0.2), (3.0, 2.1, 0.4)]
     seen = evidence(grid, *poses)
@@ -162,7 +162,7 @@ def test_wheel_slip_is_detected_by_two_scans(slip: Pose) -> None:
     assert "not ruled out" in one.health().reason.text
 
 
-def test_people_around_the_robot_are_no_wheel_slip() -> None:
+def test_people_around_the_robot_do_not_count_as_wheel_slip() -> None:
     grid = room()
     watch = WheelSlipDetector(np.random.default_rng(0))
     scan_map = ScanMap(grid, 0.1, 0.05)
@@ -180,7 +180,7 @@ def test_people_around_the_robot_are_no_wheel_slip() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_carried_robot_is_found_and_has_low_health_before(seed: int) -> None:
+def test_kidnapped_robot_has_low_health_until_it_is_found(seed: int) -> None:
     grid = room()
     one = robot(grid, seed)
     one.set_pose(START, np.diag([0.01**2, 0.01**2, 0.01**2]))

@@ -18,8 +18,8 @@ A, B = Landmark(1, 3.0, 1.0, reliability=0.9), Landmark(2, 3.0, -1.0, reliabilit
 MAP = {1: A, 2: B}
 
 
-def judged(
-    judge: LandmarkEvaluator,
+def evidence_of(
+    evaluator: LandmarkEvaluator,
     object_id: int,
     step: int,
     at: tuple[float, float],
@@ -34,7 +34,7 @@ def judged(
     observation = Observation(
         object_id, math.hypot(dx, dy), wrap(math.atan2(dy, dx)), sd**2, 0.0004
     )
-    evidence, _ = judge.compare(
+    evidence, _ = evaluator.compare(
         observation,
         pose,
         by_all or pose,
@@ -48,43 +48,44 @@ def judged(
     return evidence
 
 
-def judge_of(mode: SimilarityMode = "lr") -> LandmarkEvaluator:
+def evaluator_of(mode: SimilarityMode = "lr") -> LandmarkEvaluator:
     return LandmarkEvaluator(mode, 300, np.random.default_rng(0))
 
 
 def test_single_contradiction_is_not_corroborated() -> None:
-    found = judged(judge_of(), 1, 0, (4.0, 2.0))
+    found = evidence_of(evaluator_of(), 1, 0, (4.0, 2.0))
 
     assert found.verdict == ObjectEvidence.DISAGREES
     assert not found.corroborated
 
 
 def test_clear_forgets_contradictions() -> None:
-    judge = judge_of()
-    wrongly = [judged(judge, 1, step, (A.x, A.y + 0.4)).verdict for step in range(10)]
+    evaluator = evaluator_of()
+    wrongly = [evidence_of(evaluator, 1, step, (A.x, A.y + 0.4)).verdict for step in range(10)]
     assert wrongly[-1] == ObjectEvidence.DISAGREES
 
-    judge.clear()
+    evaluator.clear()
 
-    rightly = [judged(judge, 1, step, (A.x, A.y)).verdict for step in range(10)]
+    rightly = [evidence_of(evaluator, 1, step, (A.x, A.y)).verdict for step in range(10)]
     assert ObjectEvidence.DISAGREES not in rightly
 
 
 def test_three_consistent_contradictions_corroborate_each_other() -> None:
-    judge = judge_of()
+    evaluator = evaluator_of()
 
-    found = [judged(judge, 1, step, (4.0, 2.0)) for step in range(4)]
+    found = [evidence_of(evaluator, 1, step, (4.0, 2.0)) for step in range(4)]
 
     assert [one.similarity for one in found] == [0.1] * 4
     assert [one.corroborated for one in found] == [False, False, True, True]
 
 
 def test_agreement_clears_earlier_contradictions() -> None:
-    judge = judge_of()
+    evaluator = evaluator_of()
     wrong, right = (4.0, 2.0), (A.x, A.y)
 
     found = [
-        judged(judge, 1, step, at) for step, at in enumerate([wrong, wrong, right, wrong, wrong])
+        evidence_of(evaluator, 1, step, at)
+        for step, at in enumerate([wrong, wrong, right, wrong, wrong])
     ]
 
     assert found[2].verdict == ObjectEvidence.AGREES
@@ -92,11 +93,11 @@ def test_agreement_clears_earlier_contradictions() -> None:
 
 
 def test_object_is_not_doubted_while_the_full_pose_agrees() -> None:
-    judge = judge_of()
+    evaluator = evaluator_of()
     # The robot is truly 1 m to the right of where the poses without the object have strayed to.
     verdicts = [
-        judged(
-            judge,
+        evidence_of(
+            evaluator,
             1,
             step,
             (3.0, 2.0),
@@ -109,49 +110,49 @@ def test_object_is_not_doubted_while_the_full_pose_agrees() -> None:
 
 
 def test_observation_at_another_object_is_a_false_match() -> None:
-    judge = judge_of()
+    evaluator = evaluator_of()
 
-    verdicts = [judged(judge, 1, step, (3.0, -1.0)).verdict for step in range(8)]
+    verdicts = [evidence_of(evaluator, 1, step, (3.0, -1.0)).verdict for step in range(8)]
 
     assert verdicts[:7] == [ObjectEvidence.FALSE_MATCH] * 7
     assert verdicts[7] == ObjectEvidence.DISAGREES
 
 
 def test_two_objects_observed_at_each_others_positions_were_exchanged() -> None:
-    judge = judge_of()
+    evaluator = evaluator_of()
     verdicts = []
     for step in range(5):
-        first = judged(judge, 1, step, (3.0, -1.0))
-        second = judged(judge, 2, step, (3.0, 1.0))
+        first = evidence_of(evaluator, 1, step, (3.0, -1.0))
+        second = evidence_of(evaluator, 2, step, (3.0, 1.0))
         verdicts.append((first.verdict, second.verdict))
 
     assert verdicts[0][0] == ObjectEvidence.FALSE_MATCH
     assert verdicts[4] == (ObjectEvidence.DISAGREES, ObjectEvidence.DISAGREES)
-    assert judged(judge, 1, 6, (3.0, -1.0)).similarity == pytest.approx(0.1)
+    assert evidence_of(evaluator, 1, 6, (3.0, -1.0)).similarity == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_small_displacement_is_detected_by_many_observations(seed: int) -> None:
     """Each observation by itself agrees: it is as noisy as the move is wide."""
     random = np.random.default_rng(seed)
-    judge = judge_of()
+    evaluator = evaluator_of()
 
     verdicts = []
     for step in range(18):
         dx, dy = 0.1 * random.standard_normal(2)
-        verdicts.append(judged(judge, 1, step, (3.33 + dx, 1.0 + dy), sd=0.15).verdict)
+        verdicts.append(evidence_of(evaluator, 1, step, (3.33 + dx, 1.0 + dy), sd=0.15).verdict)
 
     assert ObjectEvidence.AGREES in verdicts[:6]
     assert verdicts[6:].count(ObjectEvidence.DISAGREES) >= 3
 
 
 def test_false_matches_do_not_displace_an_object() -> None:
-    judge = judge_of()
+    evaluator = evaluator_of()
     for step in range(4):
-        judged(judge, 1, step, (1.5 + step, 2.5), sd=0.15)
+        evidence_of(evaluator, 1, step, (1.5 + step, 2.5), sd=0.15)
 
     verdicts = {
-        judged(judge, 1, step, (3.1 if step % 2 else 2.95, 1.0), sd=0.15).verdict
+        evidence_of(evaluator, 1, step, (3.1 if step % 2 else 2.95, 1.0), sd=0.15).verdict
         for step in range(4, 12)
     }
 
@@ -161,19 +162,29 @@ def test_false_matches_do_not_displace_an_object() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_static_object_always_agrees(seed: int) -> None:
     random = np.random.default_rng(seed)
-    judge = judge_of()
+    evaluator = evaluator_of()
 
     verdicts = set()
     for step in range(40):
         dx, dy = 0.08 * random.standard_normal(2)
-        verdicts.add(judged(judge, 1, step % 10, (3.05 + dx, 1.0 + dy), sd=0.15).verdict)
+        verdicts.add(evidence_of(evaluator, 1, step % 10, (3.05 + dx, 1.0 + dy), sd=0.15).verdict)
 
     assert verdicts == {ObjectEvidence.AGREES}
 
 
 def test_gate_and_paper_rule_need_no_corroboration() -> None:
-    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).verdict == ObjectEvidence.DISAGREES
-    assert judged(judge_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(0.1)
-    assert judged(judge_of("chi_square"), 1, 0, (3.0, 1.0)).verdict == ObjectEvidence.AGREES
+    assert (
+        evidence_of(evaluator_of("chi_square"), 1, 0, (4.0, 2.0)).verdict
+        == ObjectEvidence.DISAGREES
+    )
+    assert evidence_of(evaluator_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(
+        0.1
+    )
+    assert (
+        evidence_of(evaluator_of("chi_square"), 1, 0, (3.0, 1.0)).verdict == ObjectEvidence.AGREES
+    )
     # Without anything else seen, samples on a ring do not converge: no evidence.
-    assert judged(judge_of("paper_rule"), 1, 0, (4.0, 2.0)).verdict == ObjectEvidence.NOT_CONVERGED
+    assert (
+        evidence_of(evaluator_of("paper_rule"), 1, 0, (4.0, 2.0)).verdict
+        == ObjectEvidence.NOT_CONVERGED
+    )

@@ -34,7 +34,7 @@ def pose(x: float = 0.0, y: float = 0.0, theta: float = 0.0, sd: float = 0.05) -
     return PoseEstimate((x, y, theta), np.diag([sd**2, sd**2, (0.5 * sd) ** 2]))
 
 
-def seen(range_m: float, bearing: float = 0.0) -> Observation:
+def observed(range_m: float, bearing: float = 0.0) -> Observation:
     return Observation(1, range_m, bearing, 0.1**2, 0.02**2)
 
 
@@ -42,7 +42,7 @@ def seen(range_m: float, bearing: float = 0.0) -> Observation:
 def test_similarity_is_always_a_number_within_its_bounds(
     x: float, y: float, theta: float, reach: float, bearing: float, mx: float, my: float
 ) -> None:
-    found = innovation(pose(x, y, theta), seen(reach, bearing), Landmark(1, mx, my))
+    found = innovation(pose(x, y, theta), observed(reach, bearing), Landmark(1, mx, my))
 
     assert 0.1 <= likelihood_ratio_similarity(found) <= 0.9
 
@@ -50,28 +50,30 @@ def test_similarity_is_always_a_number_within_its_bounds(
 def test_object_in_place_agrees_and_moved_object_disagrees() -> None:
     landmark = Landmark(1, 2.0, 0.0)
 
-    assert likelihood_ratio_similarity(innovation(pose(), seen(2.0), landmark)) == 0.9
-    assert likelihood_ratio_similarity(innovation(pose(), seen(3.0), landmark)) == 0.1
-    assert likelihood_ratio_similarity(innovation(pose(), seen(2.0, 0.7), landmark)) == 0.1
+    assert likelihood_ratio_similarity(innovation(pose(), observed(2.0), landmark)) == 0.9
+    assert likelihood_ratio_similarity(innovation(pose(), observed(3.0), landmark)) == 0.1
+    assert likelihood_ratio_similarity(innovation(pose(), observed(2.0, 0.7), landmark)) == 0.1
 
 
 def test_uncertain_pose_is_neutral() -> None:
     lost = pose(sd=3.0)
 
-    assert likelihood_ratio_similarity(innovation(lost, seen(3.0), Landmark(1, 2.0, 0.0))) == 0.5
+    assert (
+        likelihood_ratio_similarity(innovation(lost, observed(3.0), Landmark(1, 2.0, 0.0))) == 0.5
+    )
 
 
 @pytest.mark.parametrize(
     ("radius", "distance", "similarity"),
     [(0.2, 0.1, 0.9), (0.2, 0.4, 0.5), (0.2, 0.8, 0.25), (0.2, 5.0, 0.1), (0.2, 0.0, 0.9)],
 )
-def test_the_papers_similarity_is_radius_over_distance_clamped(
+def test_paper_similarity_is_radius_over_distance_clamped(
     radius: float, distance: float, similarity: float
 ) -> None:
     assert paper_similarity(radius, distance) == pytest.approx(similarity)
 
 
-def test_to_the_letter_similarity_is_bounded_by_nothing() -> None:
+def test_paper_rule_similarity_is_not_bounded() -> None:
     assert paper_rule_similarity(0.2, 0.1) == 1.0
     assert paper_rule_similarity(0.2, 0.0) == 1.0
     assert paper_rule_similarity(0.2, 4.0) == pytest.approx(0.05)
@@ -82,17 +84,17 @@ def test_to_the_letter_similarity_is_bounded_by_nothing() -> None:
 def test_gate_decides_by_one_observation() -> None:
     landmark = Landmark(1, 2.0, 0.0)
 
-    assert gate_similarity(innovation(pose(), seen(2.1), landmark)) == 0.9
-    assert gate_similarity(innovation(pose(), seen(3.0), landmark)) == 0.1
+    assert gate_similarity(innovation(pose(), observed(2.1), landmark)) == 0.9
+    assert gate_similarity(innovation(pose(), observed(3.0), landmark)) == 0.1
 
 
-def test_the_convergence_radius_has_a_floor() -> None:
+def test_convergence_radius_has_a_floor() -> None:
     assert convergence_radius(pose(sd=0.001)) == pytest.approx(0.12)
     assert convergence_radius(pose(sd=0.2)) == pytest.approx(0.49)
 
 
-def test_the_implied_place_is_where_the_sighting_points() -> None:
-    x, y, covariance = implied_position(pose(1.0, 2.0, math.pi / 2), seen(3.0, math.pi / 2))
+def test_implied_position_follows_range_and_bearing() -> None:
+    x, y, covariance = implied_position(pose(1.0, 2.0, math.pi / 2), observed(3.0, math.pi / 2))
 
     assert (x, y) == pytest.approx((-2.0, 2.0))
     assert covariance[0, 0] > 0.1**2
@@ -100,11 +102,11 @@ def test_the_implied_place_is_where_the_sighting_points() -> None:
 
 
 @given(number, number, st.floats(0.3, 8.0), st.floats(-1.0, 1.0), st.integers(0, 1000))
-def test_new_samples_see_the_object_as_it_was_seen(
+def test_new_samples_agree_with_the_observation(
     mx: float, my: float, reach: float, bearing: float, seed: int
 ) -> None:
     landmark = Landmark(1, mx, my, reliability=0.98)
-    observation = seen(reach, bearing)
+    observation = observed(reach, bearing)
 
     ring = sample_ring(observation, landmark, 300, np.random.default_rng(seed))
 
@@ -115,11 +117,11 @@ def test_new_samples_see_the_object_as_it_was_seen(
 
 
 @given(number, number, st.floats(-10, 10), st.floats(0.02, 0.98))
-def test_no_sighting_rules_a_pose_out(x: float, y: float, theta: float, trust: float) -> None:
+def test_no_observation_excludes_a_pose(x: float, y: float, theta: float, trust: float) -> None:
     landmark = Landmark(1, 0.0, 0.0, reliability=trust)
     poses = np.array([[x], [y], [theta]])
 
-    fit = object_log_likelihood(poses, seen(2.0), landmark)[0]
+    fit = object_log_likelihood(poses, observed(2.0), landmark)[0]
 
     assert math.log(1 - trust) - 4.6 - 1e-9 <= fit <= 1e-9
 
@@ -134,12 +136,12 @@ def test_far_displacement_is_a_contradiction() -> None:
     assert likelihood_ratio_similarity(found) == LEAST
 
 
-def test_only_a_certain_object_rules_poses_out() -> None:
+def test_only_a_certain_object_excludes_poses() -> None:
     far = np.array([[10.0], [10.0], [0.0]])
     landmark = Landmark(1, 2.0, 0.0, reliability=0.9)
 
-    doubted = object_log_likelihood(far, seen(2.0), landmark)
-    at_its_word = object_log_likelihood(far, seen(2.0), as_certain(landmark))
+    uncertain = object_log_likelihood(far, observed(2.0), landmark)
+    certain = object_log_likelihood(far, observed(2.0), as_certain(landmark))
 
-    assert doubted[0] > -8.0
-    assert at_its_word[0] < -100.0
+    assert uncertain[0] > -8.0
+    assert certain[0] < -100.0

@@ -30,7 +30,7 @@ def at(field: LikelihoodField, *pose: float, point: tuple[float, float] = (1.0, 
     return float(value[0])
 
 
-def test_deviation_is_of_beams_near_an_obstacle() -> None:
+def test_deviation_uses_only_beams_near_an_obstacle() -> None:
     field = field_of([(20, 30)])
     x, y = field.frame.point(20, 30)
     points = np.array([(x, y), (x + 0.1, y), (x, y + 0.2), (x + 0.5, y)])
@@ -63,7 +63,7 @@ def test_rotated_map_is_read_in_its_frame(origin: Pose, row: int, column: int) -
     assert at(field, x, y, 0.3, point=(0.0, 0.0)) == pytest.approx(expected(0.0), abs=1e-4)
 
 
-def test_point_off_the_map_is_not_taken_for_its_border() -> None:
+def test_point_off_the_map_is_not_treated_as_its_border() -> None:
     field = field_of([(row, 59) for row in range(40)])
 
     assert at(field, 7.0, 1.0, 0.0) == pytest.approx(math.log(STRAY), abs=1e-5)

@@ -22,6 +22,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from tests.components.localizer.room import Moment, apart, drive, room
+from tests.wording import assert_words
 
 BEGIN = 1000.0
 AT: Pose = (2.0, 2.0, 0.0)
@@ -83,7 +84,7 @@ def travel(
     change: Callable[[NDArray[np.float32]], NDArray[np.float32] | None] = lambda ranges: ranges,
     shift: Pose = (0.0, 0.0, 0.0),
 ) -> None:
-    """Give odometry and scans in time; `change` alters each scan, None leaves it out."""
+    """Publish odometry and scans in time; `change` alters each scan, None omits it."""
     for moment in moments:
         localizer.run_for(max(0.0, BEGIN + moment.time - localizer.now))
         localizer.publish("odom", odometry(moment.time, compose(shift, moment.odometry)))
@@ -92,7 +93,7 @@ def travel(
             localizer.publish("scan", scan(moment.time, ranges))
 
 
-def journey(seconds: float = 12.0, seed: int = 0) -> list[Moment]:
+def moments_of_drive(seconds: float = 12.0, seed: int = 0) -> list[Moment]:
     return list(drive(room(), AT, seconds, seed))
 
 
@@ -109,7 +110,7 @@ def last_health(localizer: ComponentHarness[Localizer]) -> Any:
 
 
 def test_each_scan_gives_an_estimate_with_its_stamp() -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
 
     travel(localizer, moments)
 
@@ -120,7 +121,7 @@ def test_each_scan_gives_an_estimate_with_its_stamp() -> None:
 
 
 def test_robot_with_unknown_start_is_found_by_scans() -> None:
-    localizer, moments = start_localizer(None), journey()
+    localizer, moments = start_localizer(None), moments_of_drive()
 
     travel(localizer, moments)
 
@@ -142,7 +143,7 @@ def test_robot_with_unknown_start_is_found_by_scans() -> None:
 def test_invalid_scans_leave_odometry(
     ranges: NDArray[np.float32], word: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    localizer, moments = start_localizer(), journey(6.0)
+    localizer, moments = start_localizer(), moments_of_drive(6.0)
 
     travel(localizer, moments[:30])
     travel(localizer, moments[30:], lambda _: ranges)
@@ -155,7 +156,7 @@ def test_invalid_scans_leave_odometry(
 
 
 def test_number_of_beams_may_change() -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
     numbers = iter(np.tile([BEAMS, 61, 21, 1], len(moments)))
 
     travel(
@@ -168,7 +169,7 @@ def test_number_of_beams_may_change() -> None:
 
 
 def test_odometry_jump_is_logged_and_ignored(caplog: pytest.LogCaptureFixture) -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
 
     travel(localizer, moments[:60])
     travel(localizer, moments[60:], shift=(30.0, -20.0, 2.0))
@@ -178,7 +179,7 @@ def test_odometry_jump_is_logged_and_ignored(caplog: pytest.LogCaptureFixture) -
 
 
 def test_outdated_messages_are_ignored(caplog: pytest.LogCaptureFixture) -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
     travel(localizer, moments[:60])
 
     localizer.publish("odom", odometry(1.0, (9.0, 9.0, 1.0)))
@@ -191,7 +192,7 @@ def test_outdated_messages_are_ignored(caplog: pytest.LogCaptureFixture) -> None
 
 
 def test_localizer_continues_after_time_was_set_back(caplog: pytest.LogCaptureFixture) -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
     travel(localizer, moments[:60])
 
     for moment in moments[60:]:  # the clock of the robot was 500 s fast
@@ -199,25 +200,25 @@ def test_localizer_continues_after_time_was_set_back(caplog: pytest.LogCaptureFi
         localizer.publish("scan", scan(moment.time - 500.0, ranges_of(moment)))
     shown = localizer.take("pose")[-1]
 
-    assert "time on /robot/odom was set back by 49" in caplog.text
+    assert_words(caplog.text, "/robot/odom", "set back", "49")
     assert caplog.text.count("was set back") == 1
     assert shown.header.stamp.sec == int(BEGIN + moments[-1].time - 500.0)
     assert apart(planar_pose(shown.pose.pose), moments[-1].pose)[0] < 0.1
 
 
 def test_scans_ahead_of_the_clock_are_logged_and_dropped(caplog: pytest.LogCaptureFixture) -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
     travel(localizer, moments[:60])
 
     localizer.publish("scan", scan(86_400.0, ranges_of(moments[60])))
     travel(localizer, moments[60:])
 
-    assert "s ahead of the clock; set the clock of its driver" in caplog.text
+    assert_words(caplog.text, "ahead of the clock", "clock of its driver")
     assert last_error(localizer, moments) < 0.1
 
 
 def test_scan_without_odometry_gives_no_transform() -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
     travel(localizer, moments[:60])
     before = localizer.take("tf")[-1].transforms[0]
 
@@ -249,7 +250,7 @@ def test_odometry_without_covariance_is_accepted(variance: float) -> None:
 
 
 def test_operator_pose_needs_no_covariance() -> None:
-    localizer, moments = start_localizer(None), journey()
+    localizer, moments = start_localizer(None), moments_of_drive()
     none = np.zeros(36)
     for given in (none, np.where(np.arange(36) == 7, -1.0, none)):
         localizer.publish("odom", odometry(0.0, moments[0].odometry))
@@ -269,7 +270,7 @@ def test_operator_pose_needs_no_covariance() -> None:
 
 
 def test_map_of_another_size_replaces_the_first() -> None:
-    localizer, moments = start_localizer(), journey()
+    localizer, moments = start_localizer(), moments_of_drive()
     travel(localizer, moments[:60])
     small = room()
     cells = np.full((small.values.shape[0] + 40, small.values.shape[1] + 60), FREE, np.int8)
@@ -293,7 +294,7 @@ def test_updates_renew_the_map_and_those_off_it_are_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     # The map lacks the box in the middle until the updates arrive.
-    localizer, moments = start_localizer(mapped=False), journey()
+    localizer, moments = start_localizer(mapped=False), moments_of_drive()
     boxes = ((1.0, 5.0, 2.2, 5.6), (7.2, 0.0, 9.0, 1.2))
     localizer.publish("map", grid_message(room(boxes)))
 
@@ -308,7 +309,7 @@ def test_updates_renew_the_map_and_those_off_it_are_logged(
 
 
 def test_update_before_any_map_is_ignored() -> None:
-    localizer, moments = start_localizer(mapped=False), journey(3.0)
+    localizer, moments = start_localizer(mapped=False), moments_of_drive(3.0)
 
     localizer.publish("map_updates", update(0, 0, np.full((10, 30), FREE, np.int8)))
     travel(localizer, moments)
@@ -317,7 +318,7 @@ def test_update_before_any_map_is_ignored() -> None:
 
 
 def test_pose_without_sensors_follows_odometry() -> None:
-    localizer, moments = start_localizer(), journey(6.0)
+    localizer, moments = start_localizer(), moments_of_drive(6.0)
 
     travel(localizer, moments, lambda _: None)
 
@@ -328,7 +329,7 @@ def test_pose_without_sensors_follows_odometry() -> None:
 
 
 def test_operator_pose_locates_a_lost_robot() -> None:
-    localizer, moments = start_localizer(None), journey()
+    localizer, moments = start_localizer(None), moments_of_drive()
     travel(localizer, moments[:30], lambda _: np.full(BEAMS, np.inf, np.float32))
     assert localizer.take("pose") == []
     covariance = np.zeros(36)
@@ -345,7 +346,7 @@ def test_operator_pose_locates_a_lost_robot() -> None:
 
 
 def test_wrong_operator_pose_is_corrected() -> None:
-    localizer, moments = start_localizer(), journey(25.0)
+    localizer, moments = start_localizer(), moments_of_drive(25.0)
     travel(localizer, moments[:30])
     covariance = np.zeros(36)
     covariance[[0, 7, 35]] = 0.01

@@ -23,53 +23,53 @@ NORTH, EAST = Landmark(1, 0.0, 3.0), Landmark(2, 3.0, 0.0)
 BOTH = {1: NORTH, 2: EAST}
 
 
-def seen(object_id: int, range_m: float, bearing: float, *alternatives: int) -> Observation:
+def observed(object_id: int, range_m: float, bearing: float, *alternatives: int) -> Observation:
     return Observation(object_id, range_m, bearing, 0.01, 0.0004, alternatives)
 
 
 def test_unambiguous_observation_is_kept() -> None:
-    moved = seen(1, 1.0, 1.0)
+    moved = observed(1, 1.0, 1.0)
 
     assert associate([moved], AT_ORIGIN, BOTH) == [moved]
 
 
 def test_ambiguous_observation_is_assigned_by_position() -> None:
-    [found] = associate([seen(1, 3.0, 0.0, 2)], AT_ORIGIN, BOTH)
+    [found] = associate([observed(1, 3.0, 0.0, 2)], AT_ORIGIN, BOTH)
 
     assert found.object_id == 2
     assert found.alternatives == ()
 
 
 def test_ambiguous_observation_far_from_both_objects_is_dropped() -> None:
-    assert associate([seen(1, 1.5, -1.0, 2)], AT_ORIGIN, BOTH) == []
+    assert associate([observed(1, 1.5, -1.0, 2)], AT_ORIGIN, BOTH) == []
 
 
 def test_lookalikes_close_together_are_dropped() -> None:
     together = {1: Landmark(1, 3.0, 0.1), 2: Landmark(2, 3.0, -0.1)}
 
-    assert associate([seen(1, 3.0, 0.0, 2)], AT_ORIGIN, together) == []
+    assert associate([observed(1, 3.0, 0.0, 2)], AT_ORIGIN, together) == []
 
 
 def test_ambiguous_observation_without_a_pose_is_dropped() -> None:
-    sure = seen(2, 3.0, 0.0)
+    sure = observed(2, 3.0, 0.0)
 
-    assert associate([seen(1, 3.0, math.pi / 2, 2), sure], None, BOTH) == [sure]
+    assert associate([observed(1, 3.0, math.pi / 2, 2), sure], None, BOTH) == [sure]
 
 
 def test_of_two_instances_the_one_at_the_mapped_position_counts() -> None:
-    other, mapped = seen(2, 2.0, 0.8), seen(2, 3.05, 0.0)
+    other, mapped = observed(2, 2.0, 0.8), observed(2, 3.05, 0.0)
 
     assert associate([other, mapped], AT_ORIGIN, BOTH) == [mapped]
 
 
 def test_two_instances_away_from_the_mapped_position_are_dropped() -> None:
-    assert associate([seen(2, 2.0, 0.8), seen(2, 1.0, -0.5)], AT_ORIGIN, BOTH) == []
+    assert associate([observed(2, 2.0, 0.8), observed(2, 1.0, -0.5)], AT_ORIGIN, BOTH) == []
 
 
 def test_alternative_removed_from_the_map_is_ignored() -> None:
     gone = {1: NORTH, 2: Landmark(2, 3.0, 0.0, live=False)}
 
-    assert associate([seen(1, 3.0, 0.0, 2)], AT_ORIGIN, gone) == []
+    assert associate([observed(1, 3.0, 0.0, 2)], AT_ORIGIN, gone) == []
 
 
 meters = st.floats(-3.0, 3.0)
@@ -96,7 +96,7 @@ def test_late_observation_implies_the_same_position(
     assert placed(now, carried) == pytest.approx(placed(then, observation), abs=1e-6)
 
 
-def test_punctual_observation_is_unchanged() -> None:
+def test_observation_without_delay_is_unchanged() -> None:
     observation = Observation(1, 3.0, 0.4, 0.01, 0.001)
 
     carried = as_observed_from(observation, (0.0, 0.0, 0.0))

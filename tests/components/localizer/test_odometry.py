@@ -25,7 +25,7 @@ def measured(*poses: Pose, every_s: float = 0.1) -> MeasuredTrack:
     return track
 
 
-def test_measured_motion_is_shared_out_by_time() -> None:
+def test_measured_motion_is_divided_in_proportion_to_time() -> None:
     track = measured((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.2, 0.0, 0.0))
     track.advance(0.0)
 
@@ -35,7 +35,7 @@ def test_measured_motion_is_shared_out_by_time() -> None:
     assert track.advance(9.0).ahead == pytest.approx(0.05)
 
 
-def test_standing_still_is_no_motion() -> None:
+def test_standing_robot_has_no_motion() -> None:
     track = measured((1.0, 2.0, 3.0), (1.0, 2.0, 3.0))
     track.advance(0.0)
 
@@ -56,7 +56,7 @@ def test_impossible_jump_is_ignored(jump: Pose) -> None:
 
 
 @pytest.mark.parametrize("track", [MeasuredTrack(), CommandedTrack(0.1)])
-def test_time_that_runs_backwards_is_refused(track: MeasuredTrack | CommandedTrack) -> None:
+def test_time_that_runs_backwards_is_rejected(track: MeasuredTrack | CommandedTrack) -> None:
     assert track.append(1.0, (0.0, 0.0, 0.0), 0.0, 0.0)
     assert not track.append(0.9, (9.0, 0.0, 0.0), 1.0, 1.0)
     assert track.append(1.0, (0.0, 0.0, 0.0), 0.0, 0.0)
@@ -80,7 +80,7 @@ def test_step_leads_to_its_target(target: Pose) -> None:
     assert math.sin(there[2] - target[2]) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_noise_grows_with_the_root_of_the_way() -> None:
+def test_noise_grows_with_the_square_root_of_the_distance() -> None:
     model = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
     short = np.array(model.deviations(OdometryStep(1.0, 0.0, 0.0, 1.0)))
     long = np.array(model.deviations(OdometryStep(4.0, 0.0, 0.0, 4.0)))

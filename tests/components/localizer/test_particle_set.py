@@ -24,7 +24,7 @@ MODEL = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
 Array = NDArray[np.float64]
 
 
-def cloud(least: int = 400, most: int = 5000, seed: int = 0) -> ParticleSet:
+def particle_set(least: int = 400, most: int = 5000, seed: int = 0) -> ParticleSet:
     return ParticleSet(least, most, MODEL, np.random.default_rng(seed))
 
 
@@ -33,7 +33,7 @@ def spread_over(size_m: float, count: int = 5000) -> Array:
     return np.vstack((random.uniform(0, size_m, (2, count)), random.uniform(-3, 3, (1, count))))
 
 
-def test_particles_in_one_bin_need_no_more_than_the_least() -> None:
+def test_particles_in_one_bin_need_the_minimum_number() -> None:
     assert kld_count(np.full((3, 500), 0.1), np.full(500, 1 / 500)) == 0
 
 
@@ -57,7 +57,7 @@ def test_particles_without_weight_do_not_count() -> None:
 
 
 def test_particle_set_shrinks_as_it_becomes_certain() -> None:
-    it = cloud()
+    it = particle_set()
     it.set_gaussian((0.0, 0.0, 0.0), np.diag([1.0, 1.0, 0.3]))
     assert it.count == 5000
 
@@ -69,7 +69,7 @@ def test_particle_set_shrinks_as_it_becomes_certain() -> None:
 
 
 def test_narrow_likelihood_is_fused_in_stages() -> None:
-    it = cloud()
+    it = particle_set()
     it.set_gaussian((0.0, 0.0, 0.0), np.diag([0.09, 0.09, 0.01]))
 
     it.fuse(lambda poses: -0.5 * ((poses[0] - 0.7) ** 2 + poses[1] ** 2) / 0.01**2)
@@ -79,7 +79,7 @@ def test_narrow_likelihood_is_fused_in_stages() -> None:
 
 
 def test_motion_spreads_the_particles_and_standing_does_not() -> None:
-    it = cloud()
+    it = particle_set()
     it.set_gaussian((0.0, 0.0, 0.0), np.diag([1e-4, 1e-4, 1e-4]))
     before = it.poses.copy()
 
@@ -94,7 +94,7 @@ def test_motion_spreads_the_particles_and_standing_does_not() -> None:
 
 @given(st.integers(0, 1000), st.floats(-3.1, 3.1), st.floats(0.01, 2.5))
 @settings(max_examples=50)
-def test_moments_are_circular(seed: int, heading: float, width: float) -> None:
+def test_mean_and_covariance_use_circular_headings(seed: int, heading: float, width: float) -> None:
     random = np.random.default_rng(seed)
     poses = random.standard_normal((3, 300))
     poses[2] = heading + width * poses[2]
@@ -178,7 +178,7 @@ def test_resampling_keeps_mean_and_spread() -> None:
     )
 
 
-def test_headings_are_averaged_across_the_turn() -> None:
+def test_headings_are_averaged_across_the_wrap() -> None:
     poses = np.array([[0.0, 0.0], [0.0, 0.0], [math.pi - 0.1, -math.pi + 0.1]])
 
     assert abs(estimate(poses, np.zeros(2)).mean[2]) == pytest.approx(math.pi)
@@ -186,7 +186,7 @@ def test_headings_are_averaged_across_the_turn() -> None:
 
 @settings(max_examples=25)
 @given(st.floats(-1.5, 1.5), st.floats(0.03, 0.3), st.integers(0, 1000))
-def test_narrowing_finds_the_posterior_that_few_samples_lie_in(
+def test_tempered_update_finds_a_posterior_with_few_samples(
     place: float, sd: float, seed: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -204,5 +204,5 @@ def test_narrowing_finds_the_posterior_that_few_samples_lie_in(
     assert effective_count(log_weights)[0] > 150
 
 
-def test_weights_of_vanishing_likelihood_are_still_weights() -> None:
+def test_weights_are_normalized_for_vanishing_likelihoods() -> None:
     assert normalized(np.array([-1e5, -1e5 - 1.0])).sum() == pytest.approx(1.0)

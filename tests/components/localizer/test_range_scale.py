@@ -18,17 +18,17 @@ MAP = {
     key: Landmark(key, x, y, reliability=0.98)
     for key, (x, y) in enumerate([(4.0, 0.0), (3.0, 2.0), (2.0, -3.0), (0.0, 3.0), (-2.0, 1.0)])
 }
-WAY = [(0.2 * step, 0.1 * step, 0.0) for step in range(8)]
+PATH = [(0.2 * step, 0.1 * step, 0.0) for step in range(8)]
 
 
 class Robot:
-    """Goes a way, and sees all objects from each pose of it."""
+    """Drives along `PATH` and observes all objects from each pose."""
 
     def __init__(self, mode: SimilarityMode = "lr") -> None:
         self.evaluator = LandmarkEvaluator(mode, 300, np.random.default_rng(0))
         self.random = np.random.default_rng(1)
 
-    def sees(self, object_id: int, at: Pose, factor: float) -> ObjectEvidence:
+    def observe(self, object_id: int, at: Pose, factor: float) -> ObjectEvidence:
         """An object at `factor` times its distance on the map."""
         landmark = MAP[object_id]
         dx, dy = landmark.x - at[0], landmark.y - at[1]
@@ -48,16 +48,18 @@ class Robot:
         )
         return evidence
 
-    def looks_around(self, factors: dict[int, float]) -> list[ObjectEvidence]:
-        return [self.sees(key, at, factors.get(key, 1.0)) for at in WAY for key in MAP]
+    def observe_all(self, factors: dict[int, float]) -> list[ObjectEvidence]:
+        return [self.observe(key, at, factors.get(key, 1.0)) for at in PATH for key in MAP]
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.75, 0.9, 1.12, 1.4])
 @pytest.mark.parametrize("mode", ["lr", "paper"])
-def test_no_object_is_doubted_if_all_ranges_are_wrong(factor: float, mode: SimilarityMode) -> None:
+def test_wrong_range_scale_causes_no_disagreement_of_an_object(
+    factor: float, mode: SimilarityMode
+) -> None:
     robot = Robot(mode)
 
-    evidence = robot.looks_around(dict.fromkeys(MAP, factor))
+    evidence = robot.observe_all(dict.fromkeys(MAP, factor))
 
     assert not [one for one in evidence if one.verdict == ObjectEvidence.DISAGREES]
     assert robot.evaluator.ranges.wrong == pytest.approx(factor, abs=0.02)
@@ -69,7 +71,7 @@ def test_object_moved_towards_the_robot_is_not_a_range_error(
 ) -> None:
     robot = Robot()
 
-    evidence = robot.looks_around({0: factor})
+    evidence = robot.observe_all({0: factor})
 
     assert robot.evaluator.ranges.wrong is None
     doubted = [one for one in evidence if one.verdict == ObjectEvidence.DISAGREES]
@@ -77,31 +79,31 @@ def test_object_moved_towards_the_robot_is_not_a_range_error(
     assert min(one.similarity for one in doubted) == pytest.approx(0.1)
 
 
-def test_nothing_is_wrong_with_ranges_that_err_by_chance() -> None:
+def test_random_range_errors_are_not_a_wrong_range_scale() -> None:
     robot = Robot()
 
-    evidence = robot.looks_around({})
+    evidence = robot.observe_all({})
 
     assert robot.evaluator.ranges.wrong is None
     assert {one.verdict for one in evidence} == {ObjectEvidence.AGREES}
 
 
-def test_the_first_object_that_is_seen_cannot_tell_whether_it_or_the_camera_is_wrong() -> None:
+def test_single_object_cannot_distinguish_its_own_error_from_the_range_scale() -> None:
     robot = Robot()
 
-    alone = [robot.sees(0, at, 0.7) for at in WAY]
-    for at in WAY:
+    alone = [robot.observe(0, at, 0.7) for at in PATH]
+    for at in PATH:
         for key in (1, 2, 3):
-            robot.sees(key, at, 1.0)
-    among_others = [robot.sees(0, at, 0.7) for at in WAY]
+            robot.observe(key, at, 1.0)
+    among_others = [robot.observe(0, at, 0.7) for at in PATH]
 
     assert {one.verdict for one in alone} == {ObjectEvidence.NOT_CONVERGED}
     assert {one.verdict for one in among_others} == {ObjectEvidence.DISAGREES}
 
 
-def test_nothing_is_learnt_while_ranges_are_wrong() -> None:
+def test_unknown_object_gets_no_position_while_the_range_scale_is_wrong() -> None:
     robot = Robot()
-    robot.looks_around(dict.fromkeys(MAP, 0.8))
+    robot.observe_all(dict.fromkeys(MAP, 0.8))
     here = PoseEstimate((0.0, 0.0, 0.0), 0.0004 * np.eye(3))
 
     found = robot.evaluator.locate(Observation(9, 2.0, 0.1, 0.001, 0.0001), here, healthy=True)

@@ -24,8 +24,8 @@ HERE = PoseEstimate((0.0, 0.0, 0.0), np.eye(3) * 1e-4)
 POSES = np.array([[5.0, 5.0], [1.0, 1.0], [0.0, 0.0]])
 
 
-def evidence() -> Any:
-    """Recent observations are as likely as not from the estimated pose."""
+def recent_observations() -> Any:
+    """Recent observations that do not confirm or refute the estimated pose."""
     return SimpleNamespace(
         now=(0.0, 0.0, 0.0),
         scanned=True,
@@ -34,46 +34,46 @@ def evidence() -> Any:
     )
 
 
-def looks(
+def recover_twice(
     monkeypatch: pytest.MonkeyPatch, share: float, score: float, fit: float
 ) -> list[np.ndarray | None]:
-    """Two looks, which find the robot at (5, 1) with that share of the posterior."""
+    """Return the poses of two searches that find the robot at (5, 1) with that share."""
     there = PoseEstimate((5.0, 1.0, 0.0), np.eye(3) * 1e-4)
     found = GlobalSearchResult(POSES, there, share, PoseSupport(0, 0), score, fit, POSES)
     monkeypatch.setattr(relocalization, "search", lambda *_: found)
     one = Relocalizer(1000, np.random.default_rng(0))
-    return [one.recover(stamp, evidence(), HERE) for stamp in (10.0, 11.0)]
+    return [one.recover(stamp, recent_observations(), HERE) for stamp in (10.0, 11.0)]
 
 
 def test_unrivaled_better_position_is_accepted_by_the_second_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    first, second = looks(monkeypatch, share=0.95, score=BETTER + 1.0, fit=0.9)
+    first, second = recover_twice(monkeypatch, share=0.95, score=BETTER + 1.0, fit=0.9)
 
     assert first is None
     assert second is POSES
 
 
-def test_places_that_look_alike_leave_the_robot_where_it_may_be(
+def test_ambiguous_search_keeps_a_possible_pose(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert looks(monkeypatch, share=0.5, score=BETTER + 1.0, fit=0.9) == [None, None]
+    assert recover_twice(monkeypatch, share=0.5, score=BETTER + 1.0, fit=0.9) == [None, None]
 
 
-def test_refuted_robot_moves_to_the_likeliest_lookalike(
+def test_refuted_pose_is_replaced_by_the_most_likely_alternative(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    first, second = looks(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.9)
+    first, second = recover_twice(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.9)
 
     assert first is None
     assert second is POSES
 
 
 def test_position_that_scans_do_not_fit_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert looks(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.3) == [None, None]
+    assert recover_twice(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.3) == [None, None]
 
 
-def test_carried_robot_does_not_get_used_to_scans_that_fit_badly() -> None:
+def test_kidnapped_robot_stays_in_doubt_while_scans_fit_badly() -> None:
     relocalizer = Relocalizer(1000, np.random.default_rng(0))
     for _ in range(300):
         relocalizer.update_fit(0.95)
@@ -88,16 +88,16 @@ def test_carried_robot_does_not_get_used_to_scans_that_fit_badly() -> None:
     assert doubt.code == ReasonCode.SCAN_MISMATCH
 
 
-HERE_AGREEMENTS, BESIDE, FAR = Landmark(1, 0.0, 0.0), Landmark(2, 0.4, 0.0), Landmark(3, 4.0, 0.0)
-MAP = {mark.object_id: mark for mark in (HERE_AGREEMENTS, BESIDE, FAR)}
+AT_ORIGIN, BESIDE, FAR = Landmark(1, 0.0, 0.0), Landmark(2, 0.4, 0.0), Landmark(3, 4.0, 0.0)
+MAP = {mark.object_id: mark for mark in (AT_ORIGIN, BESIDE, FAR)}
 
 
 def until(*agreed: tuple[float, int]) -> float:
-    it = ConfirmationHistory()
+    history = ConfirmationHistory()
     for stamp, object_id in agreed:
-        it.add(stamp, [object_id])
-    it.on_pose_replaced(MAP)
-    return it.confirmed_until
+        history.add(stamp, [object_id])
+    history.on_pose_replaced(MAP)
+    return history.confirmed_until
 
 
 def test_confirmed_until_the_earlier_of_two_newest_agreements() -> None:
@@ -114,16 +114,16 @@ def test_objects_close_together_count_as_one_position() -> None:
 
 
 def test_agreements_with_different_poses_are_not_combined() -> None:
-    it = ConfirmationHistory()
+    history = ConfirmationHistory()
     for stamp, object_id in ((1.0, 1), (2.0, 3)):
-        it.add(stamp, [object_id])
-    it.on_pose_replaced(MAP)
-    it.add(3.0, [1])
-    it.on_pose_replaced(MAP)
-    it.add(4.0, [3])
-    it.on_pose_replaced(MAP)
+        history.add(stamp, [object_id])
+    history.on_pose_replaced(MAP)
+    history.add(3.0, [1])
+    history.on_pose_replaced(MAP)
+    history.add(4.0, [3])
+    history.on_pose_replaced(MAP)
 
-    assert it.confirmed_until == 1.0
+    assert history.confirmed_until == 1.0
 
 
 def test_object_removed_from_the_map_confirms_nothing() -> None:

@@ -17,7 +17,7 @@ def pose(spread_m: float = 0.05, heading: float = 0.02) -> PoseEstimate:
     return PoseEstimate((0.0, 0.0, 0.0), np.diag([spread_m**2 / 2, spread_m**2 / 2, heading**2]))
 
 
-def test_last_pose_is_carried_on_by_odometry(tmp_path: Path) -> None:
+def test_last_pose_is_moved_on_by_odometry(tmp_path: Path) -> None:
     file = tmp_path / "pose.json"
     save_last_pose(file, 100.0, (1.0, 2.0, 0.5), np.diag([1e-4, 1e-4, 1e-4]), (5.0, 5.0, 0.5))
 

@@ -21,6 +21,7 @@ from cairn.testing.lockstep import ComponentHarness
 from cairn.visual_map.landmark_store import open_landmarks
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import room_for
+from tests.wording import assert_words
 
 
 @pytest.fixture
@@ -161,7 +162,7 @@ def test_evidence_is_saved_once_a_full_disk_has_room(
         it.run_for(3.0)
 
     assert it.ends == []
-    assert "evidence of objects is not saved yet: " in caplog.text
+    assert_words(caplog.text, "evidence", "not saved")
 
     it.run_for(2.0)
 

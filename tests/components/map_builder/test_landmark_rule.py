@@ -58,7 +58,7 @@ def test_missing_landmark_is_removed_after_several_absences() -> None:
     assert landmark_map.landmarks[7].candidate is None
 
 
-def test_reason_of_removal_says_not_seen() -> None:
+def test_missing_landmark_is_removed_with_the_reason_not_seen() -> None:
     landmark_map = LandmarkMap([surveyed()])
     seen_often(landmark_map)
 
@@ -128,7 +128,7 @@ def test_often_missed_landmark_stays() -> None:
     assert ChangeKind.REMOVED not in kinds
 
 
-def test_landmark_without_position_cannot_be_missed() -> None:
+def test_landmark_without_position_is_never_missing() -> None:
     landmark_map = LandmarkMap([])
 
     assert missed(landmark_map, IN_FRONT, 3) == []
@@ -163,7 +163,7 @@ def test_absence_never_increases_reliability(outcomes: list[tuple[int, bool]], l
 
 
 @pytest.mark.parametrize("robot", [(3.0, 1.0, 0.0), (1.0, 1.0, 2.0), (2.0, 1.0, 0.0)])
-def test_every_robot_pose_has_a_cell(robot: Pose) -> None:
+def test_every_robot_pose_has_a_viewpoint_cell(robot: Pose) -> None:
     sector, band = cell_of(HERE.x, HERE.y, robot)
 
     assert 0 <= sector < 12

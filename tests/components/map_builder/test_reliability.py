@@ -22,13 +22,17 @@ def test_one_agreement_raises_one_half_to_nine_tenths() -> None:
 
 
 @pytest.mark.parametrize(("start", "frames"), [(0.98, 3), (0.9, 2), (0.5, 1)])
-def test_number_of_disagreements_that_remove_a_landmark(start: float, frames: int) -> None:
+def test_landmark_is_removed_after_the_documented_number_of_disagreements(
+    start: float, frames: int
+) -> None:
     assert after(start, *[0.0] * (frames - 1)) > REMOVAL
     assert after(start, *[0.0] * frames) <= REMOVAL
 
 
 @given(probability, st.lists(probability, max_size=30))
-def test_reliability_is_never_absorbing(start: float, similarities: list[float]) -> None:
+def test_reliability_can_always_change_within_its_bounds(
+    start: float, similarities: list[float]
+) -> None:
     reliability = after(start, *similarities, 0.5)
 
     assert LEAST <= reliability <= MOST

@@ -8,8 +8,9 @@ import pytest
 
 from cairn import SECOND
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan
-from tests.components.motion_control.stage import Stage
-from tests.components.motion_control.world import Robot, World, box
+from tests.components.motion_control.simulated_drive import SimulatedDrive
+from tests.components.motion_control.world import Robot, Wall, World, box
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.slow
 
@@ -18,64 +19,65 @@ HALL = box(0, 0, 20, 20)
 STATES = MotionStatus
 
 
-def stage(*walls: tuple[float, float, float, float], **parameters: Any) -> Stage:
-    return Stage(World([*HALL, *walls]), Robot((-3.0, 0.0, 0.0)), **parameters)
+def simulated_drive(*walls: Wall, **parameters: Any) -> SimulatedDrive:
+    """A robot that stands at (-3, 0) in a hall with these walls."""
+    return SimulatedDrive(World([*HALL, *walls]), Robot((-3.0, 0.0, 0.0)), **parameters)
 
 
-def following(**parameters: Any) -> Stage:
+def follow_path(**parameters: Any) -> SimulatedDrive:
     """A robot driving to (3, 0) at full speed."""
-    it = stage(**parameters)
-    it.want(7, NavCommand.FOLLOW, (3.0, 0.0, 1.0))
-    it.plan(7, (-3, 0), (3, 0))
-    it.wait(3.0)
-    return it
+    drive = simulated_drive(**parameters)
+    drive.command(7, NavCommand.FOLLOW, (3.0, 0.0, 1.0))
+    drive.publish_plan(7, (-3, 0), (3, 0))
+    drive.run_for(3.0)
+    return drive
 
 
 def test_plan_is_followed_to_the_goal_and_its_heading() -> None:
-    it = following()
-    assert it.status.state == STATES.MOVING
-    assert it.robot.speed == pytest.approx(0.6, abs=0.01)
-    assert it.status.distance_left == pytest.approx(3 - it.robot.pose[0], abs=0.2)
+    drive = follow_path()
+    assert drive.status.state == STATES.MOVING
+    assert drive.robot.speed == pytest.approx(0.6, abs=0.01)
+    assert drive.status.distance_left == pytest.approx(3 - drive.robot.pose[0], abs=0.2)
 
-    it.wait(15, until=STATES.DONE)
+    drive.run_for(15, until=STATES.DONE)
 
-    x, y, heading = it.robot.pose
-    assert it.status.state == STATES.DONE
-    assert it.status.goal_id == 7
+    x, y, heading = drive.robot.pose
+    assert drive.status.state == STATES.DONE
+    assert drive.status.goal_id == 7
     assert math.hypot(x - 3, y) < 0.1
     assert heading == pytest.approx(1.0, abs=0.1)
 
 
 def test_commands_have_at_least_20_hz_and_follow_each_scan() -> None:
-    it = following()
+    drive = follow_path()
 
-    times = np.array([time for time, _, _ in it.commands]) / SECOND
+    times = np.array([time for time, _, _ in drive.commands]) / SECOND
 
     assert np.diff(times).max() < 0.061
     assert 18 < len(times) / (times[-1] - times[0]) < 31
 
 
-def test_robot_stays_done_and_stands_after_the_goal() -> None:
-    it = following()
-    it.wait(15, until=STATES.DONE)
-    it.statuses.clear()
-    it.commands.clear()
+def test_robot_stands_after_the_goal_and_its_state_stays_done() -> None:
+    drive = follow_path()
+    drive.run_for(15, until=STATES.DONE)
+    drive.statuses.clear()
+    drive.commands.clear()
 
-    it.wait(2)
+    drive.run_for(2)
 
-    assert {status.state for status in it.statuses} == {STATES.DONE}
-    assert {command[1:] for command in it.commands} == {(0.0, 0.0)}
+    assert {status.state for status in drive.statuses} == {STATES.DONE}
+    assert {command[1:] for command in drive.commands} == {(0.0, 0.0)}
 
 
 def test_robot_stands_on_command() -> None:
-    it = following()
+    drive = follow_path()
 
-    it.want(8, NavCommand.STAND)
-    it.wait(1.5)
+    drive.command(8, NavCommand.STAND)
+    drive.run_for(1.5)
 
-    assert it.status.state == STATES.STANDING
-    assert it.status.goal_id == 8
-    assert it.robot.speed == 0.0
+    assert drive.status.state == STATES.STANDING
+    assert drive.status.goal_id == 8
+    assert drive.robot.speed == 0.0
 
 
 @pytest.mark.parametrize(
@@ -90,151 +92,153 @@ def test_robot_stands_on_command() -> None:
 def test_stale_input_stops_the_robot_and_is_named(
     topic: str, timeout_s: float, reason: str
 ) -> None:
-    it = following()
+    drive = follow_path()
 
-    it.muted.add(topic)
-    muted_at = it.now
-    it.wait(3.0, until=STATES.STOPPED)
+    drive.muted.add(topic)
+    muted_at = drive.now
+    drive.run_for(3.0, until=STATES.STOPPED)
 
-    assert it.status.reason.startswith(reason)
-    assert it.status.reason.endswith(f"on /robot/{topic}")
-    assert (it.now - muted_at) / SECOND < timeout_s + 0.6
-    it.wait(1.0)
-    assert it.robot.speed == 0.0
-    it.muted.clear()
-    it.wait(1.0)
-    assert it.status.state == STATES.MOVING
-    assert it.robot.speed > 0.3
+    assert drive.status.reason.startswith(reason)
+    assert drive.status.reason.endswith(f"on /robot/{topic}")
+    assert (drive.now - muted_at) / SECOND < timeout_s + 0.6
+    drive.run_for(1.0)
+    assert drive.robot.speed == 0.0
+    drive.muted.clear()
+    drive.run_for(1.0)
+    assert drive.status.state == STATES.MOVING
+    assert drive.robot.speed > 0.3
 
 
 @pytest.mark.parametrize("back_s", [1.0, 600.0])
 def test_robot_pauses_after_a_time_reset_and_continues(
     back_s: float, caplog: pytest.LogCaptureFixture
 ) -> None:
-    it = following(simulated_time=True)
+    drive = follow_path(simulated_time=True)
 
-    it.set_back(back_s)
-    it.wait(0.1)
+    drive.set_clocks_back(back_s)
+    drive.run_for(0.1)
 
-    assert it.status.state == STATES.STOPPED
-    it.wait(2.0)
-    assert it.status.state == STATES.MOVING
-    assert it.robot.speed == pytest.approx(0.6, abs=0.05)
-    it.wait(15, until=STATES.DONE)
-    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+    assert drive.status.state == STATES.STOPPED
+    drive.run_for(2.0)
+    assert drive.status.state == STATES.MOVING
+    assert drive.robot.speed == pytest.approx(0.6, abs=0.05)
+    drive.run_for(15, until=STATES.DONE)
+    assert math.hypot(drive.robot.pose[0] - 3, drive.robot.pose[1]) < 0.1
     assert caplog.text.count(f"odometry on /robot/odom went back in time by {back_s:.1f} s") == 1
 
 
 @pytest.mark.parametrize("topic", ["scan", "odom", "nav_command", "localization"])
 def test_input_that_ends_at_a_time_reset_is_stale_at_once(topic: str) -> None:
-    it = following(simulated_time=True)
+    drive = follow_path(simulated_time=True)
 
-    it.muted.add(topic)
-    it.set_back(600.0)
-    it.wait(1.5)
+    drive.muted.add(topic)
+    drive.set_clocks_back(600.0)
+    drive.run_for(1.5)
 
-    assert it.status.state == STATES.STOPPED
-    assert it.status.reason == f"no {topic} since time was set back on /robot/{topic}"
-    assert it.robot.speed == 0.0
-    it.commands.clear()
-    it.wait(1.0)
-    assert {command[1:] for command in it.commands} == {(0.0, 0.0)}
-    assert len(it.commands) >= 15
+    assert drive.status.state == STATES.STOPPED
+    assert_words(drive.status.reason, "no", topic, "time", f"/robot/{topic}")
+    assert drive.robot.speed == 0.0
+    drive.commands.clear()
+    drive.run_for(1.0)
+    assert {command[1:] for command in drive.commands} == {(0.0, 0.0)}
+    assert len(drive.commands) >= 15
 
 
 def test_input_that_never_arrived_is_named() -> None:
-    it = stage()
-    it.muted.add("scan")
+    drive = simulated_drive()
+    drive.muted.add("scan")
 
-    it.want(1, NavCommand.LOOK_AROUND)
-    it.wait(0.5)
+    drive.command(1, NavCommand.LOOK_AROUND)
+    drive.run_for(0.5)
 
-    assert it.status.state == STATES.STOPPED
-    assert it.status.reason == "no scan yet on /robot/scan"
+    assert drive.status.state == STATES.STOPPED
+    assert_words(drive.status.reason, "no scan yet", "/robot/scan")
 
 
-def test_only_a_plan_of_the_same_goal_counts() -> None:
-    it = following()
+def test_only_a_plan_of_the_same_goal_is_followed() -> None:
+    drive = follow_path()
 
-    it.want(8, NavCommand.FOLLOW, (3.0, 3.0, 0.0))
-    it.wait(2.0)
+    drive.command(8, NavCommand.FOLLOW, (3.0, 3.0, 0.0))
+    drive.run_for(2.0)
 
-    assert it.status.state == STATES.BLOCKED
-    assert it.status.reason == "no plan of this goal yet on /robot/plan"
-    assert it.robot.speed == 0.0
-    it.plan(8, (it.robot.pose[0], 0.0), (3.0, 3.0))
-    it.wait(20, until=STATES.DONE)
-    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1] - 3) < 0.1
+    assert drive.status.state == STATES.BLOCKED
+    assert_words(drive.status.reason, "no plan", "goal", "/robot/plan")
+    assert drive.robot.speed == 0.0
+    drive.publish_plan(8, (drive.robot.pose[0], 0.0), (3.0, 3.0))
+    drive.run_for(20, until=STATES.DONE)
+    assert math.hypot(drive.robot.pose[0] - 3, drive.robot.pose[1] - 3) < 0.1
 
 
 def test_plan_of_another_goal_does_not_interfere() -> None:
-    it = following()
+    drive = follow_path()
 
-    it.plan(8, (0, 0), (0, 3))
-    it.wait(0.5)
+    drive.publish_plan(8, (0, 0), (0, 3))
+    drive.run_for(0.5)
 
-    assert it.status.state == STATES.MOVING
-    assert it.robot.speed == pytest.approx(0.6, abs=0.01)
+    assert drive.status.state == STATES.MOVING
+    assert drive.robot.speed == pytest.approx(0.6, abs=0.01)
 
 
 def test_reason_of_a_missing_path_is_reported() -> None:
-    it = stage()
+    drive = simulated_drive()
 
-    it.want(1, NavCommand.FOLLOW)
-    it.plan(1, outcome=Plan.UNREACHABLE, reason="no way through the door")
-    it.wait(0.5)
+    drive.command(1, NavCommand.FOLLOW)
+    drive.publish_plan(1, outcome=Plan.UNREACHABLE, reason="no way through the door")
+    drive.run_for(0.5)
 
-    assert it.status.state == STATES.BLOCKED
-    assert it.status.reason == "there is no path: no way through the door"
+    assert drive.status.state == STATES.BLOCKED
+    assert_words(drive.status.reason, "no path", "no way through the door")
 
 
 def test_path_is_replaced_while_driving() -> None:
-    it = following()
+    drive = follow_path()
 
-    it.plan(7, (it.robot.pose[0], 0), (0, 1), (3, 0))
-    it.wait(20, until=STATES.DONE)
+    drive.publish_plan(7, (drive.robot.pose[0], 0), (0, 1), (3, 0))
+    drive.run_for(20, until=STATES.DONE)
 
-    assert max(abs(command[2]) for command in it.commands) > 0.2
-    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+    assert max(abs(command[2]) for command in drive.commands) > 0.2
+    assert math.hypot(drive.robot.pose[0] - 3, drive.robot.pose[1]) < 0.1
 
 
 def test_goal_at_the_robots_pose_needs_no_motion() -> None:
-    it = stage()
+    drive = simulated_drive()
 
-    it.want(1, NavCommand.FOLLOW, (-3.0, 0.0, 2.0))
-    it.plan(1)
-    it.wait(10, until=STATES.DONE)
+    drive.command(1, NavCommand.FOLLOW, (-3.0, 0.0, 2.0))
+    drive.publish_plan(1)
+    drive.run_for(10, until=STATES.DONE)
 
-    assert it.robot.pose[2] == pytest.approx(2.0, abs=0.1)
-    assert math.hypot(it.robot.pose[0] + 3, it.robot.pose[1]) < 0.05
+    assert drive.robot.pose[2] == pytest.approx(2.0, abs=0.1)
+    assert math.hypot(drive.robot.pose[0] + 3, drive.robot.pose[1]) < 0.05
 
 
 def test_lost_robot_stands_until_it_is_located() -> None:
-    it = following()
+    drive = follow_path()
 
-    it.health = LocalizationEstimate(located=True, health=0.1, reason="the scan does not fit")
-    it.wait(1.5)
+    drive.localization = LocalizationEstimate(
+        located=True, health=0.1, reason="the scan does not fit"
+    )
+    drive.run_for(1.5)
 
-    assert it.status.state == STATES.STOPPED
-    assert it.status.reason == "the robot is lost, health 0.10: the scan does not fit"
-    assert it.robot.speed == 0.0
-    it.health = LocalizationEstimate(located=True, health=0.8)
-    it.wait(1.0)
-    assert it.status.state == STATES.MOVING
+    assert drive.status.state == STATES.STOPPED
+    assert_words(drive.status.reason, "lost", "0.10", "the scan does not fit")
+    assert drive.robot.speed == 0.0
+    drive.localization = LocalizationEstimate(located=True, health=0.8)
+    drive.run_for(1.0)
+    assert drive.status.state == STATES.MOVING
 
 
 @pytest.mark.parametrize(
     "behavior", [NavCommand.BACK_OFF, NavCommand.LOOK_AROUND, NavCommand.EXPLORE]
 )
 def test_recovery_motions_need_no_pose(behavior: int) -> None:
-    it = stage()
-    it.muted.add("localization")
+    drive = simulated_drive()
+    drive.muted.add("localization")
 
-    it.want(3, behavior, distance=2.5)
-    it.wait(20, until=STATES.DONE)
+    drive.command(3, behavior, distance=2.5)
+    drive.run_for(20, until=STATES.DONE)
 
-    assert it.status.state == STATES.DONE
-    x, y, _ = it.robot.pose
+    assert drive.status.state == STATES.DONE
+    x, y, _ = drive.robot.pose
     gone = math.hypot(x + 3, y)
     expected = {NavCommand.BACK_OFF: 0.3, NavCommand.LOOK_AROUND: 0.0, NavCommand.EXPLORE: 2.5}
     assert gone == pytest.approx(expected[behavior], abs=0.15)
@@ -243,80 +247,80 @@ def test_recovery_motions_need_no_pose(behavior: int) -> None:
 def test_odometry_jump_is_reported_and_the_robot_pauses(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    it = following()
+    drive = follow_path()
 
-    x, y, heading = it.robot.odom
-    it.robot.odom = (x + 1.2, y, heading)
-    it.wait(0.2)
+    x, y, heading = drive.robot.odom
+    drive.robot.odom = (x + 1.2, y, heading)
+    drive.run_for(0.2)
 
-    assert it.status.state == STATES.STOPPED
-    assert it.status.reason.startswith("odometry on /robot/odom jumped by 1.2")
+    assert drive.status.state == STATES.STOPPED
+    assert drive.status.reason.startswith("odometry on /robot/odom jumped by 1.2")
     assert "jumped by 1.2" in caplog.text
-    it.wait(15, until=STATES.DONE)
-    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+    drive.run_for(15, until=STATES.DONE)
+    assert math.hypot(drive.robot.pose[0] - 3, drive.robot.pose[1]) < 0.1
 
 
 def test_obstacle_on_the_path_is_reported() -> None:
-    it = stage((0.0, -10.0, 0.0, 10.0))
+    drive = simulated_drive((0.0, -10.0, 0.0, 10.0))
 
-    it.want(1, NavCommand.FOLLOW, (3.0, 0.0, 0.0))
-    it.plan(1, (-3, 0), (3, 0))
-    it.wait(10, until=STATES.BLOCKED)
+    drive.command(1, NavCommand.FOLLOW, (3.0, 0.0, 0.0))
+    drive.publish_plan(1, (-3, 0), (3, 0))
+    drive.run_for(10, until=STATES.BLOCKED)
 
-    assert "ahead on the path" in it.status.reason
-    assert it.status.clearance == pytest.approx(it.clearance, abs=0.03)
-    assert it.clearance > 0.05
+    assert "ahead on the path" in drive.status.reason
+    assert drive.status.clearance == pytest.approx(drive.clearance, abs=0.03)
+    assert drive.clearance > 0.05
 
 
 def test_changed_speed_applies_while_driving() -> None:
-    it = following()
+    drive = follow_path()
 
-    it.part.ask("set_parameters", speed=0.3)
-    it.wait(2.0)
+    drive.motion_control.set_parameters({"speed": 0.3})
+    drive.run_for(2.0)
 
-    assert it.robot.speed == pytest.approx(0.3, abs=0.01)
-    assert it.status.state == STATES.MOVING
+    assert drive.robot.speed == pytest.approx(0.3, abs=0.01)
+    assert drive.status.state == STATES.MOVING
 
 
 def test_largest_robot_drives_in_open_space() -> None:
-    it = following(radius=1.0)
+    drive = follow_path(radius=1.0)
 
-    assert it.status.state == STATES.MOVING
-    it.wait(15, until=STATES.DONE)
-    assert math.hypot(it.robot.pose[0] - 3, it.robot.pose[1]) < 0.1
+    assert drive.status.state == STATES.MOVING
+    drive.run_for(15, until=STATES.DONE)
+    assert math.hypot(drive.robot.pose[0] - 3, drive.robot.pose[1]) < 0.1
 
 
 def test_deactivation_stops_the_robot() -> None:
-    it = following()
+    drive = follow_path()
 
-    it.part.ask("deactivate")
-    it.wait(1.5)
+    drive.motion_control.request("deactivate")
+    drive.run_for(1.5)
 
-    assert it.robot.speed == 0.0
+    assert drive.robot.speed == 0.0
 
 
 def test_rotated_scanner_is_supported() -> None:
-    it = stage((0.0, -10.0, 0.0, 10.0), mount={"x": 0.1, "theta": math.pi / 2})
-    it.mount = (0.1, 0.0, math.pi / 2)
+    drive = simulated_drive((0.0, -10.0, 0.0, 10.0), mount={"x": 0.1, "theta": math.pi / 2})
+    drive.mount = (0.1, 0.0, math.pi / 2)
 
-    it.want(1, NavCommand.FOLLOW, (3.0, 0.0, 0.0))
-    it.plan(1, (-3, 0), (3, 0))
-    it.wait(10, until=STATES.BLOCKED)
+    drive.command(1, NavCommand.FOLLOW, (3.0, 0.0, 0.0))
+    drive.publish_plan(1, (-3, 0), (3, 0))
+    drive.run_for(10, until=STATES.BLOCKED)
 
-    assert it.robot.pose[0] == pytest.approx(-0.4, abs=0.06)
+    assert drive.robot.pose[0] == pytest.approx(-0.4, abs=0.06)
 
 
 def test_number_of_beams_may_change() -> None:
-    it = following()
+    drive = follow_path()
 
-    it.beams = 90
-    it.wait(15, until=STATES.DONE)
+    drive.beams = 90
+    drive.run_for(15, until=STATES.DONE)
 
-    assert it.status.state == STATES.DONE
+    assert drive.status.state == STATES.DONE
 
 
 def test_runs_are_reproducible() -> None:
-    first, second = following(), following()
+    first, second = follow_path(), follow_path()
 
     assert first.commands == second.commands
     assert first.statuses == second.statuses

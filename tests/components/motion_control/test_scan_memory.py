@@ -1,4 +1,4 @@
-"""What the scan memory keeps, and what it forgets."""
+"""The scan memory: which obstacles it keeps, and which it forgets."""
 
 import math
 

@@ -15,6 +15,7 @@ from cairn.vision.teaching import make_view
 from cairn.visual_map.object_models import add_views
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, message, pair, picture_of
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.images
 
@@ -104,8 +105,8 @@ def test_missing_right_camera_leaves_ranging_by_size_with_larger_covariance(
         assert one.range == pytest.approx(1.5, abs=0.1)
         assert one.covariance[0] > 2 * exact
         assert frame.farthest == 0  # the other object is visible, but its position is unknown
-    assert "no image on /robot/right_image has the stamp of one on" in warnings()
-    assert "poster 3: no range, because its size is not known" in warnings()
+    assert_words(warnings(), "/robot/right_image", "stamp")
+    assert_words(warnings(), "poster 3", "no range", "size")
 
     it.show(*pair([HERE], 20))
     assert it.see([HERE]).objects[0].covariance[0] < 2 * exact
@@ -116,14 +117,14 @@ def test_absent_right_camera_is_reported_with_remedy(robot: Start, warnings: War
     it = robot().calibrate()
     for k in range(8):
         it.show(pair([HERE], k)[0])
-    assert "check the right camera, or set stereo to false" in warnings()
+    assert_words(warnings(), "right camera", "stereo", "false")
 
 
 def test_silent_left_camera_is_reported(robot: Start, warnings: Warnings) -> None:
     it = robot().calibrate()
     for k in range(15):
         assert it.show(None, pair([HERE], k)[1]) is None
-    assert "no image on /robot/left_image for 2 s; check the camera" in warnings()
+    assert_words(warnings(), "no image", "/robot/left_image", "2 s", "camera")
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -183,7 +184,7 @@ def test_swapped_images_are_reported_and_nothing_is_published(
     assert published is not None
     assert published.objects == ()
     assert published.farthest == 0
-    assert "left_image shows the right camera's images; swap the cameras" in warnings()
+    assert_words(warnings(), "left_image", "right camera", "swap")
 
 
 def test_swapped_calibrations_are_reported_and_nothing_is_published(
@@ -230,7 +231,7 @@ def test_wrong_size_is_distinguished_from_wrong_calibration(
     for _ in range(9):
         it.see([replace(HERE, x=-0.4), Thing(2, 0.3, 1.2)])
 
-    assert "correct the object's size with `cairn object teach 'poster 1'" in warnings()
+    assert_words(warnings(), "size", "`cairn object teach 'poster 1'")
 
 
 def test_unbiased_ranges_give_no_warning() -> None:

@@ -14,6 +14,7 @@ from cairn.visual_map.object_models import read_models
 from cairn.visual_map.sqlite_file import connect, create
 from tests.commands import Answer, cairn
 from tests.components.object_recognizer.scenes import picture_of
+from tests.wording import assert_words
 
 pytestmark = [pytest.mark.processes, pytest.mark.images]
 
@@ -89,7 +90,7 @@ def test_object_is_taught_listed_shown_and_removed(folder: Path) -> None:
     assert np.std(np.asarray(cv2.imread("cup_views.png"))) > 10
 
     assert "no longer recognized" in cairn("object", "remove", "cup").out
-    assert cairn("object", "list").out.strip() == "the map has no object models"
+    assert_words(cairn("object", "list").out.strip(), "no object models")
 
 
 @pytest.mark.usefixtures("skip_visibility_test")
@@ -161,7 +162,8 @@ def test_changed_size_is_stored_and_reported(folder: Path) -> None:
 
     other = cairn("object", "teach", "cup", "--size", "0.8,0.6", "--json").json
 
-    assert other["remarks"] == ["its size was 0.4 m x 0.3 m until now"]
+    (remark,) = other["remarks"]
+    assert_words(remark, "size", "0.4 m x 0.3 m")
     assert read_models(Path("visual_map.cairn")).models[0].size == (0.8, 0.6)
 
 
@@ -173,7 +175,8 @@ def test_photograph_is_taught_only_once(folder: Path) -> None:
     again = cairn("object", "teach", "cup", same, photo("c.png", picture_of(2)), same, "--json")
 
     assert (again.json["views"], [one["image"] for one in again.json["taught"]]) == (2, ["c.png"])
-    assert again.json["remarks"] == ["b.png is a view of it already: skipped"]
+    (remark,) = again.json["remarks"]
+    assert_words(remark, "b.png", "already")
 
 
 @pytest.mark.parametrize(
@@ -241,9 +244,7 @@ def test_missing_maps_and_names_are_reported(folder: Path, map_with_a_cup: Path)
     assert "visual_map.cairn: no such map file" in rejected("object", "list")
     shutil.copy(map_with_a_cup, "visual_map.cairn")
     for verb in ("show", "remove"):
-        assert "object model 'mug' does not exist; available: cup" in rejected(
-            "object", verb, "mug"
-        )
+        assert_words(rejected("object", verb, "mug"), "'mug'", "cup")
     Path("visual_map.cairn").write_bytes(b"x" * 4000)
     for verb in ("list", "show", "remove", "teach"):
         rest = ["cup", "a.png"] if verb == "teach" else [] if verb == "list" else ["cup"]

@@ -7,17 +7,14 @@ from typing import Any
 import pytest
 import yaml
 
-from cairn import Qos
-from cairn.deployment.load import load_deployment
-from cairn.placement.lockstep import LockstepRun
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from cairn.testing.lockstep import DeploymentHarness
 from tests.commands import cairn
 
 pytestmark = pytest.mark.images
 
 
 WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
-MANY = Qos("reliable", "transient_local", 100_000)
 MOUNT = {"x": 0.1, "y": 0.0, "theta": 0.0}
 START = {"x": 4.7, "y": 4.9, "theta": math.pi / 2}
 
@@ -68,14 +65,10 @@ def run_recognizer(
         "external_topics": ["cmd_vel"],
     }
     (folder / "run.yaml").write_text(yaml.safe_dump(page, sort_keys=False))
-    run = LockstepRun(load_deployment(folder / "run.yaml"), seed=0)
-    outside = run.bus.node("/robot/outside", pytest.fail)
-    objects = outside.subscribe("/robot/objects", RecognizedObjectArray, MANY, lambda: None)
-    assert run.run(lambda: None).normal
-    frames = []
-    while (frame := objects.take()) is not None:
-        frames.append(frame)
-    return frames
+    with DeploymentHarness(folder / "run.yaml") as harness:
+        objects = harness.read("objects", RecognizedObjectArray)
+        assert harness.run_to_end().normal
+    return objects.messages
 
 
 def assert_position(one: RecognizedObject) -> None:

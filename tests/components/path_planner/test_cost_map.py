@@ -64,9 +64,9 @@ def test_updated_windows_give_the_same_costs_as_a_new_map(
     window = np.s_[top : top + height, left : left + width]
     both = before.copy()
     both[window] = after[window]
-    seen = np.random.default_rng(seed).integers(0, (50, 70), (20, 2))
+    obstacles = np.random.default_rng(seed).integers(0, (50, 70), (20, 2))
     updated = CostMap(OccupancyCells(before, FRAME), costs)
-    updated.set_scanner_obstacles(seen)
+    updated.set_scanner_obstacles(obstacles)
     taken = CostMap(OccupancyCells(before, FRAME), costs)
 
     assert updated.update(top, left, after[window])
@@ -75,7 +75,7 @@ def test_updated_windows_give_the_same_costs_as_a_new_map(
     rebuilt = CostMap(OccupancyCells(both, FRAME), costs)
     np.testing.assert_array_equal(updated.map_costs, rebuilt.map_costs)
     np.testing.assert_array_equal(taken.cell_costs, rebuilt.cell_costs)
-    rebuilt.set_scanner_obstacles(seen)
+    rebuilt.set_scanner_obstacles(obstacles)
     np.testing.assert_array_equal(updated.cell_costs, rebuilt.cell_costs)
 
 
@@ -167,7 +167,7 @@ def beams(**ranges: float) -> ScanBeams:
     return ScanBeams((0.0, 0.0, 0.0), angles, np.array(given_), 8.0)
 
 
-def seen(obstacles: RecentObstacles) -> set[tuple[int, ...]]:
+def occupied_cells(obstacles: RecentObstacles) -> set[tuple[int, ...]]:
     return {tuple(cell) for cell in obstacles.cells().tolist()}
 
 
@@ -175,16 +175,16 @@ def test_obstacles_are_remembered_for_some_time_or_until_seen_through() -> None:
     obstacles = RecentObstacles(FRAME, (100, 100))
     here = (2.5, 2.5, 0.0)
     obstacles.add_scan(0, here, beams(ahead=1.0, left=1.0, back=0.1, right=4.0), (0.22, 3.0), 3_000)
-    assert seen(obstacles) == {(50, 70), (70, 50)}  # the others too near, and too far
+    assert occupied_cells(obstacles) == {(50, 70), (70, 50)}  # the others too near, and too far
 
     obstacles.add_scan(1_000, here, beams(ahead=math.nan, left=2.0), (0.22, 3.0), 3_000)
-    assert seen(obstacles) == {(50, 70), (90, 50)}
+    assert occupied_cells(obstacles) == {(50, 70), (90, 50)}
 
     obstacles.add_scan(3_500, here, beams(ahead=math.nan, left=math.nan), (0.22, 3.0), 3_000)
-    assert seen(obstacles) == {(90, 50)}
+    assert occupied_cells(obstacles) == {(90, 50)}
 
     obstacles.forget(2_000)
-    assert seen(obstacles) == set()
+    assert occupied_cells(obstacles) == set()
 
 
 def test_rotated_and_clockwise_scanner_sees_the_same() -> None:
@@ -197,11 +197,11 @@ def test_rotated_and_clockwise_scanner_sees_the_same() -> None:
         obstacles.add_scan(
             0, here, ScanBeams((0.1, 0.0, 0.7), angles, ranges, 8.0), (0.22, 3.0), 10
         )
-        assert len(seen(obstacles)) > 30
+        assert len(occupied_cells(obstacles)) > 30
         obstacles.add_scan(
             1, here, ScanBeams((0.1, 0.0, 0.7), angles, ranges + 0.3, 8.0), (0.22, 1.2), 10
         )
-        assert seen(obstacles) == set()
+        assert occupied_cells(obstacles) == set()
 
 
 def test_beams_in_one_direction_add_obstacles_and_remove_none() -> None:
@@ -210,7 +210,7 @@ def test_beams_in_one_direction_add_obstacles_and_remove_none() -> None:
         same = ScanBeams((0.0, 0.0, 0.0), np.zeros(3), np.full(3, range_m), 8.0)
         obstacles.add_scan(stamp, (2.5, 2.5, 0.0), same, (0.22, 3.0), 10)
 
-    assert seen(obstacles) == {(50, 70), (50, 90)}
+    assert occupied_cells(obstacles) == {(50, 70), (50, 90)}
 
 
 def test_inflation_weight_is_the_additional_cost_beside_an_obstacle() -> None:

@@ -28,6 +28,7 @@ from tests.components.path_planner.rooms import (
     scan_of,
     stand,
 )
+from tests.wording import assert_words
 
 
 def test_free_path_is_kept() -> None:
@@ -273,7 +274,7 @@ def test_path_outside_a_shrunk_map_is_replanned_at_once() -> None:
 
     (plan,) = planner.take("plan")
     assert plan.outcome == Plan.OUTSIDE_MAP
-    assert "the goal (8.00, 1.50) is outside the map" in plan.reason
+    assert_words(plan.reason, "goal (8.00, 1.50)", "outside the map")
 
 
 def test_robot_outside_the_map_gets_a_path_when_it_is_back() -> None:
@@ -285,7 +286,7 @@ def test_robot_outside_the_map_gets_a_path_when_it_is_back() -> None:
     planner.run_for(1.5)
 
     assert off.outcome == Plan.START_BLOCKED
-    assert off.reason == "the robot at (-0.10, 3.00) is outside the map"
+    assert_words(off.reason, "(-0.10, 3.00)", "outside the map")
     assert [plan.outcome for plan in planner.take("plan")] == [Plan.FOUND]
 
 

@@ -32,8 +32,8 @@ from cairn.driver.serial_and_tcp import SerialLink
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.tf2_msgs import TFMessage
-from tests.cairn.runtime.running import Threaded
-from tests.components.hokuyo.driving import Received
+from tests.cairn.runtime.threaded import ThreadedComponent
+from tests.components.hokuyo.emulated_driver import Received
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.slow
@@ -48,19 +48,21 @@ class FrequentReporter(PbsScanner):
 
 
 @dataclass
-class Driven:
-    """A driver and its emulated sensor."""
+class EmulatedDriver:
+    """A driver and the emulated sensor that it reads."""
 
     emulator: Emulator
     sent: list[SentDistances]
-    component: Threaded
+    component: ThreadedComponent
     scans: Received
     diagnostics: Received
     mounted: Received
 
 
 @contextmanager
-def _driven(folder: Path, *, activate: bool = True, **line: Any) -> Iterator[Driven]:
+def _emulated_driver(
+    folder: Path, *, activate: bool = True, **line: Any
+) -> Iterator[EmulatedDriver]:
     sent: list[SentDistances] = []
     device = EmulatedPbs(on_scan=sent.append)
     bus = LockstepBus()
@@ -68,11 +70,11 @@ def _driven(folder: Path, *, activate: bool = True, **line: Any) -> Iterator[Dri
     mounted = Received(bus, "tf_static", TFMessage)
     with Emulator(device, PtyEnd(folder / "scanner"), **line) as emulator:
         parameters = {"port": str(folder / "scanner")}
-        component = Threaded(FrequentReporter, bus, parameters=parameters)
+        component = ThreadedComponent(FrequentReporter, bus, parameters=parameters)
         try:
             if activate:
                 component.activate()
-            yield Driven(emulator, sent, component, *received, mounted)
+            yield EmulatedDriver(emulator, sent, component, *received, mounted)
         finally:
             component.close()
 
@@ -88,11 +90,11 @@ def _in_range(sent: SentDistances) -> list[int]:
 
 
 def test_every_scan_is_equal_to_what_was_sent(tmp_path: Path) -> None:
-    with _driven(tmp_path) as driven:
-        scans = driven.scans.wait(5)
-        (mounted,) = driven.mounted.wait(1)
+    with _emulated_driver(tmp_path) as driver:
+        scans = driver.scans.wait(5)
+        (mounted,) = driver.mounted.wait(1)
         now = time.time_ns()
-    assert [_millimeters(scan) for scan in scans] == [_in_range(one) for one in driven.sent[:5]]
+    assert [_millimeters(scan) for scan in scans] == [_in_range(one) for one in driver.sent[:5]]
     stamps = [to_ns(scan.header.stamp) for scan in scans]
     assert all(0 < later - sooner < SECOND for sooner, later in pairwise(stamps))
     assert 0 < now - stamps[-1] < SECOND
@@ -101,11 +103,11 @@ def test_every_scan_is_equal_to_what_was_sent(tmp_path: Path) -> None:
     assert mounted.transforms[0].child_frame_id == "laser"
 
 
-def test_damage_is_in_the_diagnostics(tmp_path: Path) -> None:
-    with _driven(tmp_path, paced=True) as driven:
-        driven.scans.wait(1)
-        driven.emulator.inject("bad_sum", 2)
-        reports = driven.diagnostics.wait_for(
+def test_damaged_frames_are_counted_in_the_diagnostics(tmp_path: Path) -> None:
+    with _emulated_driver(tmp_path, paced=True) as driver:
+        driver.scans.wait(1)
+        driver.emulator.inject("bad_sum", 2)
+        reports = driver.diagnostics.wait_for(
             lambda all_: any("damaged" in one.status[0].message for one in all_)
         )
     status: DiagnosticStatus = next(
@@ -117,30 +119,30 @@ def test_damage_is_in_the_diagnostics(tmp_path: Path) -> None:
     assert int(values["damaged frames"]) >= 1
 
 
-def test_no_wrong_scan_is_published_with_faults_on_the_line(tmp_path: Path) -> None:
+def test_line_faults_cause_no_wrong_scan(tmp_path: Path) -> None:
     shares = dict.fromkeys(FRAME_FAULTS, 0.1)
-    with _driven(tmp_path, shares=shares, seed=3) as driven:
-        scans = driven.scans.wait(10)
-    sent = [_in_range(one) for one in driven.sent]
+    with _emulated_driver(tmp_path, shares=shares, seed=3) as driver:
+        scans = driver.scans.wait(10)
+    sent = [_in_range(one) for one in driver.sent]
     assert all(_millimeters(scan) in sent for scan in scans)
 
 
 def test_scans_resume_after_unplugging(tmp_path: Path) -> None:
-    with _driven(tmp_path) as driven:
-        driven.scans.wait(2)
-        driven.emulator.unplug()
-        driven.diagnostics.wait_for(
+    with _emulated_driver(tmp_path) as driver:
+        driver.scans.wait(2)
+        driver.emulator.unplug()
+        driver.diagnostics.wait_for(
             lambda all_: bool(all_) and all_[-1].status[0].level == DiagnosticStatus.ERROR
         )
-        before = len(driven.scans)
-        driven.emulator.plug_in()
-        driven.scans.wait(3, after=before)
+        before = len(driver.scans)
+        driver.emulator.plug_in()
+        driver.scans.wait(3, after=before)
 
 
-def test_deactivated_the_driver_releases_port_and_link(tmp_path: Path) -> None:
-    with _driven(tmp_path) as driven:
-        driven.scans.wait(2)
-        driven.component.ask("deactivate")
+def test_deactivation_releases_port_and_link(tmp_path: Path) -> None:
+    with _emulated_driver(tmp_path) as driver:
+        driver.scans.wait(2)
+        driver.component.request("deactivate")
         # Neither the port nor the link is held.
         line = SerialLink(str(tmp_path / "scanner"), BAUD)
         line.write(encode_frame(DISTANCES))
@@ -151,20 +153,20 @@ def test_deactivated_the_driver_releases_port_and_link(tmp_path: Path) -> None:
             answers += splitter.feed(line.read(LIMIT_S))
         assert all(parse_distances(answer) is None for answer in answers)
         line.close()
-        before = len(driven.scans)
-        driven.component.ask("activate")
-        driven.scans.wait(2, after=before)
+        before = len(driver.scans)
+        driver.component.request("activate")
+        driver.scans.wait(2, after=before)
 
 
-def test_a_missing_port_is_an_error_at_configuration(tmp_path: Path) -> None:
-    with _driven(tmp_path, activate=False) as driven:
-        driven.emulator.unplug()
+def test_missing_port_fails_configuration(tmp_path: Path) -> None:
+    with _emulated_driver(tmp_path, activate=False) as driver:
+        driver.emulator.unplug()
         with pytest.raises((CairnError, ControlError), match="scanner cannot be opened"):
-            driven.component.ask("configure")
+            driver.component.request("configure")
 
 
-def test_a_silent_line_is_an_error_at_configuration(tmp_path: Path) -> None:
-    with _driven(tmp_path, activate=False) as driven:
-        driven.emulator.hang()
+def test_silent_line_fails_configuration(tmp_path: Path) -> None:
+    with _emulated_driver(tmp_path, activate=False) as driver:
+        driver.emulator.hang()
         with pytest.raises((CairnError, ControlError), match="no PBS-03JN replies"):
-            driven.component.ask("configure")
+            driver.component.request("configure")

@@ -23,7 +23,7 @@ from cairn.schemas.std_msgs import Header
 CODE = bytes.fromhex("1122334455667788")
 
 
-def test_the_check_sum_is_crc_16_kermit() -> None:
+def test_check_sum_is_crc_16_kermit() -> None:
     assert crc16(b"123456789") == 0x2189
     assert crc16(CODE) == 0x7439
     assert crc16(protocol.LINK_CODE) == 0x5138
@@ -41,7 +41,7 @@ def test_the_check_sum_is_crc_16_kermit() -> None:
         (protocol.LINK + b"\x01", b"\x02H%H!V3 \x03"),
     ],
 )
-def test_frames_are_those_of_two_independent_drivers(payload: bytes, wire: bytes) -> None:
+def test_frames_equal_those_of_two_independent_drivers(payload: bytes, wire: bytes) -> None:
     assert encode_frame(payload) == wire
     assert decode_frame(wire[1:-1]) == payload
 
@@ -84,7 +84,7 @@ def test_frames_are_found_after_noise_and_in_pieces(
 
 @settings(max_examples=50, deadline=None)
 @given(st.data())
-def test_a_changed_bit_is_detected(data: st.DataObject) -> None:
+def test_changed_bit_is_detected(data: st.DataObject) -> None:
     wire = encode_frame(protocol.DISTANCES + data.draw(st.binary(min_size=242, max_size=242)))
     at = data.draw(st.integers(1, len(wire) - 2))
     changed = wire[at] ^ 1 << data.draw(st.integers(0, 7))
@@ -94,7 +94,7 @@ def test_a_changed_bit_is_detected(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("frame", [b"", b"H", b"H&DX40x", b"H&DX50", b"H&DX4"])
-def test_invalid_frames_are_refused(frame: bytes) -> None:
+def test_invalid_frames_are_rejected(frame: bytes) -> None:
     with pytest.raises(FrameError):
         decode_frame(frame)
 
@@ -133,7 +133,7 @@ def exchange(sent: list[SentDistances]) -> Exchange:
     return Exchange(EmulatedPbs(on_scan=sent.append), PbsClient(0.1))
 
 
-def test_the_client_links_and_receives_every_distance(
+def test_client_links_and_receives_every_distance(
     exchange: Exchange, sent: list[SentDistances]
 ) -> None:
     exchange.run(0.0, 10.0)
@@ -146,7 +146,7 @@ def test_the_client_links_and_receives_every_distance(
     assert sum(frame.startswith(b"\x02H%H") for frame in exchange.sent_frames) == 5
 
 
-def test_the_sensor_sends_no_distances_without_a_link() -> None:
+def test_sensor_sends_no_distances_without_a_link() -> None:
     sensor = EmulatedPbs(code=bytes(8))
     ask, link = encode_frame(protocol.DISTANCES), encode_frame(protocol.link_request(bytes(8)))
     assert sensor.receive(ask, 0.0) == []
@@ -164,7 +164,7 @@ def test_the_sensor_sends_no_distances_without_a_link() -> None:
     assert sensor.receive(ask, 5.2) == []
 
 
-def test_a_silent_sensor_is_given_up_unless_it_returns(exchange: Exchange) -> None:
+def test_sensor_that_stays_silent_is_reported_as_silent(exchange: Exchange) -> None:
     exchange.run(0.0, 1.0)
     exchange.deaf = True
     exchange.run(1.0, 2.0)
@@ -180,7 +180,7 @@ def test_a_silent_sensor_is_given_up_unless_it_returns(exchange: Exchange) -> No
     assert exchange.client.silent
 
 
-def test_the_new_link_code_of_a_restarted_sensor_is_obtained(exchange: Exchange) -> None:
+def test_new_link_code_of_a_restarted_sensor_is_obtained(exchange: Exchange) -> None:
     exchange.run(0.0, 1.0)
     exchange.sensor.powered_on(1.0)
     exchange.run(1.0, 4.0)
@@ -196,7 +196,7 @@ def test_distances_instead_of_a_confirmation_are_accepted(exchange: Exchange) ->
     assert found.size == 121
 
 
-def test_the_link_is_ended_once(exchange: Exchange) -> None:
+def test_link_is_closed_only_once(exchange: Exchange) -> None:
     assert exchange.client.unlink() is None
     exchange.run(0.0, 1.0)
     last = exchange.client.unlink()
@@ -205,7 +205,7 @@ def test_the_link_is_ended_once(exchange: Exchange) -> None:
     assert exchange.client.unlink() is None
 
 
-def test_ranges_are_those_of_rep_117() -> None:
+def test_ranges_follow_rep_117() -> None:
     distances = np.full(121, 1500, np.int32)
     distances[:4] = 0, 150, 3001, 0xFFFF
     scan = PbsMessages(math.radians(1.8), 3.0).scan(distances, Header())

@@ -64,6 +64,6 @@ def calibrations(folder: Path) -> dict[str, str]:
 def replayed(path: Path, **parameters: Any) -> Any:
     """Return the component after the whole recording was replayed."""
     first, last = open_recording(path, image_rate_hz=parameters.get("image_rate_hz")).span()
-    it = start(ReplayCamera, first / SECOND - 0.5, recording=str(path), **parameters)
-    it.run_for((last - first) / SECOND + 1.0)
-    return it
+    harness = start(ReplayCamera, first / SECOND - 0.5, recording=str(path), **parameters)
+    harness.run_for((last - first) / SECOND + 1.0)
+    return harness

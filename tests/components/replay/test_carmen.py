@@ -15,6 +15,7 @@ from cairn.components.replay.carmen import CarmenRecording, posed_scans
 from cairn.components.replay.recording import RecordingError
 from cairn.planar.poses import distance, relative, wrap
 from tests.components.replay.conftest import FR079, FR101, Write, flaser, odom
+from tests.wording import assert_words, words_in_order
 
 pytestmark = pytest.mark.slow
 
@@ -62,7 +63,7 @@ def test_compressed_log_is_detected_by_its_content(
 @pytest.mark.parametrize(
     ("beams", "last_deg"), [(180, 89.0), (181, 90.0), (360, 89.5), (361, 90.0), (401, 50.0)]
 )
-def test_beams_of_a_sick_laser_follow_from_their_number(
+def test_beam_angles_of_a_sick_laser_follow_from_the_number_of_beams(
     write: Write, beams: int, last_deg: float
 ) -> None:
     recording = CarmenRecording(write(flaser(1.0, 0.0, (2.0,) * beams)))
@@ -80,7 +81,7 @@ def test_beams_of_an_unknown_laser_are_assumed_with_a_note(write: Write) -> None
     recording = CarmenRecording(write(flaser(1.0, 0.0, (2.0,) * 91)))
 
     (note, *_) = recording.notes()
-    assert "91 beams are not those of a SICK laser" in note
+    assert_words(note, "91 beams", "SICK")
 
 
 def test_error_code_is_nan_and_out_of_reach_is_infinity(write: Write) -> None:
@@ -270,9 +271,7 @@ def test_raw_log_has_no_posed_scans(write: Write) -> None:
 
 def test_advice_for_a_raw_log_can_be_followed(write: Write) -> None:
     """A replay would need the very map that is wanted."""
-    with pytest.raises(
-        RecordingError, match="Use a log that a SLAM program has corrected"
-    ) as error:
+    with pytest.raises(RecordingError, match=words_in_order("log", "corrected")) as error:
         next(posed_scans(write(*drive(3))))
     assert "replay" not in str(error.value).removeprefix(str(write()))
 

@@ -9,6 +9,7 @@ import pytest
 
 from cairn.components.replay.mrclam import MrclamDataset
 from cairn.components.replay.recording import RecordingError
+from tests.wording import words_in_order
 
 pytestmark = pytest.mark.slow
 
@@ -126,7 +127,7 @@ def test_impossible_number_is_rejected_with_its_line(
 def test_files_of_different_runs_are_rejected(copy: Path) -> None:
     (copy / "Robot2_Measurement.dat").write_text("100.0 63 1.0 0.1\n")
 
-    with pytest.raises(RecordingError, match="the files are not from one run"):
+    with pytest.raises(RecordingError, match=words_in_order("not from one run")):
         MrclamDataset(copy).span(2)
 
 

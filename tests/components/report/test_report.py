@@ -21,9 +21,9 @@ def report(tmp_path: Path) -> Any:
     return ComponentHarness(Report, {"directory": str(tmp_path)}, start_s=BEGIN)
 
 
-def finished(it: Any, folder: Path) -> tuple[dict[str, Any], str]:
+def finished(harness: Any, folder: Path) -> tuple[dict[str, Any], str]:
     """The report at the end of a run: its values, and its text."""
-    it.request("deactivate")
+    harness.request("deactivate")
     values = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     return values, (folder / "report.txt").read_text(encoding="utf-8")
 

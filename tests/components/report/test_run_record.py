@@ -13,7 +13,7 @@ def test_move_is_a_removal_and_a_registration() -> None:
     assert moves.last == ObjectMove(HERE, 10, 20)
 
 
-def test_restored_object_never_moved() -> None:
+def test_restored_object_is_not_counted_as_moved() -> None:
     moves = ObjectMoves()
     moves.removed(10, HERE)
     moves.restored(HERE)
@@ -41,7 +41,7 @@ def test_several_moves_are_undone_at_once() -> None:
     assert moves.last == ObjectMove(HERE, 10, 15)
 
 
-def test_object_without_a_position_again_was_not_registered() -> None:
+def test_object_that_loses_its_position_again_is_not_counted_as_registered() -> None:
     moves = ObjectMoves()
     moves.removed(10, HERE)
     moves.registered(20)

@@ -12,6 +12,7 @@ from cairn.components.roboclaw.protocol import ACKNOWLEDGED, reply_packet
 from cairn.driver.emulator import FRAME_FAULTS, FrameFaults
 from cairn.driver.errors import DeviceError
 from tests.components.roboclaw.line import client_on
+from tests.wording import words_in_order
 
 GEOMETRY = WheelGeometry(0.05, 1.0, 0.3, 2000.0, "m1", left_inverted=False, right_inverted=False)
 LIMITS = BaseLimits(0.6, 1.5, 0.8, 3.0)
@@ -47,7 +48,7 @@ def test_error_names_the_command_that_is_not_answered() -> None:
     device = EmulatedRoboclaw(address=0x85)
     client, _, _ = client_on(device)
 
-    with pytest.raises(DeviceError, match="address 0x80 does not answer command 21"):
+    with pytest.raises(DeviceError, match=words_in_order("0x80", "command 21")):
         client.version()
 
 
@@ -56,7 +57,7 @@ def test_error_names_the_command_whose_replies_are_invalid() -> None:
     faults = FrameFaults({"bad_sum": 1.0}, np.random.default_rng(5))
     client, _, _ = client_on(device, faults)
 
-    with pytest.raises(DeviceError, match="command 78 with an invalid reply"):
+    with pytest.raises(DeviceError, match=words_in_order("command 78", "invalid")):
         client.read(protocol.ENCODERS)
 
 
@@ -83,7 +84,7 @@ def test_battery_limits_are_set_for_every_firmware(firmware: Firmware) -> None:
     assert device.controller.auto_offset == (firmware == "new")
 
 
-def test_late_reply_is_not_taken_for_the_next_one() -> None:
+def test_late_reply_is_not_accepted_as_the_next_one() -> None:
     device = EmulatedRoboclaw(first_counts=(5, 6))
     client, line, counts = client_on(device)
     line.late = [reply_packet(0x80, 90, bytes(4)), ACKNOWLEDGED]

@@ -28,7 +28,7 @@ def test_forward_and_left_are_as_in_rep_103() -> None:
     assert right == 0.15
 
 
-def test_turn_of_a_wheel_is_its_circumference() -> None:
+def test_one_wheel_turn_moves_the_robot_by_the_circumference() -> None:
     first, second = GEOMETRY.channel_counts(2 * math.pi * 0.05, 2 * math.pi * 0.05 * 1.02)
 
     assert (first, second) == (4000, -4000)  # the left wheel is on M2, and inverted
@@ -48,7 +48,9 @@ def test_count_difference_handles_the_wrap(before: int, counts: int) -> None:
 
 
 @given(speeds, speeds)
-def test_command_beyond_the_limits_keeps_its_curve(forward: float, turn: float) -> None:
+def test_command_beyond_the_limits_is_slowed_down_on_the_same_curve(
+    forward: float, turn: float
+) -> None:
     wheels = GEOMETRY.wheel_speeds(forward, turn)
     v, w = limit_velocity(forward, turn, LIMITS, wheels, 0.7)
 

@@ -40,7 +40,7 @@ def test_faulty_wheel_is_named(commanded: Pair, measured: Pair, found: str) -> N
     assert re.search(found, fault), fault
 
 
-def test_short_deviation_is_no_fault() -> None:
+def test_short_deviation_does_not_count_as_a_fault() -> None:
     assert detected((0.3, 0.3), (0.3, 0.0), 0.7) is None
     assert detected((0.3, 0.3), (0.3, -0.2), 0.25) is None
 

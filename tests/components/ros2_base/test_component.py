@@ -87,7 +87,7 @@ def started(**parameters: Any) -> Base:
     return base
 
 
-def test_command_is_passed_on_at_once_and_repeated() -> None:
+def test_command_is_forwarded_at_once_and_repeated() -> None:
     base = started()
 
     base.publish("cmd_vel", FORWARD)
@@ -98,7 +98,7 @@ def test_command_is_passed_on_at_once_and_repeated() -> None:
     assert base.take("base_cmd_vel_stamped") == []
 
 
-def test_stale_command_becomes_rest_and_then_silence() -> None:
+def test_stale_command_is_followed_by_zero_velocity_and_then_nothing() -> None:
     base = started()
     base.run(1.0, FORWARD)
     base.take("base_cmd_vel")
@@ -115,14 +115,14 @@ def test_stale_command_becomes_rest_and_then_silence() -> None:
     assert base.take("base_cmd_vel") == []  # a joystick may have the base
 
 
-def test_activation_commands_rest() -> None:
+def test_activation_sends_zero_velocity() -> None:
     base = Base()
     base.run_for(0.5)
 
     assert set(map(repr, base.take("base_cmd_vel"))) == {repr(REST)}
 
 
-def test_failure_commands_rest() -> None:
+def test_failure_sends_zero_velocity() -> None:
     base = started()
     base.publish("cmd_vel", FORWARD)
     base.take("base_cmd_vel")
@@ -135,7 +135,7 @@ def test_failure_commands_rest() -> None:
     assert base.take("base_cmd_vel") == [REST]
 
 
-def test_deactivation_commands_rest() -> None:
+def test_deactivation_sends_zero_velocity() -> None:
     base = started()
     base.publish("cmd_vel", FORWARD)
     base.take("base_cmd_vel")
@@ -161,7 +161,7 @@ def test_base_without_odometry_is_not_driven() -> None:
     assert base.levels()[-1] == 0
 
 
-def test_command_beyond_the_limits_keeps_its_curve() -> None:
+def test_command_beyond_the_limits_is_slowed_down_on_the_same_curve() -> None:
     base = started(speed=0.5, turn=1.0)
 
     base.publish("cmd_vel", Twist(linear=Vector3(x=-5.0), angular=Vector3(z=2.0)))
@@ -183,7 +183,7 @@ def test_stamped_commands_are_sent_if_configured() -> None:
     assert base.take("base_cmd_vel") == []
 
 
-def test_base_without_a_clock_gets_stamp_zero() -> None:
+def test_command_to_a_base_without_a_clock_has_stamp_zero() -> None:
     base = started(stamped=True, stamp_on_arrival=True)
 
     base.publish("cmd_vel", FORWARD)
@@ -209,7 +209,7 @@ def test_odometry_is_published_unchanged_with_its_transform() -> None:
     assert tf.transforms[0].child_frame_id == "base_link"
 
 
-def test_transform_can_be_left_to_the_base() -> None:
+def test_transform_is_not_published_if_send_tf_is_off() -> None:
     base = started(send_tf=False)
     base.run(0.5)
 
@@ -323,7 +323,7 @@ def test_unusable_odometry_is_not_published(message: Any) -> None:
     assert base.take("diagnostics")[-1].status[0].values[2].value == "1"
 
 
-def test_reason_of_a_rejection_is_reported_instead_of_silence() -> None:
+def test_rejected_odometry_is_reported_with_the_reason() -> None:
     base = started(base_frame="base_footprint")
     base.run(1.0)
 

@@ -13,7 +13,7 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.base_contract import BaseContract
 from cairn.testing.robot import Arrival, Reading, RunningDeployment
 from tests.cairn.bus.network import eventually, node
-from tests.cairn.runtime.running import Threaded
+from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.components.ros2_base.foreign_base import ForeignBase, foreign_base
 
 pytestmark = pytest.mark.realtime
@@ -68,7 +68,7 @@ def test_stamped_commands_drive_a_recent_controller(base: ForeignBase) -> None:
     bus, driver_bus = ZenohBus(open_peer([base.router])), ZenohBus(open_peer([base.router]))
     try:
         commander = node(bus, "/robot/commander").advertise("/robot/cmd_vel", Twist, SENSOR)
-        driver = Threaded(
+        driver = ThreadedComponent(
             Ros2Base,
             driver_bus,
             name="base",
@@ -83,7 +83,7 @@ def test_stamped_commands_drive_a_recent_controller(base: ForeignBase) -> None:
 
         try:
             assert eventually(driven), "the base does not move"
-            driver.ask("deactivate")
+            driver.request("deactivate")
             assert base.await_stand(2.0)
         finally:
             driver.close()

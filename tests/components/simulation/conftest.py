@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.components.simulation.stage import Simulation
+from tests.components.simulation.simulation_harness import Simulation
 
 
 @pytest.fixture
-def begin(tmp_path: Path) -> Callable[..., Simulation]:
+def simulate(tmp_path: Path) -> Callable[..., Simulation]:
     return lambda **more: Simulation(tmp_path, **more)

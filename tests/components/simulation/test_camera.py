@@ -3,7 +3,6 @@
 import hashlib
 import math
 from collections.abc import Callable
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn import LATCHED, SECOND, CairnError, ParameterRejected, to_ns
+from cairn import SECOND, CairnError, ParameterRejected, to_ns
 from cairn.bus.codec import Codec
 from cairn.components.simulation.camera import SimulatedStereoCamera
 from cairn.components.simulation.camera_optics import PinholeCamera
@@ -21,71 +20,59 @@ from cairn.components.simulation.textures import drawn_picture
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose
 from cairn.schemas.geometry_msgs import TransformStamped
-from cairn.schemas.sensor_msgs import CameraInfo, Image
-from cairn.schemas.tf2_msgs import TFMessage
+from cairn.schemas.sensor_msgs import Image
 from cairn.vision.rectification import Rectifier
 from cairn.vision.stereo import StereoRig
-from tests.cairn.runtime.running import Placed, taken
-from tests.components.simulation.seeing import cut_out
-from tests.components.simulation.stage import Simulation
+from tests.components.simulation.camera_images import cut_out
+from tests.components.simulation.simulation_harness import Simulation
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.images
 
-
-Begin = Callable[..., Simulation]
 
 POSTER = {"id": 7, "x": 6.0, "y": 2.0, "theta": math.pi, "width": 0.5, "height": 0.4}
 SHARP: dict[str, Any] = {
     "light": {"drift": 0, "spread": 0},
     "sensor": {"vignetting": 0, "defocus": 0, "read_noise": 0, "shot_noise": 0},
 }
-PORTS = {
-    "left_image": Image,
-    "right_image": Image,
-    "left_info": CameraInfo,
-    "right_info": CameraInfo,
-}
+PORTS = ("left_image", "right_image", "left_info", "right_info")
 
 
-class Watched:
-    """A simulation with a stereo camera, and the messages of that camera."""
+class CameraSimulation(Simulation):
+    """A simulation with a stereo camera."""
 
-    def __init__(self, begin: Begin, parameters: dict[str, Any], **world: Any) -> None:
-        self.simulation = begin(**{"objects": [POSTER], **world})
-        lockstep = self.simulation.lockstep
-        self._readers = {name: lockstep.read(name, kind) for name, kind in PORTS.items()}
-        self._places = lockstep.read("tf_static", TFMessage, qos=LATCHED)
-        self.camera: Placed[SimulatedStereoCamera]
-        self.camera = self.simulation.rerun(SimulatedStereoCamera, **parameters)
+    def __init__(self, folder: Path, parameters: dict[str, Any], **world: Any) -> None:
+        super().__init__(folder, **{"objects": [POSTER], **world})
+        self.camera = self.add(SimulatedStereoCamera, **parameters)
 
     def stand(self, seconds: float = 1.0) -> None:
-        self.simulation.drive(seconds, 0.0, 0.0)
-
-    def taken(self, port: str) -> list[Any]:
-        return taken(self._readers[port])
+        self.drive(seconds, 0.0, 0.0)
 
     def images(self, port: str = "left_image") -> list[NDArray[np.uint8]]:
-        return [message.data.reshape(message.height, -1) for message in self.taken(port)]
+        messages = self.camera.take(port)
+        return [message.data.reshape(message.height, -1) for message in messages]
 
-    def places(self) -> list[TransformStamped]:
-        return [one for message in taken(self._places) for one in message.transforms]
+    def camera_transforms(self) -> list[TransformStamped]:
+        return [one for message in self.camera.take("tf_static") for one in message.transforms]
 
 
 @pytest.fixture
-def watched(begin: Begin) -> Callable[..., Watched]:
-    def made(world: dict[str, Any] | None = None, **parameters: Any) -> Watched:
-        return Watched(begin, parameters, **(world or {}))
+def simulate_camera(tmp_path: Path) -> Callable[..., CameraSimulation]:
+    def make(world: dict[str, Any] | None = None, **parameters: Any) -> CameraSimulation:
+        return CameraSimulation(tmp_path, parameters, **(world or {}))
 
-    return made
-
-
-Make = Callable[..., Watched]
+    return make
 
 
-def test_images_and_camera_infos_of_a_pair_have_the_same_stamp(watched: Make) -> None:
-    it = watched(rate=10.0)
-    it.stand(1.05)
-    sent = {port: it.taken(port) for port in PORTS}
+SimulateCamera = Callable[..., CameraSimulation]
+
+
+def test_images_and_camera_infos_of_a_pair_have_the_same_stamp(
+    simulate_camera: SimulateCamera,
+) -> None:
+    simulation = simulate_camera(rate=10.0)
+    simulation.stand(1.05)
+    sent = {port: simulation.camera.take(port) for port in PORTS}
 
     stamps = {
         port: [to_ns(message.header.stamp) for message in messages]
@@ -106,12 +93,14 @@ def test_images_and_camera_infos_of_a_pair_have_the_same_stamp(watched: Make) ->
     assert (rig.cx, rig.cy) == (319.5, 239.5)
 
 
-def test_image_shows_the_world_from_the_camera_pose_at_its_stamp(watched: Make) -> None:
+def test_image_shows_the_world_from_the_camera_pose_at_its_stamp(
+    simulate_camera: SimulateCamera,
+) -> None:
     mount = {"x": 0.1, "y": 0.05, "theta": 0.1}
-    it = watched(mount=mount, z=1.2, **SHARP)
-    it.simulation.drive(2.0, 0.5, 0.2)
-    it.simulation.drive(2.0, 0.2, -0.4)
-    states = it.simulation.taken("world_state")
+    simulation = simulate_camera(mount=mount, z=1.2, **SHARP)
+    simulation.drive(2.0, 0.5, 0.2)
+    simulation.drive(2.0, 0.2, -0.4)
+    states = simulation.take("world_state")
     stamps = [to_ns(state.header.stamp) for state in states]
     track = np.array([planar_pose(state.robot) for state in states])
     lens = PinholeCamera.of(640, 480, math.radians(60))
@@ -128,7 +117,7 @@ def test_image_shows_the_world_from_the_camera_pose_at_its_stamp(watched: Make) 
         small = picture.reshape(80, 4, 100, 4).mean(axis=(1, 3))
         return float(np.corrcoef(flat.ravel(), small.ravel())[0, 1])
 
-    images = it.taken("left_image")
+    images = simulation.camera.take("left_image")
     right = [shown(image, 0.0) for image in images]
     late = [shown(image, 0.03) for image in images]
     assert np.isfinite(right).sum() > 10
@@ -136,11 +125,11 @@ def test_image_shows_the_world_from_the_camera_pose_at_its_stamp(watched: Make) 
     assert np.nanmean(right) > np.nanmean(late) + 0.01
 
 
-def test_camera_frames_are_optical_frames_on_the_robot(watched: Make) -> None:
-    it = watched(mount={"x": 0.2, "y": 0.05, "theta": math.pi / 2}, z=1.3)
-    places = {one.child_frame_id: one for one in it.places()}
-    left = places["left_camera_optical_frame"].transform
-    right = places["right_camera_optical_frame"].transform
+def test_camera_frames_are_optical_frames_on_the_robot(simulate_camera: SimulateCamera) -> None:
+    simulation = simulate_camera(mount={"x": 0.2, "y": 0.05, "theta": math.pi / 2}, z=1.3)
+    transforms = {one.child_frame_id: one for one in simulation.camera_transforms()}
+    left = transforms["left_camera_optical_frame"].transform
+    right = transforms["right_camera_optical_frame"].transform
 
     assert (left.translation.x, left.translation.y, left.translation.z) == (0.2, 0.05, 1.3)
     # It faces the left side of the robot: its right is the robot's front.
@@ -154,16 +143,16 @@ def test_camera_frames_are_optical_frames_on_the_robot(watched: Make) -> None:
         assert turned == pytest.approx(np.array(base), abs=1e-9)
 
 
-def test_light_and_sensor_parameters_change_at_run_time(watched: Make) -> None:
-    it = watched()
-    it.stand()
-    usual = it.images()[-1]
-    it.camera.ask("set_parameters", **{"light.level": 0.0})
-    it.stand()
-    dark = it.images()[-1]
-    it.camera.ask("set_parameters", **{"light.level": 1.0, "sensor.gain": 20.0})
-    it.stand()
-    bright = it.images()[-1]
+def test_light_and_sensor_parameters_change_at_run_time(simulate_camera: SimulateCamera) -> None:
+    simulation = simulate_camera()
+    simulation.stand()
+    usual = simulation.images()[-1]
+    simulation.camera.set_parameters({"light.level": 0.0})
+    simulation.stand()
+    dark = simulation.images()[-1]
+    simulation.camera.set_parameters({"light.level": 1.0, "sensor.gain": 20.0})
+    simulation.stand()
+    bright = simulation.images()[-1]
 
     assert 60 < usual.mean() < 200
     assert dark.mean() < 2.0
@@ -171,23 +160,25 @@ def test_light_and_sensor_parameters_change_at_run_time(watched: Make) -> None:
     assert (bright == 255).mean() > 0.9
 
 
-def test_light_drifts_over_time(watched: Make) -> None:
-    still = watched(light={"drift": 0})
+def test_light_drifts_over_time(simulate_camera: SimulateCamera) -> None:
+    still = simulate_camera(light={"drift": 0})
     still.stand(8.0)
-    it = watched(light={"drift": 0.3, "drift_s": 1.0})
-    it.stand(8.0)
+    simulation = simulate_camera(light={"drift": 0.3, "drift_s": 1.0})
+    simulation.stand(8.0)
 
     assert np.ptp([image.mean() for image in still.images()]) < 0.5
-    assert np.ptp([image.mean() for image in it.images()]) > 30
+    assert np.ptp([image.mean() for image in simulation.images()]) > 30
 
 
 @pytest.mark.parametrize("name", ["width", "baseline", "rate", "z", "mount.x", "distortion"])
-def test_other_parameters_of_the_camera_cannot_change_at_run_time(watched: Make, name: str) -> None:
-    it = watched()
+def test_other_parameters_of_the_camera_cannot_change_at_run_time(
+    simulate_camera: SimulateCamera, name: str
+) -> None:
+    simulation = simulate_camera()
     value = [0.1] if name == "distortion" else 64 if name == "width" else 0.5
 
     with pytest.raises(ParameterRejected, match=f"{name.split('.')[0]} cannot change while"):
-        it.camera.ask("set_parameters", **{name: value})
+        simulation.camera.set_parameters({name: value})
 
 
 @pytest.mark.parametrize(
@@ -198,54 +189,58 @@ def test_other_parameters_of_the_camera_cannot_change_at_run_time(watched: Make,
         ("right_missing", {"left_image", "left_info"}),
     ],
 )
-def test_missing_camera_publishes_nothing(watched: Make, fault: str, ports: set[str]) -> None:
-    it = watched()
-    it.camera.ask("set_parameters", fault=fault)
-    it.stand()
+def test_missing_camera_publishes_nothing(
+    simulate_camera: SimulateCamera, fault: str, ports: set[str]
+) -> None:
+    simulation = simulate_camera()
+    simulation.camera.set_parameters({"fault": fault})
+    simulation.stand()
 
-    assert {port for port in PORTS if it.taken(port)} == ports
+    assert {port for port in PORTS if simulation.camera.take(port)} == ports
 
 
-def test_frozen_camera_repeats_its_image_with_new_stamps(watched: Make) -> None:
-    it = watched(rate=10.0)
-    it.stand()
-    last = {port: it.images(port)[-1] for port in ("left_image", "right_image")}
-    it.camera.ask("set_parameters", fault="right_frozen")
-    it.stand()
-    left, right = it.images("left_image"), it.images("right_image")
+def test_frozen_camera_repeats_its_image_with_new_stamps(simulate_camera: SimulateCamera) -> None:
+    simulation = simulate_camera(rate=10.0)
+    simulation.stand()
+    last = {port: simulation.images(port)[-1] for port in ("left_image", "right_image")}
+    simulation.camera.set_parameters({"fault": "right_frozen"})
+    simulation.stand()
+    left, right = simulation.images("left_image"), simulation.images("right_image")
     assert all(np.array_equal(image, last["right_image"]) for image in right)
     assert not any(np.array_equal(one, other) for one, other in pairwise(left))
-    it.camera.ask("set_parameters", fault="frozen")
-    it.stand()
-    stamps = [to_ns(message.header.stamp) for message in it.taken("left_info")]
+    simulation.camera.set_parameters({"fault": "frozen"})
+    simulation.stand()
+    stamps = [to_ns(message.header.stamp) for message in simulation.camera.take("left_info")]
 
-    assert all(np.array_equal(image, left[-1]) for image in it.images("left_image"))
-    assert all(np.array_equal(image, last["right_image"]) for image in it.images("right_image"))
+    assert all(np.array_equal(image, left[-1]) for image in simulation.images("left_image"))
+    assert all(
+        np.array_equal(image, last["right_image"]) for image in simulation.images("right_image")
+    )
     assert len(set(stamps)) == len(stamps) >= 19
 
 
-def test_swapped_cameras_publish_each_others_images(watched: Make) -> None:
-    it = watched(**SHARP)
-    it.stand()
-    left, right = it.images("left_image")[-1], it.images("right_image")[-1]
-    it.camera.ask("set_parameters", fault="swapped")
-    it.stand()
+def test_swapped_cameras_publish_each_others_images(simulate_camera: SimulateCamera) -> None:
+    simulation = simulate_camera(**SHARP)
+    simulation.stand()
+    left, right = simulation.images("left_image")[-1], simulation.images("right_image")[-1]
+    simulation.camera.set_parameters({"fault": "swapped"})
+    simulation.stand()
 
     assert not np.array_equal(left, right)
-    assert np.array_equal(it.images("left_image")[-1], right)
-    assert np.array_equal(it.images("right_image")[-1], left)
+    assert np.array_equal(simulation.images("left_image")[-1], right)
+    assert np.array_equal(simulation.images("right_image")[-1], left)
 
 
 @pytest.mark.parametrize("distortion", [[-0.28, 0.08], [0.1, -0.05, 0.002, -0.001, 0.01]])
 def test_rectified_distorted_image_equals_the_image_of_an_ideal_lens(
-    watched: Make, distortion: list[float]
+    simulate_camera: SimulateCamera, distortion: list[float]
 ) -> None:
-    bent = watched(distortion=distortion, **SHARP)
+    bent = simulate_camera(distortion=distortion, **SHARP)
     bent.stand()
-    ideal = watched(**SHARP)
+    ideal = simulate_camera(**SHARP)
     ideal.stand()
     raw, true = bent.images()[-1], ideal.images()[-1]
-    info = bent.taken("left_info")[-1]
+    info = bent.camera.take("left_info")[-1]
     straight = Rectifier(info).apply(raw)
 
     assert info.distortion_model == "plumb_bob"
@@ -271,28 +266,28 @@ def test_rectified_distorted_image_equals_the_image_of_an_ideal_lens(
     ],
 )
 def test_impossible_camera_is_rejected(
-    watched: Make, parameters: dict[str, Any], expected_text: str
+    simulate_camera: SimulateCamera, parameters: dict[str, Any], expected_text: str
 ) -> None:
     with pytest.raises(CairnError, match=expected_text):
-        watched(**parameters)
+        simulate_camera(**parameters)
 
 
-def test_camera_above_the_ceiling_exits_with_the_reason(watched: Make) -> None:
-    it = watched(z=2.5)
-    it.stand()
+def test_camera_above_the_ceiling_exits_with_the_reason(simulate_camera: SimulateCamera) -> None:
+    simulation = simulate_camera(z=2.5)
+    simulation.stand()
 
-    (end,) = it.camera.ends
-    assert "the camera height 2.5 m is not below the ceiling" in str(end)
+    (end,) = simulation.camera.ends
+    assert_words(str(end), "2.5 m", "ceiling")
 
 
 def test_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     def digest() -> str:
         people = [{"name": "ada", "waypoints": [[4.5, 0.5], [4.5, 3.5]]}]
-        it = Watched(partial(Simulation, tmp_path), {"rate": 10.0}, people=people)
-        it.simulation.drive(1.0, 0.3, 0.5)
+        simulation = CameraSimulation(tmp_path, {"rate": 10.0}, people=people)
+        simulation.drive(1.0, 0.3, 0.5)
         sums, codec = hashlib.sha256(), Codec()
         for port in PORTS:
-            messages = it.taken(port)
+            messages = simulation.camera.take(port)
             assert len(messages) >= 8
             for message in messages:
                 sums.update(codec.encode(message))
@@ -301,10 +296,10 @@ def test_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     assert digest() == digest()
 
 
-def test_each_image_has_different_noise(watched: Make) -> None:
-    it = watched()
-    it.stand()
-    (one, other), right = it.images("left_image")[-2:], it.images("right_image")[-1]
+def test_each_image_has_different_noise(simulate_camera: SimulateCamera) -> None:
+    simulation = simulate_camera()
+    simulation.stand()
+    (one, other), right = simulation.images("left_image")[-2:], simulation.images("right_image")[-1]
 
     still = np.s_[0:100, 0:640]
     off = (one.astype(float) - other)[still]

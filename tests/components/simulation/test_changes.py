@@ -6,34 +6,33 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn import LATCHED, SECOND, CairnError, to_ns
+from cairn import SECOND, CairnError, to_ns
 from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.recognizer import SimulatedRecognizer
 from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_msgs import VisualMap
-from tests.cairn.runtime.running import taken
-from tests.components.simulation.stage import EXACT, MOUNT, OBJECTS, TABLE, Simulation
+from tests.components.simulation.simulation_harness import EXACT, MOUNT, OBJECTS, TABLE, Simulation
 
-Begin = Callable[..., Simulation]
+Simulate = Callable[..., Simulation]
 
 
-def test_sensors_see_moved_furniture_at_its_new_pose(begin: Begin) -> None:
-    simulation = begin(furniture=[TABLE], objects=OBJECTS)
+def test_sensors_see_moved_furniture_at_its_new_pose(simulate: Simulate) -> None:
+    simulation = simulate(furniture=[TABLE], objects=OBJECTS)
     simulation.drive(0.5, 0, 0)
-    simulation.taken("scan"), simulation.taken("objects")
-    simulation.world.ask("move", name="table", x=4.5, y=2.0, theta=0.0)
+    simulation.take("scan"), simulation.take("objects")
+    simulation.world.request("move", name="table", x=4.5, y=2.0, theta=0.0)
     simulation.drive(0.5, 0, 0)
-    scan = simulation.taken("scan")[-1]
+    scan = simulation.take("scan")[-1]
 
     ahead = round((-0.2 - scan.angle_min) / scan.angle_increment)
     assert scan.ranges[ahead] == pytest.approx(4.1 - 3.1, abs=0.08)
-    assert not any(seen.objects for seen in simulation.taken("objects"))
-    simulation.world.ask("remove", name="table")
-    simulation.world.ask("move", name="object_1", x=5.0, y=2.5, theta=3.1416)
+    assert not any(seen.objects for seen in simulation.take("objects"))
+    simulation.world.request("remove", name="table")
+    simulation.world.request("move", name="object_1", x=5.0, y=2.5, theta=3.1416)
     simulation.drive(0.5, 0, 0)
-    assert simulation.taken("objects")[-1].objects[0].range == pytest.approx(2.06, abs=0.3)
+    assert simulation.take("objects")[-1].objects[0].range == pytest.approx(2.06, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -56,62 +55,62 @@ def test_sensors_see_moved_furniture_at_its_new_pose(begin: Begin) -> None:
     ],
 )
 def test_invalid_requests_are_rejected_with_the_reason(
-    begin: Begin, verb: str, arguments: dict[str, Any], message: str
+    simulate: Simulate, verb: str, arguments: dict[str, Any], message: str
 ) -> None:
-    simulation = begin(furniture=[TABLE], objects=OBJECTS)
+    simulation = simulate(furniture=[TABLE], objects=OBJECTS)
 
     with pytest.raises(CairnError, match=message):
-        simulation.world.ask(verb, **arguments)
+        simulation.world.request(verb, **arguments)
     assert simulation.world.state == "active"
 
 
-def test_kidnapping_moves_the_robot_but_not_its_odometry(begin: Begin) -> None:
-    simulation = begin()
+def test_kidnapping_moves_the_robot_but_not_its_odometry(simulate: Simulate) -> None:
+    simulation = simulate()
     simulation.drive(0.5, 0, 0)
-    simulation.world.ask("kidnap", x=1.0, y=1.0, theta=1.0)
+    simulation.world.request("kidnap", x=1.0, y=1.0, theta=1.0)
     simulation.drive(0.5, 0, 0)
 
-    last = simulation.taken("truth")[-1]
+    last = simulation.take("truth")[-1]
     assert last.header.frame_id == "map"
     assert planar_pose(last.pose) == pytest.approx((1.0, 1.0, 1.0))
-    assert planar_pose(simulation.taken("odom")[-1].pose.pose) == (0.0, 0.0, 0.0)
+    assert planar_pose(simulation.take("odom")[-1].pose.pose) == (0.0, 0.0, 0.0)
 
 
-def test_events_happen_on_time_and_update_the_true_map(begin: Begin) -> None:
+def test_events_happen_on_time_and_update_the_true_map(simulate: Simulate) -> None:
     event = {"at": 2.0, "move": "object_2", "to": {"x": 0.0, "y": 1.0}}
-    simulation = begin(objects=OBJECTS, events=[event])
-    maps = simulation.lockstep.read("true_map", VisualMap, LATCHED)
+    simulation = simulate(objects=OBJECTS, events=[event])
+    maps = simulation.lockstep.read("true_map", VisualMap)
     simulation.drive(4.0, 0, 0)
 
-    first, second = taken(maps)
+    first, second = maps.take()
     assert to_ns(second.header.stamp) == pytest.approx(3 * SECOND, abs=SECOND // 20)
     assert [thing.y for thing in first.objects] == [2.0, 2.0]
     assert [thing.y for thing in second.objects] == [2.0, 1.0]
 
 
-def test_restarted_base_counts_from_its_origin_while_the_robot_stays(begin: Begin) -> None:
-    simulation = begin()
+def test_restarted_base_counts_from_its_origin_while_the_robot_stays(simulate: Simulate) -> None:
+    simulation = simulate()
     simulation.drive(2.0, 0.4, 0.0)
-    simulation.base.ask("shutdown")
-    before = simulation.taken("truth")[-1]
-    simulation.rerun(SimulatedBase, **EXACT)
-    simulation.taken("odom")
+    simulation.base.request("shutdown")
+    before = simulation.take("truth")[-1]
+    simulation.add(SimulatedBase, **EXACT)
+    simulation.take("odom")
     simulation.drive(0.2, 0.0, 0.0)
 
-    assert planar_pose(simulation.taken("odom")[0].pose.pose) == (0.0, 0.0, 0.0)
-    now = simulation.taken("truth")[-1]
+    assert planar_pose(simulation.take("odom")[0].pose.pose) == (0.0, 0.0, 0.0)
+    now = simulation.take("truth")[-1]
     assert distance(planar_pose(now.pose), planar_pose(before.pose)) < 0.05
 
 
-def test_restarted_sensors_receive_the_world_geometry(begin: Begin) -> None:
-    simulation = begin(objects=OBJECTS)
+def test_restarted_sensors_receive_the_world_geometry(simulate: Simulate) -> None:
+    simulation = simulate(objects=OBJECTS)
     simulation.drive(0.5, 0, 0)
-    simulation.scanner.ask("shutdown")
-    simulation.recognizer.ask("shutdown")
-    simulation.taken("scan"), simulation.taken("objects")
-    simulation.rerun(SimulatedScanner, mount=MOUNT)
-    simulation.rerun(SimulatedRecognizer, detection_probability=1.0)
+    simulation.scanner.request("shutdown")
+    simulation.recognizer.request("shutdown")
+    simulation.take("scan"), simulation.take("objects")
+    simulation.add(SimulatedScanner, mount=MOUNT)
+    simulation.add(SimulatedRecognizer, detection_probability=1.0)
     simulation.drive(0.5, 0, 0)
 
-    assert np.isfinite(simulation.taken("scan")[-1].ranges).mean() > 0.9
-    assert simulation.taken("objects")
+    assert np.isfinite(simulation.take("scan")[-1].ranges).mean() > 0.9
+    assert simulation.take("objects")

@@ -63,7 +63,7 @@ def listed(world: World) -> dict[str, dict[str, Any]]:
     return {row["name"]: row for row in world("list", "--json").json}
 
 
-def place(row: dict[str, Any]) -> tuple[float, float, float]:
+def pose_of(row: dict[str, Any]) -> tuple[float, float, float]:
     return row["x"], row["y"], row["theta"]
 
 
@@ -76,7 +76,7 @@ def test_list_shows_furniture_objects_people_and_the_robot(world: World) -> None
         "object_1": "object",
         "ada": "person",
     }
-    assert place(rows["table"]) == (1.5, 3.0, 0.0)
+    assert pose_of(rows["table"]) == (1.5, 3.0, 0.0)
     assert "heading [rad]" in world("list").out
 
 
@@ -86,12 +86,12 @@ def test_add_move_and_remove_change_the_world(world: World) -> None:
     assert world("add", "poster", "2", "0", "90deg", "--object", "7").code == 0
     assert world("person", "eve", "1,0.5", "5,0.5", "--speed", "0.5").out == "eve was added\n"
     rows = listed(world)
-    assert place(rows["crate"]) == pytest.approx((4.5, 1.4, 0.5236), abs=1e-4)
+    assert pose_of(rows["crate"]) == pytest.approx((4.5, 1.4, 0.5236), abs=1e-4)
     assert rows["poster"]["kind"] == "object"
     assert rows["eve"]["kind"] == "person"
 
     assert world("move", "crate", "4.4", "1.3", "-90deg").out == "crate was moved\n"
-    assert place(listed(world)["crate"]) == pytest.approx((4.4, 1.3, -1.5708), abs=1e-4)
+    assert pose_of(listed(world)["crate"]) == pytest.approx((4.4, 1.3, -1.5708), abs=1e-4)
     for name in ("crate", "poster", "eve"):
         assert world("remove", name).out == f"{name} was removed\n"
     assert set(listed(world)) == {"robot", "table", "object_1", "ada"}
@@ -99,7 +99,7 @@ def test_add_move_and_remove_change_the_world(world: World) -> None:
 
 def test_kidnap_moves_the_robot(world: World) -> None:
     assert world("kidnap", "5", "1", "90deg").out == "the robot was moved\n"
-    assert place(listed(world)["robot"]) == pytest.approx((5.0, 1.0, 0.5 * 3.14159), abs=1e-4)
+    assert pose_of(listed(world)["robot"]) == pytest.approx((5.0, 1.0, 0.5 * 3.14159), abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -161,14 +161,14 @@ def test_missing_running_world_is_reported_with_the_command_that_starts_one(
 def test_killed_world_continues_from_its_saved_state(simulation: Run, world: World) -> None:
     world("kidnap", "4", "1")
     world("move", "table", "1.2", "2.5")
-    until(lambda: '"x":1.2,"y":2.5,' in (simulation.report.parent / "state.json").read_text())
+    wait_until(lambda: '"x":1.2,"y":2.5,' in (simulation.report.parent / "state.json").read_text())
     os.kill(simulation.pid_of("world"), signal.SIGKILL)
 
     simulation.await_line("restored the saved state of the world")
     await_status("/robot/world", lambda row: row["state"] == "active", simulation.endpoint)
     rows = listed(world)
-    assert place(rows["table"]) == (1.2, 2.5, 0.0)
-    assert place(rows["robot"])[:2] == (4.0, 1.0)
+    assert pose_of(rows["table"]) == (1.2, 2.5, 0.0)
+    assert pose_of(rows["robot"])[:2] == (4.0, 1.0)
 
 
 @pytest.mark.parametrize("part", ["base", "range_scanner", "object_recognizer"])
@@ -188,7 +188,7 @@ def test_killed_driver_is_restarted_and_works(simulation: Run, part: str) -> Non
     assert "stamp" in answer.out
 
 
-def until(holds: Callable[[], bool]) -> None:
+def wait_until(holds: Callable[[], bool]) -> None:
     """Wait until a file has the expected content; nothing announces that."""
     deadline = time.monotonic() + LIMIT_S
     while not holds():

@@ -18,21 +18,21 @@ from cairn.components.simulation.world_file import read_world
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import compose, distance, wrap
 from cairn.schemas.geometry_msgs import Vector3
-from tests.components.simulation.stage import (
+from tests.components.simulation.simulation_harness import (
     OBJECTS,
     TABLE,
     Simulation,
+    drive_curves,
     poses_of,
-    script,
 )
 
-Begin = Callable[..., Simulation]
+Simulate = Callable[..., Simulation]
 
 
-def test_exact_odometry_equals_the_truth_at_the_same_times(begin: Begin) -> None:
-    simulation = begin(furniture=[TABLE], objects=OBJECTS)
-    script(simulation)
-    odom, truth = poses_of(simulation.taken("odom")), poses_of(simulation.taken("truth"))
+def test_exact_odometry_equals_the_truth_at_the_same_times(simulate: Simulate) -> None:
+    simulation = simulate(furniture=[TABLE], objects=OBJECTS)
+    drive_curves(simulation)
+    odom, truth = poses_of(simulation.take("odom")), poses_of(simulation.take("truth"))
 
     together = sorted(set(odom) & set(truth))
     assert len(together) >= 65
@@ -44,10 +44,10 @@ def test_exact_odometry_equals_the_truth_at_the_same_times(begin: Begin) -> None
     assert sum(way) > 1.0
 
 
-def test_each_odometry_message_has_a_transform(begin: Begin) -> None:
-    simulation = begin()
-    script(simulation)
-    odometry, expected_text = simulation.taken("odom"), simulation.taken("tf")
+def test_each_odometry_message_has_a_transform(simulate: Simulate) -> None:
+    simulation = simulate()
+    drive_curves(simulation)
+    odometry, expected_text = simulation.take("odom"), simulation.take("tf")
 
     assert len(expected_text) == len(odometry) > 300
     for odom, message in zip(odometry, expected_text, strict=True):
@@ -59,30 +59,30 @@ def test_each_odometry_message_has_a_transform(begin: Begin) -> None:
         assert transform.transform.rotation == turned
 
 
-def test_mounting_pose_of_the_scanner_is_a_static_transform(begin: Begin) -> None:
-    simulation = begin()
+def test_mounting_pose_of_the_scanner_is_a_static_transform(simulate: Simulate) -> None:
+    simulation = simulate()
     simulation.drive(1.0, 0.0, 0.0)
-    (message,) = simulation.taken("tf_static")
-    scan = simulation.taken("scan")[-1]
+    (message,) = simulation.take("tf_static")
+    scan = simulation.take("scan")[-1]
 
     (transform,) = message.transforms
-    assert transform.header.frame_id == simulation.taken("odom")[-1].child_frame_id
+    assert transform.header.frame_id == simulation.take("odom")[-1].child_frame_id
     assert transform.child_frame_id == scan.header.frame_id
     assert transform.transform.translation == Vector3(x=0.1)
     assert 2 * math.asin(transform.transform.rotation.z) == pytest.approx(0.2)
 
 
-def test_each_beam_starts_at_the_pose_of_the_robot_at_its_time(begin: Begin) -> None:
-    simulation = begin(furniture=[TABLE], objects=OBJECTS)
-    script(simulation)
-    states = simulation.taken("world_state")
+def test_each_beam_starts_at_the_pose_of_the_robot_at_its_time(simulate: Simulate) -> None:
+    simulation = simulate(furniture=[TABLE], objects=OBJECTS)
+    drive_curves(simulation)
+    states = simulation.take("world_state")
     stamps = np.array([to_ns(state.header.stamp) for state in states], float)
     poses = np.array([planar_pose(state.robot) for state in states])
     poses[:, 2] = np.unwrap(poses[:, 2])
     segments = WorldLayout.of(read_world(simulation.file)).solid_segments.segments
 
     off = []
-    for scan in simulation.taken("scan"):
+    for scan in simulation.take("scan"):
         beams = np.arange(scan.ranges.size)
         times = to_ns(scan.header.stamp) + beams * scan.time_increment * SECOND
         if not (stamps[0] <= times[0] and times[-1] <= stamps[-1]):
@@ -101,10 +101,10 @@ def test_each_beam_starts_at_the_pose_of_the_robot_at_its_time(begin: Begin) -> 
     assert 1.4826 * np.median(np.abs(errors)) == pytest.approx(0.015, rel=0.03)
 
 
-def test_scans_have_their_rate_and_the_stamp_of_their_first_beam(begin: Begin) -> None:
-    simulation = begin()
+def test_scans_have_their_rate_and_the_stamp_of_their_first_beam(simulate: Simulate) -> None:
+    simulation = simulate()
     simulation.drive(1.05, 0.0, 0.0)
-    scans = simulation.taken("scan")
+    scans = simulation.take("scan")
 
     assert np.diff([to_ns(scan.header.stamp) for scan in scans]) == pytest.approx(SECOND // 10)
     swept_ns = 1080 * scans[0].time_increment * SECOND
@@ -113,14 +113,14 @@ def test_scans_have_their_rate_and_the_stamp_of_their_first_beam(begin: Begin) -
     assert scans[0].scan_time == pytest.approx(0.1)
 
 
-def test_objects_are_observed_at_true_range_and_bearing(begin: Begin) -> None:
-    simulation = begin(objects=OBJECTS)
+def test_objects_are_observed_at_true_range_and_bearing(simulate: Simulate) -> None:
+    simulation = simulate(objects=OBJECTS)
     simulation.drive(3.0, 0.0, 0.4)
     truth = {
         to_ns(state.header.stamp): planar_pose(state.robot)
-        for state in simulation.taken("world_state")
+        for state in simulation.take("world_state")
     }
-    expected_text = [one for one in simulation.taken("objects") if one.objects]
+    expected_text = [one for one in simulation.take("objects") if one.objects]
     seen = [one for one in expected_text if to_ns(one.header.stamp) in truth]
 
     assert len(seen) >= 4
@@ -135,10 +135,10 @@ def test_objects_are_observed_at_true_range_and_bearing(begin: Begin) -> None:
         assert wrap(one.bearing - bearing) == pytest.approx(0, abs=5 * one.covariance[3] ** 0.5)
 
 
-def test_odometry_errors_match_their_covariance_and_speed_is_measured(begin: Begin) -> None:
-    simulation = begin(exact=False)
+def test_odometry_errors_match_their_covariance_and_speed_is_measured(simulate: Simulate) -> None:
+    simulation = simulate(exact=False)
     simulation.drive(2.0, 0.4, 0.3)
-    last = simulation.taken("odom")[-1]
+    last = simulation.take("odom")[-1]
     covariance = last.pose.covariance.reshape(6, 6)
 
     assert covariance[0, 0] > 0
@@ -148,32 +148,32 @@ def test_odometry_errors_match_their_covariance_and_speed_is_measured(begin: Beg
     assert last.twist.twist.linear.x != 0.4
 
 
-def test_robot_stops_without_commands_and_time_passes_without_a_base(begin: Begin) -> None:
-    simulation = begin(people=[{"name": "ada", "waypoints": [[0.5, 3.5], [5, 3.5]], "speed": 1.0}])
+def test_robot_stops_without_commands_and_time_passes_without_a_base(simulate: Simulate) -> None:
+    simulation = simulate(
+        people=[{"name": "ada", "waypoints": [[0.5, 3.5], [5, 3.5]], "speed": 1.0}]
+    )
     simulation.drive(1.0, 0.5, 0.0)
-    simulation.now += 2 * SECOND
-    simulation.lockstep.run_until(simulation.now)
-    stopped = poses_of(simulation.taken("truth"))
-    simulation.base.ask("shutdown")
-    simulation.now += 2 * SECOND
-    simulation.lockstep.run_until(simulation.now)
-    states = simulation.taken("world_state")
+    simulation.lockstep.run_for(2.0)
+    stopped = poses_of(simulation.take("truth"))
+    simulation.base.request("shutdown")
+    simulation.lockstep.run_for(2.0)
+    states = simulation.take("world_state")
 
     last = [stopped[stamp] for stamp in sorted(stopped)[-8:]]
     assert len(set(last)) == 1
-    assert to_ns(states[-1].header.stamp) > simulation.now - SECOND // 10
+    assert to_ns(states[-1].header.stamp) > simulation.lockstep.now_ns - SECOND // 10
     assert states[-1].people.array[0, 0] > states[-30].people.array[0, 0]
 
 
-def test_collision_is_reported_once_with_position_and_speed(begin: Begin) -> None:
-    simulation = begin()
+def test_collision_is_reported_once_with_position_and_speed(simulate: Simulate) -> None:
+    simulation = simulate()
     simulation.drive(9.0, 0.6, 0.0)
 
-    (hit,) = simulation.taken("collisions")
+    (hit,) = simulation.take("collisions")
     assert hit.obstacle == "wall 1"
     assert hit.x == pytest.approx(5.78, abs=0.013)
     assert hit.speed == pytest.approx(0.6)
-    state = simulation.taken("world_state")[-1]
+    state = simulation.take("world_state")[-1]
     assert (state.forward, state.turn) == (0.0, 0.0)
 
 
@@ -187,10 +187,10 @@ def test_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
             objects=OBJECTS,
             people=[{"name": "ada", "waypoints": [[0.5, 0.5], [5, 0.5]]}],
         )
-        script(simulation)
+        drive_curves(simulation)
         digest, codec = hashlib.sha256(), Codec()
         for topic in ("odom", "scan", "world_state", "objects"):
-            messages = simulation.taken(topic)
+            messages = simulation.take(topic)
             assert len(messages) >= 5
             for message in messages:
                 digest.update(codec.encode(message))
@@ -206,18 +206,18 @@ def test_impossible_scanner_is_rejected_when_it_is_configured(tmp_path: Path) ->
         ({"first": 1.0, "last": 0.9}, "leave fewer than two beams of a UST-10LX"),
     ):
         with pytest.raises(CairnError, match=expected_text):
-            simulation.rerun(SimulatedScanner, **parameters)
+            simulation.add(SimulatedScanner, **parameters)
 
 
-def test_things_beyond_the_range_give_no_return(begin: Callable[..., Simulation]) -> None:
-    simulation = begin()
+def test_things_beyond_the_range_give_no_return(simulate: Callable[..., Simulation]) -> None:
+    simulation = simulate()
     simulation.drive(0.5, 0.0, 0.0)
-    before = simulation.taken("scan")[-1]
-    simulation.rerun(SimulatedScanner, rate=10, dropouts=0, farthest=2.5)
-    simulation.taken("scan")
+    before = simulation.take("scan")[-1]
+    simulation.add(SimulatedScanner, rate=10, dropouts=0, farthest=2.5)
+    simulation.take("scan")
     simulation.drive(0.5, 0.0, 0.0)
 
-    scans = [scan for scan in simulation.taken("scan") if scan.range_max == 2.5]
+    scans = [scan for scan in simulation.take("scan") if scan.range_max == 2.5]
 
     assert scans
     assert np.isfinite(before.ranges).sum() > np.isfinite(scans[-1].ranges).sum() > 0
@@ -225,14 +225,14 @@ def test_things_beyond_the_range_give_no_return(begin: Callable[..., Simulation]
         assert (scan.ranges[np.isfinite(scan.ranges)] <= 2.5).all()
 
 
-def test_range_is_never_above_that_of_the_model(begin: Callable[..., Simulation]) -> None:
-    simulation = begin()
-    simulation.rerun(SimulatedScanner, model="PBS-03JN", dropouts=0, farthest=9.0)
+def test_range_is_never_above_that_of_the_model(simulate: Callable[..., Simulation]) -> None:
+    simulation = simulate()
+    simulation.add(SimulatedScanner, model="PBS-03JN", dropouts=0, farthest=9.0)
     simulation.drive(0.5, 0.0, 0.0)
 
-    assert {scan.range_max for scan in simulation.taken("scan")} == {3.0, 10.0}
+    assert {scan.range_max for scan in simulation.take("scan")} == {3.0, 10.0}
 
 
-def test_scanner_without_any_range_is_rejected(begin: Callable[..., Simulation]) -> None:
+def test_scanner_without_any_range_is_rejected(simulate: Callable[..., Simulation]) -> None:
     with pytest.raises(CairnError, match=r"least range 0\.2 m"):
-        begin().rerun(SimulatedScanner, model="PBS-03JN", farthest=0.2)
+        simulate().add(SimulatedScanner, model="PBS-03JN", farthest=0.2)

@@ -32,29 +32,29 @@ ROBOT: Pose = (0.0, 0.0, 0.0)
 NOWHERE = RayTargets(np.zeros((0, 4)), np.zeros(0, np.uint8), np.zeros((0, 3)))
 
 
-def facing(x: float, y: float, object_id: int = 1, aside: float = 0.0) -> RecognizableObject:
-    """An object that faces the origin, or faces aside by an angle [rad]."""
-    return RecognizableObject(object_id, (x, y, math.atan2(-y, -x) + aside))
+def facing(x: float, y: float, object_id: int = 1, offset: float = 0.0) -> RecognizableObject:
+    """An object that faces the origin, or is turned from it by an angle [rad]."""
+    return RecognizableObject(object_id, (x, y, math.atan2(-y, -x) + offset))
 
 
-def seen(
-    things: Sequence[RecognizableObject],
+def observe(
+    objects: Sequence[RecognizableObject],
     around: RayTargets = NOWHERE,
     eye: RecognizerModel = EYE,
     mount: Pose = (0.0, 0.0, 0.0),
     seed: int = 0,
 ) -> list[SimulatedRecognition]:
-    return recognize(eye, ROBOT, mount, things, around, np.random.default_rng(seed))
+    return recognize(eye, ROBOT, mount, objects, around, np.random.default_rng(seed))
 
 
-def across(x: float, surface: Surface = "plain") -> RayTargets:
+def segment_at(x: float, surface: Surface = "plain") -> RayTargets:
     """A segment across the view."""
     number = SURFACES[surface]
     return RayTargets(np.array([[x, -1.0, x, 1.0]]), np.array([number], np.uint8), np.zeros((0, 3)))
 
 
 @pytest.mark.parametrize(
-    ("thing", "there"),
+    ("recognizable", "expected"),
     [
         (facing(2, 0), True),
         (facing(2 * math.cos(0.5), 2 * math.sin(0.5)), True),
@@ -62,35 +62,35 @@ def across(x: float, surface: Surface = "plain") -> RayTargets:
         (facing(-2, 0), False),
         (facing(0.3, 0), False),
         (facing(5.1, 0), False),
-        (facing(2, 0, aside=math.radians(69)), True),
-        (facing(2, 0, aside=math.radians(-71)), False),
-        (facing(2, 0, aside=math.pi), False),
+        (facing(2, 0, offset=math.radians(69)), True),
+        (facing(2, 0, offset=math.radians(-71)), False),
+        (facing(2, 0, offset=math.pi), False),
     ],
 )
 def test_object_is_recognized_in_view_in_range_and_from_its_front(
-    thing: RecognizableObject, there: bool
+    recognizable: RecognizableObject, expected: bool
 ) -> None:
-    assert bool(seen([thing])) == there
+    assert bool(observe([recognizable])) == expected
 
 
 def test_object_is_hidden_by_obstacles_but_not_by_its_own_wall() -> None:
-    assert not seen([facing(2, 0)], across(1.0))
-    assert seen([facing(2, 0)], across(2.0))
-    assert seen([facing(2, 0)], across(3.0))
-    assert seen([facing(2, 0)], across(1.0, "glass"))
+    assert not observe([facing(2, 0)], segment_at(1.0))
+    assert observe([facing(2, 0)], segment_at(2.0))
+    assert observe([facing(2, 0)], segment_at(3.0))
+    assert observe([facing(2, 0)], segment_at(1.0, "glass"))
     person = RayTargets(np.zeros((0, 4)), np.zeros(0, np.uint8), np.array([[1.0, 0.0, 0.25]]))
-    assert not seen([facing(2, 0)], person)
+    assert not observe([facing(2, 0)], person)
 
 
 def test_range_and_bearing_are_relative_to_the_base_for_each_camera_mount() -> None:
-    (one,) = seen([facing(3, 0.5)], mount=(0.5, 0.2, 0.4))
+    (one,) = observe([facing(3, 0.5)], mount=(0.5, 0.2, 0.4))
 
     assert one.range_m == pytest.approx(math.hypot(3, 0.5), abs=4 * one.range_sd)
     assert one.bearing == pytest.approx(math.atan2(0.5, 3), abs=4 * one.bearing_sd)
 
 
 def test_errors_have_the_configured_deviation() -> None:
-    found = [seen([facing(2, 0)], seed=seed)[0] for seed in range(800)]
+    found = [observe([facing(2, 0)], seed=seed)[0] for seed in range(800)]
 
     assert found[0].range_sd == pytest.approx(0.05)
     assert np.std([(one.range_m - 2) / one.range_sd for one in found]) == pytest.approx(1, abs=0.1)
@@ -99,9 +99,9 @@ def test_errors_have_the_configured_deviation() -> None:
 
 def test_objects_are_missed_and_confused_as_often_as_configured() -> None:
     eye = replace(EYE, detection_probability=0.7, confusion_probability=0.2)
-    things = [facing(2, 0, 1), facing(-2, 0, 2), facing(-2, 1, 3)]
+    objects = [facing(2, 0, 1), facing(-2, 0, 2), facing(-2, 1, 3)]
     random = np.random.default_rng(0)
-    found = [recognize(eye, ROBOT, (0, 0, 0), things, NOWHERE, random) for _ in range(2000)]
+    found = [recognize(eye, ROBOT, (0, 0, 0), objects, NOWHERE, random) for _ in range(2000)]
     ids = [one.object_id for sighting in found for one in sighting]
 
     assert len(ids) / 2000 == pytest.approx(0.7, abs=0.04)
@@ -113,6 +113,6 @@ def test_random_numbers_of_objects_are_independent() -> None:
     eye = replace(EYE, confusion_probability=0.5)
     other = facing(3, 0.2, 2)
     for seed in range(20):
-        with_it = seen([facing(2, -0.5, 1), other], eye=eye, seed=seed)[-1]
-        without = seen([facing(-2, -0.5, 1), other], eye=eye, seed=seed)[-1]
+        with_it = observe([facing(2, -0.5, 1), other], eye=eye, seed=seed)[-1]
+        without = observe([facing(-2, -0.5, 1), other], eye=eye, seed=seed)[-1]
         assert with_it == without

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from cairn.components.simulation.rendering import CameraPose, ideal_image
 from cairn.components.simulation.textures import drawn_picture
 from cairn.planar.poses import Pose
-from tests.components.simulation.seeing import LENS, POSTER, corners, cut_out, seen, stands
+from tests.components.simulation.camera_images import (
+    LENS,
+    POSTER,
+    corners,
+    cut_out,
+    image_from,
+    surfaces_with,
+)
 
 pytestmark = pytest.mark.images
 
@@ -54,7 +61,7 @@ def test_picture_is_at_its_projection_to_a_tenth_of_a_pixel(away: float, aslant:
     angle = math.radians(aslant)
     pose = (6.0 - away * math.cos(angle), 2.0 - away * math.sin(angle), angle)
     around = corners(POSTER, pose, 1.1)
-    image = seen(pose, 1.1, objects=[POSTER])
+    image = image_from(pose, 1.1, objects=[POSTER])
     inside = within(around)
 
     def off(x: float, y: float) -> float:
@@ -75,7 +82,7 @@ def test_disparity_is_focal_length_times_baseline_over_depth(
 ) -> None:
     pose: Pose = (6.0 - away, 2.0 + aside, 0.0)
     left, right = (
-        cv2.GaussianBlur(seen(pose, right=way, objects=[POSTER]), (0, 0), 1.0)
+        cv2.GaussianBlur(image_from(pose, right=way, objects=[POSTER]), (0, 0), 1.0)
         for way in (0.0, baseline)
     )
     true = LENS.focal * baseline / away
@@ -116,13 +123,13 @@ def shown(image: NDArray[np.float32], pose: Pose) -> float:
 )
 def test_high_furniture_in_between_hides_a_picture(between: dict[str, Any], there: bool) -> None:
     pose = (2.0, 2.0, 0.0)
-    image = seen(pose, objects=[POSTER], **between)
+    image = image_from(pose, objects=[POSTER], **between)
 
     assert (shown(image, pose) > 0.98) == there
 
 
 def test_person_hides_what_is_behind() -> None:
-    surfaces, atlas = stands(objects=[POSTER])
+    surfaces, atlas = surfaces_with(objects=[POSTER])
     pose = (2.0, 2.0, 0.0)
 
     def around(*people: tuple[float, float, float]) -> float:
@@ -141,18 +148,18 @@ def test_picture_has_a_blank_back_and_does_not_show_through_its_wall() -> None:
     front, behind = (2.5, 2.0, 0.0), (5.5, 2.0, math.pi)
     inside = within(corners(on_it, front))
 
-    assert seen(front, objects=[on_it], walls=partition, robot=robot)[inside].std() > 30
-    with_it = seen(behind, objects=[on_it], walls=partition, robot=robot)
-    without = seen(behind, walls=partition, robot=robot)
+    assert image_from(front, objects=[on_it], walls=partition, robot=robot)[inside].std() > 30
+    with_it = image_from(behind, objects=[on_it], walls=partition, robot=robot)
+    without = image_from(behind, walls=partition, robot=robot)
     assert np.abs(with_it - without).max() < 1.0
-    free = seen(behind, objects=[on_it])
+    free = image_from(behind, objects=[on_it])
     assert free[inside].std() == pytest.approx(0.0, abs=1e-3)
     assert abs(float(free[inside].mean()) - float(without[inside].mean())) > 20
 
 
 def test_camera_sees_over_low_furniture_from_its_far_edge_on() -> None:
     pose = (2.0, 2.0, 0.0)
-    without, there = seen(pose), seen(pose, furniture=[{**LOW, "surface": "dark"}])
+    without, there = image_from(pose), image_from(pose, furniture=[{**LOW, "surface": "dark"}])
     changed = np.abs(there - without)[:, 320] > 1.0
     rows = np.nonzero(changed)[0]
 
@@ -165,17 +172,19 @@ def test_camera_sees_over_low_furniture_from_its_far_edge_on() -> None:
 
 def test_camera_above_a_table_sees_its_top_and_what_is_beyond() -> None:
     pose = (4.0, 2.0, 0.0)  # above its center
-    without, there = seen(pose), seen(pose, furniture=[{**LOW, "surface": "dark"}])
+    without, there = image_from(pose), image_from(pose, furniture=[{**LOW, "surface": "dark"}])
     edge = LENS.cy + LENS.focal * (1.0 - 0.5) / 0.3
 
     assert edge > 479  # it ends below the image
     assert np.abs(there - without).max() < 1.0
-    near = [seen(pose, 0.6, furniture=things) for things in ([], [{**LOW, "surface": "dark"}])]
+    near = [
+        image_from(pose, 0.6, furniture=things) for things in ([], [{**LOW, "surface": "dark"}])
+    ]
     changed = np.abs(near[1] - near[0])[:, 320] > 1.0
     first = int(np.ceil(LENS.cy + LENS.focal * (0.6 - 0.5) / 0.3))
     assert not changed[: first - 1].any()
     assert changed[first + 1 :].all()
-    beside = seen((3.0, 2.0, 0.0), 0.6, furniture=[{**LOW, "surface": "dark"}])[:, 320]
+    beside = image_from((3.0, 2.0, 0.0), 0.6, furniture=[{**LOW, "surface": "dark"}])[:, 320]
     border = int(LENS.cy + LENS.focal * (0.6 - 0.5) / 0.7)
     top, side = beside[border - 20 : border - 2].mean(), beside[border + 2 : border + 20].mean()
     assert top > 1.05 * side
@@ -189,7 +198,7 @@ def test_every_pixel_is_painted_from_every_pose(
 ) -> None:
     corner = {"name": "it", "x": 3.0, "y": 2.0, "theta": 0.4, "height": 0.7}
     outline = [[-1, -1], [1, -1], [1, 1], [0.2, 0.1], [-1, 1]]
-    image = seen(
+    image = image_from(
         (x, y, theta), height, furniture=[{**corner, "outline": outline}], objects=[POSTER]
     )
 
@@ -202,10 +211,12 @@ def test_every_pixel_is_painted_from_every_pose(
 @settings(max_examples=25, deadline=None)
 def test_pixel_at_an_edge_is_the_mean_over_its_area(step: float, away: float) -> None:
     pose = (3.0 - away, 2.0, 0.0)
-    thing = {**POSTER, "x": 3.0, "y": 2.0 + step, "theta": 0.0}  # its back is blank
+    visible_object = {**POSTER, "x": 3.0, "y": 2.0 + step, "theta": 0.0}  # its back is blank
     row = LENS.height // 2
-    there, plain = (seen(pose, objects=things)[row].astype(float) for things in ([thing], []))
-    left = corners(thing, pose)[1, 0]
+    there, plain = (
+        image_from(pose, objects=things)[row].astype(float) for things in ([visible_object], [])
+    )
+    left = corners(visible_object, pose)[1, 0]
     whole = math.floor(left + 0.5)
 
     back = there[whole + 2]
@@ -217,7 +228,7 @@ def test_pixel_at_an_edge_is_the_mean_over_its_area(step: float, away: float) ->
 
 def test_rectified_cutout_equals_the_picture() -> None:
     pose = (5.2, 2.2, -0.4)
-    image = seen(pose, objects=[POSTER])
+    image = image_from(pose, objects=[POSTER])
     height, width = PICTURE.shape
 
     flat = cut_out(image, corners(POSTER, pose), width, height)

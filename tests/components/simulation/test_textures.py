@@ -70,7 +70,7 @@ def test_large_pictures_are_reduced_and_color_becomes_gray(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("thing", "message"),
+    ("visible_object", "message"),
     [
         ({"texture": "none.png"}, r"object_1: .*none.png cannot be read"),
         ({"texture": "text.png"}, r"object_1: .*text.png is not an image"),
@@ -83,11 +83,11 @@ def test_large_pictures_are_reduced_and_color_becomes_gray(tmp_path: Path) -> No
     ],
 )
 def test_objects_that_no_camera_can_show_are_rejected(
-    thing: dict[str, object], message: str, tmp_path: Path
+    visible_object: dict[str, object], message: str, tmp_path: Path
 ) -> None:
     (tmp_path / "text.png").write_text("no picture")
     file = tmp_path / "world.yaml"
-    poster = {"id": 1, "x": 6, "y": 2, "theta": 3.1416, **thing}
+    poster = {"id": 1, "x": 6, "y": 2, "theta": 3.1416, **visible_object}
     for world in (
         box(objects=[poster]),
         box(events=[{"at": 1.0, "add_object": poster}]),

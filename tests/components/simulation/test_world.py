@@ -12,6 +12,7 @@ from cairn.components.simulation.ray_casting import clearance
 from cairn.components.simulation.world import Contact, WheelSlip, World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
 from tests.components.simulation.worlds import RADIUS, world_of
+from tests.wording import assert_words, words_in_order
 
 TABLE = {"name": "table", "x": 1.5, "y": 2.0, "size": [0.8, 0.8]}
 CRATE = {"name": "crate", "x": 4.5, "y": 2.0, "size": [0.6, 0.6]}
@@ -137,11 +138,11 @@ def test_things_cannot_be_put_onto_the_robot_people_or_each_other() -> None:
             world.move("table", (*place, 0.0))
     with pytest.raises(CairnError, match="would stand on the robot"):
         world.add(Furniture(name="huge", x=3.0, y=2.0, size=(1.6, 3.0)))
-    with pytest.raises(CairnError, match="ada would stand on the robot"):
+    with pytest.raises(CairnError, match=words_in_order("ada", "robot")):
         world.move("ada", (3.2, 2.0, 0.0))
-    with pytest.raises(CairnError, match="eve would stand on the robot"):
+    with pytest.raises(CairnError, match=words_in_order("eve", "robot")):
         world.add_person(Person(name="eve", waypoints=[(3.1, 2.1), (3.1, 3.0)]))
-    with pytest.raises(CairnError, match=r"eve cannot walk .* table is in the way"):
+    with pytest.raises(CairnError, match=words_in_order("eve", "table")):
         world.add_person(Person(name="eve", waypoints=[(0.5, 2.0), (2.5, 2.0)]))
 
     assert world.layout.pose_of("table") == (1.5, 2.0, 0.0)
@@ -150,16 +151,16 @@ def test_things_cannot_be_put_onto_the_robot_people_or_each_other() -> None:
 
 def test_unknown_name_is_rejected_with_the_known_names() -> None:
     world = world_of(furniture=[TABLE], people=[ADA])
-    with pytest.raises(CairnError, match="sofa does not exist; there are ada, table"):
+    with pytest.raises(CairnError, match=words_in_order("sofa", "ada, table")):
         world.move("sofa", (1.0, 1.0, 0.0))
-    with pytest.raises(CairnError, match="sofa does not exist; there are ada, table"):
+    with pytest.raises(CairnError, match=words_in_order("sofa", "ada, table")):
         world.remove("sofa")
     with pytest.raises(CairnError, match="table exists already"):
         world.add_person(Person(name="table", waypoints=[(1.0, 1.0)]))
     with pytest.raises(CairnError, match="ada exists already"):
         world.add(Furniture(name="ada", x=5, y=1, size=(0.3, 0.3)))
     world.add(VisibleObject(id=3, x=1.0, y=0.0, theta=1.6))
-    with pytest.raises(CairnError, match="object_3 already has the id 3"):
+    with pytest.raises(CairnError, match=words_in_order("object_3", "id 3")):
         world.add(VisibleObject(id=3, name="poster", x=2.0, y=0.0, theta=1.6))
 
 
@@ -193,6 +194,4 @@ def test_impossible_event_is_reported_with_its_reason() -> None:
     (message,) = world.run_due_events(1.0)
 
     assert not message.succeeded
-    assert message.description == (
-        "the event at 1 s cannot happen: table would stand on the robot; choose another position"
-    )
+    assert_words(message.description, "1 s", "table", "robot", "another position")

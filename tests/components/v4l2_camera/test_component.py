@@ -11,6 +11,7 @@ from cairn import CairnError, to_ns
 from cairn.driver.diagnostics import ERROR, OK
 from tests.components.v4l2_camera.driver import Driver
 from tests.components.v4l2_camera.fake_cameras import ONE, TWO, FakeCamera, FakeCameras, level
+from tests.wording import words_in_order
 
 
 def test_single_camera_uses_the_left_ports_only(left: FakeCamera) -> None:
@@ -152,7 +153,7 @@ def test_stream_of_damaged_images_is_restarted(left: FakeCamera) -> None:
         driver.await_one("left_image")
 
 
-def test_camera_that_comes_back_gets_the_present_controls(left: FakeCamera) -> None:
+def test_camera_that_returns_gets_the_current_controls(left: FakeCamera) -> None:
     with Driver(**ONE, controls={"gain": 20, "exposure_time_absolute": 7}) as driver:
         left.send(1)
         driver.await_one("left_image")
@@ -221,7 +222,7 @@ def test_one_camera_with_two_names_is_rejected(cameras: FakeCameras, tmp_path: P
     for name in names:
         cameras.add(name)
 
-    with pytest.raises(CairnError, match=r"device and right_device are both .*video0; name two"):
+    with pytest.raises(CairnError, match=words_in_order("device", "right_device", "video0")):
         Driver(**{**ONE, "device": names[0], "right_device": names[1]})
 
 
@@ -229,10 +230,10 @@ def test_deactivated_camera_stays_open_without_streaming(left: FakeCamera) -> No
     with Driver(**ONE) as driver:
         left.send(1)
         driver.await_one("left_image")
-        driver.transition("deactivate")
+        driver.request("deactivate")
         assert left.streams == ["start", "stop", "close"]
         assert left.opened == 1
-        driver.transition("activate")
+        driver.request("activate")
         left.send(2)
         assert level(driver.await_one("left_image")) == 2
 
@@ -242,9 +243,9 @@ def test_deactivated_camera_stays_open_without_streaming(left: FakeCamera) -> No
 def test_bug_in_the_driver_fails_it_and_closes_the_camera(left: FakeCamera) -> None:
     with Driver(**ONE) as driver:
         left.fail(ZeroDivisionError("a mistake"))
-        driver.await_end()
+        driver.join()
 
-    assert "a mistake" in driver.ends[0].reason
+    assert "a mistake" in str(driver.end)
     assert left.opened == 0
 
 
@@ -255,8 +256,8 @@ def test_hanging_camera_does_not_keep_the_other_one_open(
     with Driver(**TWO) as driver:
         stream_pairs(driver, left, right)
         over = left.hang()
-        with pytest.raises(CairnError, match="camera left: the device thread did not stop"):
-            driver.transition("deactivate")
+        with pytest.raises(CairnError, match=words_in_order("camera left", "did not stop")):
+            driver.request("deactivate")
         over.set()
 
     assert (left.opened, right.opened) == (0, 0)

@@ -41,7 +41,7 @@ def test_automatic_modes_are_set_before_the_controls_they_own() -> None:
     assert assign_controls(CAMERA, requested) == [(AUTO, 1), (EXPOSURE, 157), (LED, 1)]
 
 
-def test_old_names_are_known() -> None:
+def test_old_control_names_are_accepted() -> None:
     assert assign_controls(CAMERA, {"exposure_auto": 3}) == [(AUTO, 3)]
 
 
@@ -62,7 +62,7 @@ def test_invalid_value_is_rejected_with_its_bounds(requested: dict[str, int], me
         assign_controls(CAMERA, requested)
 
 
-def test_bits_are_accepted() -> None:
+def test_bitmask_value_is_accepted() -> None:
     assert assign_controls(CAMERA, {"bits": 0x80000001}) == [(BITS, 0x80000001)]
 
 
@@ -74,5 +74,5 @@ def test_bits_are_accepted() -> None:
         ("LED1 Mode", "led1_mode"),
     ],
 )
-def test_names_are_those_of_v4l2_ctl(name: str, plain: str) -> None:
+def test_names_equal_those_of_v4l2_ctl(name: str, plain: str) -> None:
     assert plain_name(name) == plain

@@ -29,7 +29,7 @@ def test_times_of_another_clock_are_implausible() -> None:
 
 
 @pytest.mark.parametrize("first", [0, 1000, LAST - 5, LAST])
-def test_missing_numbers_are_lost_frames_across_the_wrap(first: int) -> None:
+def test_gaps_in_sequence_numbers_count_as_lost_frames_across_the_wrap(first: int) -> None:
     sequence = SequenceCounter()
     assert sequence.lost_before(first) == 0
     number = first
@@ -38,7 +38,7 @@ def test_missing_numbers_are_lost_frames_across_the_wrap(first: int) -> None:
         assert sequence.lost_before(number) == step - 1
 
 
-def test_restarted_or_constant_numbers_are_no_loss() -> None:
+def test_restarted_or_constant_sequence_numbers_count_no_lost_frames() -> None:
     sequence = SequenceCounter()
 
     assert [sequence.lost_before(number) for number in (500, 0, 1, 1, 1)] == [0, 0, 0, 0, 0]

@@ -32,7 +32,7 @@ BEFORE = FrameCounts(images=100, lost=7, dropped=3, marked=1)
         ({}, 0.0, 0.5, "", (ERROR, "no images arrive")),
     ],
 )
-def test_health_is_judged_by_what_happened_since_the_last_report(
+def test_health_depends_on_events_since_the_last_report(
     changes: dict[str, int],
     rate: float,
     nominal: float,

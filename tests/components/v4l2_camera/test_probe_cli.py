@@ -43,7 +43,7 @@ def pair(cameras: FakeCameras) -> Iterator[list[FakeCamera]]:
 
 
 @pytest.mark.usefixtures("pair")
-def test_trial_of_a_pair_saves_its_images(
+def test_probe_of_a_pair_saves_its_images(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "it.png"

@@ -87,7 +87,7 @@ def service(acm: Cable) -> Iterator[str]:
         emulator.wait()
 
 
-def test_it_runs_as_an_unprivileged_user_and_stops_cleanly(service: str) -> None:
+def test_service_runs_as_an_unprivileged_user_and_stops_cleanly(service: str) -> None:
     processes = of_robot()
     assert len(processes) >= 3, processes
     assert {process.username() for process in processes} == {"cairn"}
@@ -103,7 +103,7 @@ def test_it_runs_as_an_unprivileged_user_and_stops_cleanly(service: str) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_it_is_restarted_when_its_root_is_killed_or_hangs(
+def test_service_is_restarted_when_its_root_is_killed_or_hangs(
     service: str, number: signal.Signals
 ) -> None:
     first = of_robot()

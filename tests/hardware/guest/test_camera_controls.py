@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -11,6 +12,7 @@ from cairn import CairnError, ParameterRejected, to_ns
 from cairn.components.v4l2_camera.probe_cli import describe_cameras, description_lines
 from tests.components.v4l2_camera.driver import Driver
 from tests.hardware.guest.camera import LEFT, RIGHT, SMALL, load_cameras, unload, value_of
+from tests.wording import assert_words
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -20,10 +22,10 @@ def _cameras() -> Iterator[None]:
     unload("vivid")
 
 
-def test_all_of_a_pair_have_one_stamp() -> None:
+def test_all_messages_of_a_pair_have_one_stamp() -> None:
     with Driver(device=LEFT, right_device=RIGHT, **{**SMALL, "format": "YUYV"}) as driver:
         rights = [driver.await_one("right_image") for _ in range(5)]
-        driver.transition("deactivate")
+        driver.request("deactivate")
         others = [driver.take(port) for port in ("left_image", "left_info", "right_info")]
 
     stamps = {to_ns(one.header.stamp) for one in rights}
@@ -71,7 +73,7 @@ def test_differences_from_the_request_are_logged(
         f"sends {image.width} x {image.height} pixels instead of the requested 600 x 400"
         in caplog.text
     )
-    assert "images per second instead of the requested 7" in caplog.text
+    assert_words(caplog.text, "images per second", "requested 7")
 
 
 @pytest.mark.parametrize(
@@ -85,7 +87,7 @@ def test_differences_from_the_request_are_logged(
     ],
 )
 def test_unusable_camera_is_rejected_when_it_is_configured(
-    parameters: dict[str, object], report: str
+    parameters: dict[str, Any], report: str
 ) -> None:
     with pytest.raises(CairnError) as refused:
         Driver(**parameters)

@@ -64,12 +64,12 @@ def test_rejected_buffer_restarts_the_stream(driver: Driver) -> None:
 
 
 @pytest.mark.parametrize("request_", ["reqbufs", "streamon"])
-def test_a_stream_that_does_not_start_is_started_again(request_: str) -> None:
+def test_stream_that_does_not_start_is_started_again(request_: str) -> None:
     with Driver(device=LEFT, **SMALL) as driver:
         driver.await_images(1)
-        driver.transition("deactivate")
+        driver.request("deactivate")
         Knobs(LEFT).turn(f"inject_vidioc_{request_}_error")
-        driver.transition("activate")
+        driver.request("activate")
         driver.await_images(3)
 
 

@@ -71,7 +71,7 @@ def sent_and_received(source: Loopback, camera: Driver, sent: list[bytes]) -> li
 
 
 @pytest.mark.parametrize("source", ["GREY"], indirect=True)
-def test_gray(source: Loopback) -> None:
+def test_gray_images_arrive_unchanged(source: Loopback) -> None:
     sent = pictures(5)
     with driver("GREY") as camera:
         received = sent_and_received(source, camera, [one.tobytes() for one in sent])
@@ -80,7 +80,7 @@ def test_gray(source: Loopback) -> None:
 
 
 @pytest.mark.parametrize("source", ["YUYV"], indirect=True)
-def test_yuyv(source: Loopback) -> None:
+def test_yuyv_images_are_decoded_to_their_brightness(source: Loopback) -> None:
     sent = pictures(5)
     with driver("YUYV") as camera:
         received = sent_and_received(source, camera, [yuyv(one) for one in sent])
@@ -89,7 +89,7 @@ def test_yuyv(source: Loopback) -> None:
 
 
 @pytest.mark.parametrize("source", ["MJPG"], indirect=True)
-def test_mjpg(source: Loopback) -> None:
+def test_mjpg_images_are_decoded_to_their_brightness(source: Loopback) -> None:
     sent = [jpeg(one) for one in pictures(5)]
     with driver("MJPG") as camera:
         received = sent_and_received(source, camera, sent)
@@ -99,7 +99,7 @@ def test_mjpg(source: Loopback) -> None:
 
 
 @pytest.mark.parametrize("source", ["GREY"], indirect=True)
-def test_side_by_side(source: Loopback) -> None:
+def test_side_by_side_images_arrive_as_a_pair(source: Loopback) -> None:
     [sent] = pictures(1)
     with driver("GREY", side_by_side=True) as camera:
         left = sent_and_received(source, camera, [sent.tobytes()])[0]
@@ -134,7 +134,7 @@ def test_damaged_mjpg_is_dropped_and_counted(source: Loopback, damage: Any, coun
 
 
 @pytest.mark.parametrize("source", ["GREY"], indirect=True)
-def test_a_short_picture_is_dropped_and_counted(source: Loopback) -> None:
+def test_short_picture_is_dropped_and_counted(source: Loopback) -> None:
     [whole] = pictures(1)
     with driver("GREY") as camera:
         sent_and_received(source, camera, [whole.tobytes()])

@@ -10,7 +10,11 @@ import pytest
 
 from cairn.driver.diagnostics import ERROR, OK
 from cairn.driver.emulator_lines import SerialEnd
-from tests.components.hokuyo.driving import Driven, assert_were_sent, driven
+from tests.components.hokuyo.emulated_driver import (
+    EmulatedDriver,
+    assert_were_sent,
+    emulated_driver,
+)
 from tests.hardware.guest.cables import Cable
 
 _SPEED = 115200
@@ -18,13 +22,13 @@ _SCANS = 8
 
 
 @contextmanager
-def scanner(cable: Cable, model: str, **parameters: Any) -> Iterator[Driven]:
+def scanner(cable: Cable, model: str, **parameters: Any) -> Iterator[EmulatedDriver]:
     """Run the driver on the stable name of a cable, with a sensor at its far end."""
     end = SerialEnd(str(cable.far_end), _SPEED)
     name = str(cable.stable)
     parameters = {"silence_s": 2.0} | parameters
-    with driven(Path("/nowhere"), model, cable=(end, name), **parameters) as it:
-        yield it
+    with emulated_driver(Path("/nowhere"), model, cable=(end, name), **parameters) as setup:
+        yield setup
 
 
 @pytest.mark.parametrize(
@@ -41,11 +45,11 @@ def scanner(cable: Cable, model: str, **parameters: Any) -> Iterator[Driven]:
 def test_every_scan_is_equal_to_what_was_sent(
     request: pytest.FixtureRequest, line: str, model: str, parameters: dict[str, Any]
 ) -> None:
-    with scanner(request.getfixturevalue(line), model, **parameters) as it:
-        scans = it.scans.wait(_SCANS)
+    with scanner(request.getfixturevalue(line), model, **parameters) as setup:
+        scans = setup.scans.wait(_SCANS)
     short = bool(parameters.get("short_distances"))
 
-    assert_were_sent(scans, it.sent, model, short=short)
+    assert_were_sent(scans, setup.sent, model, short=short)
 
 
 @pytest.mark.parametrize("line", ["acm", "ftdi"])
@@ -53,32 +57,34 @@ def test_scans_resume_after_unplugging(
     request: pytest.FixtureRequest, line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cable: Cable = request.getfixturevalue(line)
-    with scanner(cable, "URG-04LX", cluster=3, skip=1) as it:
-        it.scans.wait(3)
+    with scanner(cable, "URG-04LX", cluster=3, skip=1) as setup:
+        setup.scans.wait(3)
         cable.unplug()
-        report = it.health(lambda status: status.level == ERROR)
-        it.emulator.unplug()
-        before = len(it.scans)
+        report = setup.health(lambda status: status.level == ERROR)
+        setup.emulator.unplug()
+        before = len(setup.scans)
         cable.plug_in()
-        it.emulator.plug_in()
+        setup.emulator.plug_in()
         returned = time.monotonic()
-        it.scans.wait(1, after=before)
+        setup.scans.wait(1, after=before)
         took_s = time.monotonic() - returned
-        it.health(lambda status: status.level == OK)
+        setup.health(lambda status: status.level == OK)
 
     with capsys.disabled():
         print(f" publishing {took_s:.2f} s after {cable.port} was back ", end="")
     assert str(cable.stable) in report.message
 
 
-def test_a_scanner_that_returns_under_another_name_is_found(acm: Cable) -> None:
+def test_scanner_that_returns_under_another_name_is_found(acm: Cable) -> None:
     end = SerialEnd(str(acm.far_end), _SPEED)
     name = "usb:15d1:0000:H0000001"
-    with driven(Path("/nowhere"), "URG-04LX", cable=(end, name), skip=1, silence_s=2.0) as it:
-        it.scans.wait(3)
+    with emulated_driver(
+        Path("/nowhere"), "URG-04LX", cable=(end, name), skip=1, silence_s=2.0
+    ) as setup:
+        setup.scans.wait(3)
         acm.unplug()
-        it.emulator.unplug()
-        before = len(it.scans)
+        setup.emulator.unplug()
+        before = len(setup.scans)
         acm.plug_in()
-        it.emulator.plug_in()
-        it.scans.wait(3, after=before)
+        setup.emulator.plug_in()
+        setup.scans.wait(3, after=before)

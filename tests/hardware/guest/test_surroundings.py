@@ -24,7 +24,7 @@ def cable(request: pytest.FixtureRequest) -> Cable:
     return found
 
 
-def test_bytes_go_both_ways(cable: Cable) -> None:
+def test_bytes_are_transferred_in_both_directions(cable: Cable) -> None:
     with opened(cable.stable) as port, far_end(cable) as far:
         port.write(b"BM\n")
         assert received(far, 3) == b"BM\n"
@@ -48,7 +48,7 @@ def test_pulling_the_plug_raises_each_error_of_pyserial(cable: Cable) -> None:
     assert not cable.stable.exists()
 
 
-def test_a_device_that_was_plugged_in_again_works_as_before(cable: Cable) -> None:
+def test_replugged_device_works_again(cable: Cable) -> None:
     cable.unplug()
     cable.plug_in()
 

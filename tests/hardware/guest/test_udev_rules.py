@@ -24,7 +24,7 @@ def _rules() -> Iterator[None]:
     run("udevadm", "control", "--reload")
 
 
-def test_a_hokuyo_on_usb_is_the_scanner(acm: Cable) -> None:
+def test_hokuyo_on_usb_gets_the_name_scanner(acm: Cable) -> None:
     acm.unplug()
     acm.plug_in()
 

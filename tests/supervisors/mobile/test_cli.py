@@ -12,6 +12,7 @@ from cairn.client.navigation import Navigator
 from cairn.supervisors.mobile.cli import parse_goals
 from cairn.testing.launching import free_port
 from tests.commands import cairn
+from tests.wording import assert_words
 
 
 @pytest.fixture
@@ -34,7 +35,7 @@ def bus() -> Iterator[str]:
         (["1", "2", "370deg"], [[1.0, 2.0, math.radians(10)]]),
     ],
 )
-def test_goals_are_read(words: list[str], goals: list[list[float]]) -> None:
+def test_goals_are_parsed(words: list[str], goals: list[list[float]]) -> None:
     assert parse_goals(words) == [pytest.approx(goal) for goal in goals]
 
 
@@ -51,14 +52,15 @@ def test_goals_are_read(words: list[str], goals: list[list[float]]) -> None:
         (["1", "2", "--cancle"], "'--cancle' is not a number"),
     ],
 )
-def test_an_invalid_goal_is_rejected(words: list[str], why: str) -> None:
+def test_invalid_goal_is_rejected(words: list[str], why: str) -> None:
     with pytest.raises(CairnError, match=why):
         parse_goals(words)
 
 
-def test_a_goal_together_with_cancel_is_rejected() -> None:
+def test_goal_together_with_cancel_is_rejected() -> None:
     answer = cairn("go", "1", "2", "--cancel")
-    assert (answer.code, answer.err) == (1, "cairn: give a goal or --cancel, not both\n")
+    assert answer.code == 1
+    assert_words(answer.err, "cairn", "goal", "--cancel")
 
 
 def test_without_a_deployment_the_endpoint_is_reported() -> None:
@@ -67,7 +69,7 @@ def test_without_a_deployment_the_endpoint_is_reported() -> None:
     assert "tcp/127.0.0.1:1" in answer.err
 
 
-def test_without_a_supervisor_that_accepts_goals_the_error_is_printed_as_json_too(bus: str) -> None:
+def test_missing_mobile_supervisor_is_reported_as_json_too(bus: str) -> None:
     answer = cairn("go", "1", "2", "--json", connect=bus)
 
     assert answer.code == 1
@@ -76,7 +78,7 @@ def test_without_a_supervisor_that_accepts_goals_the_error_is_printed_as_json_to
     assert answer.err == f"cairn: {answer.json['reason']}\n"
 
 
-def test_a_supervisor_that_does_not_answer_is_reported_with_how_to_stop_the_robot(
+def test_silent_supervisor_is_reported_with_the_way_to_stop_the_robot(
     bus: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(navigation, "PATIENCE_S", 0.0)
@@ -98,8 +100,6 @@ def test_a_supervisor_that_does_not_answer_is_reported_with_how_to_stop_the_robo
         (["1", "2", "inf"], "pose 1 2 inf: inf must be finite"),
     ],
 )
-def test_an_invalid_pose_is_rejected_before_anything_is_published(
-    words: list[str], why: str
-) -> None:
+def test_invalid_pose_is_rejected_before_anything_is_published(words: list[str], why: str) -> None:
     answer = cairn("locate", *words)
     assert (answer.code, answer.err) == (1, f"cairn: {why}\n")

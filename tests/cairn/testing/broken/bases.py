@@ -19,14 +19,14 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
-from tests.cairn.testing.broken.evenly import EvenTurns
+from tests.cairn.testing.broken.periods import Periods
 
 RATE_HZ = 20.0
 TOP_SPEED = 0.5
 TIMEOUT_S = 0.5
 
 
-class SoundBase(Component):
+class CorrectBase(Component):
     """Has no mistake."""
 
     cmd_vel: In[Twist] = In(qos=SENSOR)
@@ -36,11 +36,11 @@ class SoundBase(Component):
     def on_activate(self) -> None:
         self.command, self.commanded_at = Twist(), 0
         self.x = self.y = self.theta = 0.0
-        self.turns = EvenTurns(self.clock.now(), RATE_HZ)
+        self.turns = Periods(self.clock.now(), RATE_HZ)
         self.moved_at = self.turns.ended
 
     @on("cmd_vel")
-    def obey(self, command: Twist) -> None:
+    def on_command(self, command: Twist) -> None:
         self.command, self.commanded_at = command, self.clock.now()
 
     @every(hz=RATE_HZ)
@@ -56,7 +56,7 @@ class SoundBase(Component):
         self.y += forward * seconds * math.sin(self.theta)
         header = Header(stamp=from_ns(now), frame_id="odom")
         self.odom.publish(self.odometry(header, forward, turn))
-        self.tf.publish(self.placed(header))
+        self.tf.publish(self.transform(header))
 
     def target(self, now: int) -> tuple[float, float]:
         if now - self.commanded_at > TIMEOUT_S * SECOND:
@@ -74,16 +74,16 @@ class SoundBase(Component):
             twist=TwistWithCovariance(twist=twist),
         )
 
-    def placed(self, header: Header) -> TFMessage:
-        there = Transform(translation=Vector3(x=self.x, y=self.y), rotation=self.rotation())
-        stamped = TransformStamped(header=header, child_frame_id="base_link", transform=there)
+    def transform(self, header: Header) -> TFMessage:
+        pose = Transform(translation=Vector3(x=self.x, y=self.y), rotation=self.rotation())
+        stamped = TransformStamped(header=header, child_frame_id="base_link", transform=pose)
         return TFMessage(transforms=(stamped,))
 
     def rotation(self) -> Quaternion:
         return Quaternion(z=math.sin(0.5 * self.theta), w=math.cos(0.5 * self.theta))
 
 
-class NeverStops(SoundBase):
+class NeverStops(CorrectBase):
     """Executes its last command forever."""
 
     def target(self, now: int) -> tuple[float, float]:
@@ -91,16 +91,16 @@ class NeverStops(SoundBase):
         return super().target(now)
 
 
-class RightIsLeft(SoundBase):
+class RightIsLeft(CorrectBase):
     """Its motors and its encoders are swapped."""
 
     @on("cmd_vel")
-    def obey(self, command: Twist) -> None:
+    def on_command(self, command: Twist) -> None:
         turn = Vector3(z=-command.angular.z)
         self.command, self.commanded_at = Twist(command.linear, turn), self.clock.now()
 
 
-class Unlimited(SoundBase):
+class Unlimited(CorrectBase):
     """Drives at any commanded speed."""
 
     def target(self, now: int) -> tuple[float, float]:
@@ -108,23 +108,23 @@ class Unlimited(SoundBase):
         return (self.command.linear.x if forward else 0.0), turn
 
 
-class TwistInDegrees(SoundBase):
+class TwistInDegrees(CorrectBase):
     """Publishes its turn rate in degrees per second."""
 
     def odometry(self, header: Header, forward: float, turn: float) -> Odometry:
         return super().odometry(header, forward, math.degrees(turn))
 
 
-class TransformLags(SoundBase):
+class TransformLags(CorrectBase):
     """Publishes the transform of the previous step."""
 
     def on_activate(self) -> None:
         super().on_activate()
         self.former = self.x, self.y
 
-    def placed(self, header: Header) -> TFMessage:
+    def transform(self, header: Header) -> TFMessage:
         now, (self.x, self.y) = (self.x, self.y), self.former
         try:
-            return super().placed(header)
+            return super().transform(header)
         finally:
             self.former = self.x, self.y = now

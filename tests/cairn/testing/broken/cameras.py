@@ -9,7 +9,7 @@ import numpy as np
 from cairn import SENSOR, Component, Out, every, from_ns
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
-from tests.cairn.testing.broken.evenly import EvenTurns
+from tests.cairn.testing.broken.periods import Periods
 
 WIDTH, HEIGHT = 32, 24
 RATE_HZ = 20.0
@@ -17,7 +17,7 @@ FOCAL = 30.0
 BASELINE = 0.1
 
 
-class SoundCamera(Component):
+class CorrectCamera(Component):
     """Has no mistake."""
 
     left_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
@@ -26,10 +26,10 @@ class SoundCamera(Component):
     right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
 
     def on_activate(self) -> None:
-        self.turns = EvenTurns(self.clock.now(), RATE_HZ)
+        self.turns = Periods(self.clock.now(), RATE_HZ)
 
     @every(hz=RATE_HZ)
-    def look(self) -> None:
+    def publish_pairs(self) -> None:
         for _ in self.turns.completed(self.clock.now()):
             self.take(self.turns.ended)
 
@@ -64,42 +64,42 @@ class SoundCamera(Component):
         )
 
 
-class StampsDiffer(SoundCamera):
+class StampsDiffer(CorrectCamera):
     """Stamps each image with the time at which it was read."""
 
     def header(self, stamp: int, side: str) -> Header:
         return super().header(stamp + 1_000_000 * (side == "right"), side)
 
 
-class SwappedSides(SoundCamera):
+class SwappedSides(CorrectCamera):
     """Mistakes the left camera for the right one."""
 
     def info(self, header: Header, baseline: float) -> CameraInfo:
         return super().info(header, BASELINE - baseline)
 
 
-class SwappedSizes(SoundCamera):
+class SwappedSizes(CorrectCamera):
     """Mistakes rows for columns."""
 
     def image(self, header: Header) -> Image:
         return replace(super().image(header), width=HEIGHT, height=WIDTH, step=HEIGHT)
 
 
-class Frozen(SoundCamera):
+class Frozen(CorrectCamera):
     """Sends the same image again and again."""
 
     def image(self, header: Header) -> Image:
         return replace(super().image(header), data=np.full(WIDTH * HEIGHT, 7, np.uint8))
 
 
-class WrongEncoding(SoundCamera):
+class WrongEncoding(CorrectCamera):
     """Uses V4L2's name of its encoding."""
 
     def image(self, header: Header) -> Image:
         return replace(super().image(header), encoding="GREY")
 
 
-class InfosLate(SoundCamera):
+class InfosLate(CorrectCamera):
     """Publishes camera info after its image."""
 
     def take(self, stamp: int) -> None:

@@ -17,7 +17,7 @@ from pydantic import Field
 from cairn import SECOND, SENSOR, CairnError, Component, Config, Out, every, from_ns
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from tests.cairn.testing.broken.evenly import EvenTurns
+from tests.cairn.testing.broken.periods import Periods
 
 BEAMS = 181
 STEP = math.pi / (BEAMS - 1)
@@ -27,39 +27,39 @@ RATE_HZ = 20.0
 SURROUNDINGS = {math.radians(90.0): 1.0, 0.0: 2.0, math.radians(-90.0): 3.0}
 
 
-class SoundScannerConfig(Config):
+class CorrectScannerConfig(Config):
     device: Path = Field(description="File that exists while the device is plugged in.")
 
 
-class SoundScanner(Component):
+class CorrectScanner(Component):
     """Has no mistake."""
 
-    config: SoundScannerConfig
+    config: CorrectScannerConfig
     scan: Out[LaserScan] = Out(qos=SENSOR)
 
     def on_configure(self) -> None:
-        self._there = True
+        self._plugged_in = True
 
     def on_activate(self) -> None:
-        self.turns = EvenTurns(self.clock.now(), RATE_HZ)
+        self.turns = Periods(self.clock.now(), RATE_HZ)
 
     @every(hz=RATE_HZ)
     def measure(self) -> None:
-        there = self.config.device.exists()
-        if self._there and not there:
-            self.gone()
-        self._there = there
+        plugged_in = self.config.device.exists()
+        if self._plugged_in and not plugged_in:
+            self.on_unplugged()
+        self._plugged_in = plugged_in
         for _ in self.turns.completed(self.clock.now()):
-            if there:
+            if plugged_in:
                 self.send()
 
-    def gone(self) -> None:
+    def on_unplugged(self) -> None:
         self.log.warning("%s is gone", self.config.device)
 
     def send(self) -> None:
-        self.scan.publish(self.taken())
+        self.scan.publish(self.measured_scan())
 
-    def taken(self) -> LaserScan:
+    def measured_scan(self) -> LaserScan:
         """Return the surroundings: 1 m on the left, 2 m ahead, 3 m on the right."""
         bearings = -math.pi / 2 + np.arange(BEAMS) * STEP
         ranges = np.interp(bearings, sorted(SURROUNDINGS), [3.0, 2.0, 1.0])
@@ -75,24 +75,24 @@ class SoundScanner(Component):
             ranges=ranges.astype(np.float32),
         )
 
-    def stamped(self, ns: int) -> LaserScan:
-        scan = SoundScanner.taken(self)
+    def scan_stamped(self, ns: int) -> LaserScan:
+        scan = CorrectScanner.measured_scan(self)
         return replace(scan, header=replace(scan.header, stamp=from_ns(ns)))
 
 
-class Millimeters(SoundScanner):
+class Millimeters(CorrectScanner):
     """Publishes the device's millimeters as meters."""
 
-    def taken(self) -> LaserScan:
-        scan = super().taken()
+    def measured_scan(self) -> LaserScan:
+        scan = super().measured_scan()
         return replace(scan, ranges=scan.ranges * np.float32(1000.0))
 
 
-class MillimeterLimits(SoundScanner):
+class MillimeterLimits(CorrectScanner):
     """Publishes the device's millimeters as meters, its limits too."""
 
-    def taken(self) -> LaserScan:
-        scan = super().taken()
+    def measured_scan(self) -> LaserScan:
+        scan = super().measured_scan()
         return replace(
             scan,
             ranges=scan.ranges * np.float32(1000.0),
@@ -101,65 +101,66 @@ class MillimeterLimits(SoundScanner):
         )
 
 
-class Clockwise(SoundScanner):
+class Clockwise(CorrectScanner):
     """Publishes the device's beams in their order of arrival, which is to the right."""
 
-    def taken(self) -> LaserScan:
-        scan = super().taken()
+    def measured_scan(self) -> LaserScan:
+        scan = super().measured_scan()
         return replace(scan, ranges=scan.ranges[::-1].copy())
 
 
-class Degrees(SoundScanner):
+class Degrees(CorrectScanner):
     """Publishes angles in degrees."""
 
-    def taken(self) -> LaserScan:
-        scan = super().taken()
+    def measured_scan(self) -> LaserScan:
+        scan = super().measured_scan()
         return replace(scan, angle_min=-90.0, angle_max=90.0, angle_increment=1.0)
 
 
-class TooFar(SoundScanner):
+class TooFar(CorrectScanner):
     """Publishes "no return" as the number 65.533 that the device sends."""
 
-    def taken(self) -> LaserScan:
-        scan = super().taken()
+    def measured_scan(self) -> LaserScan:
+        scan = super().measured_scan()
         ranges = scan.ranges.copy()
         ranges[20:60] = 65.533
         return replace(scan, ranges=ranges)
 
 
-class StampedWhenSent(SoundScanner):
+class StampedWhenSent(CorrectScanner):
     """Stamps a scan when all of it has arrived."""
 
-    def taken(self) -> LaserScan:
+    def measured_scan(self) -> LaserScan:
         return replace(
-            super().taken(), header=Header(stamp=from_ns(self.turns.ended), frame_id="laser")
+            super().measured_scan(),
+            header=Header(stamp=from_ns(self.turns.ended), frame_id="laser"),
         )
 
 
-class StampsJump(SoundScanner):
+class StampsJump(CorrectScanner):
     """Stamps with the time at which the operating system delivered the bytes."""
 
     def send(self) -> None:
         late = round((0.0, 0.02, 0.02, 0.0)[self.turns.number % 4] * SECOND)
-        self.scan.publish(self.stamped(self.turns.ended - SWEEP_NS - late))
+        self.scan.publish(self.scan_stamped(self.turns.ended - SWEEP_NS - late))
 
 
-class StampsOfAnotherClock(SoundScanner):
+class StampsOfAnotherClock(CorrectScanner):
     """Stamps by the device's clock, which is an hour behind."""
 
     def send(self) -> None:
-        self.scan.publish(self.stamped(self.turns.ended - 3600 * SECOND))
+        self.scan.publish(self.scan_stamped(self.turns.ended - 3600 * SECOND))
 
 
-class OtherFrame(SoundScanner):
+class OtherFrame(CorrectScanner):
     """Its frame is misspelled."""
 
-    def taken(self) -> LaserScan:
-        scan = super().taken()
+    def measured_scan(self) -> LaserScan:
+        scan = super().measured_scan()
         return replace(scan, header=replace(scan.header, frame_id="/laser_link"))
 
 
-class EveryOther(SoundScanner):
+class EveryOther(CorrectScanner):
     """Loses every other scan."""
 
     def send(self) -> None:
@@ -167,13 +168,13 @@ class EveryOther(SoundScanner):
             super().send()
 
 
-class NeverSilent(SoundScanner):
+class NeverSilent(CorrectScanner):
     """A thread of its own publishes, active or not."""
 
     def on_configure(self) -> None:
         super().on_configure()
         self._stopping = threading.Event()
-        node = self._context.node  # type: ignore[attr-defined] # past the port, as authors should not
+        node = self._context.node  # type: ignore[attr-defined] # bypasses the port
         self._publisher = node.advertise(self.scan.topic, LaserScan, SENSOR)
         self._thread = threading.Thread(target=self._stream, daemon=True)
         self._thread.start()
@@ -189,11 +190,11 @@ class NeverSilent(SoundScanner):
     def _stream(self) -> None:
         while not self._stopping.wait(1.0 / RATE_HZ):
             if self.config.device.exists():
-                self.turns = EvenTurns(self.clock.now(), RATE_HZ)
-                self._publisher.publish(self.taken())
+                self.turns = Periods(self.clock.now(), RATE_HZ)
+                self._publisher.publish(self.measured_scan())
 
 
-class Leaks(SoundScanner):
+class Leaks(CorrectScanner):
     """Releases nothing that it allocates."""
 
     def on_configure(self) -> None:
@@ -212,7 +213,7 @@ class Leaks(SoundScanner):
             helper.wait()
 
 
-class KeepsItsPort(SoundScanner):
+class KeepsItsPort(CorrectScanner):
     """Locks its device, and does not unlock it before it configures again."""
 
     def on_configure(self) -> None:
@@ -222,38 +223,38 @@ class KeepsItsPort(SoundScanner):
         self._locked = True
 
 
-class UnboundedConfig(SoundScannerConfig):
+class UnboundedConfig(CorrectScannerConfig):
     power: float = Field(1.0, description="Power of the laser [1].")
 
 
-class Unbounded(SoundScanner):
+class Unbounded(CorrectScanner):
     """Accepts any number for a parameter."""
 
     config: UnboundedConfig
 
 
-class HangsAtItsEnd(SoundScanner):
+class HangsAtItsEnd(CorrectScanner):
     """Waits at shutdown for a reply of its device that never arrives."""
 
     def on_shutdown(self) -> None:
         threading.Event().wait()
 
 
-class DiesUnplugged(SoundScanner):
+class DiesUnplugged(CorrectScanner):
     """Fails when its device is unplugged."""
 
-    def gone(self) -> None:
+    def on_unplugged(self) -> None:
         raise CairnError(f"{self.config.device} is gone")
 
 
-class SilentUnplugged(SoundScanner):
+class SilentUnplugged(CorrectScanner):
     """Waits for its device's return without a warning."""
 
-    def gone(self) -> None:
+    def on_unplugged(self) -> None:
         pass
 
 
-class RepeatsUnplugged(SoundScanner):
+class RepeatsUnplugged(CorrectScanner):
     """Continues to publish its last scan."""
 
     @every(hz=RATE_HZ)
@@ -262,11 +263,11 @@ class RepeatsUnplugged(SoundScanner):
             self.send()
 
 
-class NeverReturns(SoundScanner):
+class NeverReturns(CorrectScanner):
     """Does not try to reopen its device."""
 
-    def gone(self) -> None:
-        super().gone()
+    def on_unplugged(self) -> None:
+        super().on_unplugged()
         self._given_up = True
 
     def send(self) -> None:

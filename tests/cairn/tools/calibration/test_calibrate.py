@@ -20,6 +20,7 @@ from cairn.vision.chessboard import Board
 from cairn.vision.image_files import pair_files
 from cairn.vision.stereo import StereoRig
 from tests.commands import Answer, cairn
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.images
 
@@ -209,7 +210,7 @@ def test_images_from_one_viewpoint_are_rejected(tmp_path: Path) -> None:
     answer = calibrate(tmp_path, out=tmp_path / "out")
 
     assert answer.code == 1
-    assert "rotated by at most 0 deg between images" in answer.err
+    assert_words(answer.err, "rotated", "0 deg")
     assert not (tmp_path / "out").exists()
 
 
@@ -224,7 +225,7 @@ def test_existing_calibration_is_replaced_only_with_force(
     camera = sorted(few.glob("left*"))
 
     answer = calibrate(few, out=out)
-    assert "left.yaml exists already; give another --out, or --force" in answer.err
+    assert_words(answer.err, "left.yaml", "--out", "--force")
     assert (out / "left.yaml").read_bytes() == before
     assert "camera.yaml exists already" in calibrate(*camera, out=out).err
     assert (out / "camera.yaml").read_bytes() == before

@@ -1,4 +1,4 @@
-"""A harness around the examiner: the test plays the world and the robot in virtual time."""
+"""A harness around the examiner: the test publishes as the world and the robot."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from cairn.tools.experiments import ablation, runs
 from cairn.tools.experiments.random_changes import RandomChanges
 from cairn.tools.experiments.series import read_method, read_world
 from tests.commands import Answer, cairn
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
 
@@ -66,8 +67,8 @@ def test_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> None:
     assert "1 of 1: runs/seed-0 done" in answer.err
     for title in ("ours (likelihood ratio)", "paper, clamped", "persistence filter", "no update"):
         assert title in answer.out
-    assert "1 run: too few to decide which method is better" in answer.out
-    assert "none for means: there is only 1 run" in answer.out
+    assert_words(answer.out, "1 run", "too few")
+    assert_words(answer.out, "none", "only 1 run")
     report = json.loads((tmp_path / "report.json").read_text())
     assert (tmp_path / "report.txt").read_text().splitlines()[0] in answer.out
     assert [one["method"] for one in report["summary"]] == [
@@ -143,17 +144,17 @@ def test_failed_runs_are_reported_and_exit_with_status_1(tmp_path: Path) -> None
     )
 
     assert answer.code == 1
-    assert "runs/seed-0 failed: mobile_supervisor has finished: the mission failed" in answer.out
+    assert_words(answer.out, "runs/seed-0 failed", "mobile_supervisor", "mission failed")
     assert json.loads((tmp_path / "report.json").read_text())["failures"].keys() == {"runs/seed-0"}
 
 
 @pytest.mark.usefixtures("on_a_thread")
-def test_run_in_which_nothing_was_moved_counts_for_nothing(tmp_path: Path) -> None:
+def test_run_without_a_moved_object_is_not_counted(tmp_path: Path) -> None:
     late = "components.world.parameters.events=[{at: 900, move: object_8, to: {x: 4.7, y: 0}}]"
     answer = experiment("map-update", tmp_path, "--seeds", "0", "--set", late)
 
     assert answer.code == 1
-    assert "runs/seed-0 failed: nothing was moved at 900 s: the world rejected" in answer.out
+    assert_words(answer.out, "runs/seed-0 failed", "900 s", "world")
     assert "repaired" not in answer.out
 
 

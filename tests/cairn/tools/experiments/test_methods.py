@@ -20,6 +20,7 @@ from cairn.tools.experiments.methods import (
     experiment_deployment,
     first_event_s,
 )
+from tests.wording import words_in_order
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
 SETUP = ExperimentSetup(DEPLOY / "sim.yaml", (DEPLOY / "experiment.yaml",), (), OURS, ABLATION[1:])
@@ -103,5 +104,5 @@ def test_deployment_without_a_localizer_is_rejected(tmp_path: Path) -> None:
         "cairn: 1\ncomponents: {report: {plugin: report}}\nexternal_topics: [localization]\n"
     )
 
-    with pytest.raises(CairnError, match="the deployment has no component localizer"):
+    with pytest.raises(CairnError, match=words_in_order("no component localizer")):
         deployment_of(replace(SETUP, deployment=file, overlays=()), tmp_path)

@@ -1,4 +1,4 @@
-"""A navigator whose planner and motion control answer as a test says."""
+"""A navigator with a scripted localizer, planner and motion control."""
 
 from __future__ import annotations
 
@@ -17,16 +17,19 @@ from cairn.schemas.cairn_nav_msgs import (
     Plan,
 )
 
-SURE = LocalizationEstimate(located=True, health=0.9)
+LOCATED = LocalizationEstimate(located=True, health=0.9)
 
 
-class Journey:
-    """The planner, motion control and the localizer publish what was set last."""
+class ScriptedRobot:
+    """A navigator and its inputs: `localization`, `plan` and `motion` are repeated until changed.
+
+    `reported` holds state, behavior and reason at each change of state or behavior.
+    """
 
     def __init__(self, *goals: tuple[float, float, float], **limits: Any) -> None:
         self.now = 100.0
         self.inputs = NavigatorInputs(pose=(0.0, 0.0, 0.0))
-        self.health: LocalizationEstimate | None = SURE
+        self.localization: LocalizationEstimate | None = LOCATED
         self.plan: dict[str, Any] | None = {"outcome": Plan.FOUND}
         self.motion: dict[str, Any] | None = {"state": MotionStatus.MOVING}
         self.navigator = NavigatorStateMachine(
@@ -40,21 +43,21 @@ class Journey:
         self.reported: list[tuple[int, int, str]] = []
         self.navigator.on_plugins_loaded(self.now)
 
-    def run(self, seconds: float) -> Journey:
-        """Let that much time pass, a tenth of a second at a time."""
+    def run(self, seconds: float) -> ScriptedRobot:
+        """Let time pass in steps of 0.1 s."""
         for _ in range(round(seconds * 10)):
             self.now += 0.1
-            if self.health is not None:
-                self.inputs.localization, self.inputs.localization_s = self.health, self.now
+            if self.localization is not None:
+                self.inputs.localization, self.inputs.localization_s = self.localization, self.now
             goal_id = self.navigator.goal_id
-            wanted = self.navigator.behavior
-            if self.plan is not None and wanted == NavCommand.FOLLOW:
+            behavior = self.navigator.behavior
+            if self.plan is not None and behavior == NavCommand.FOLLOW:
                 self.inputs.plan = Plan(goal_id=goal_id, **self.plan)
             if self.motion is not None:
                 standing = {"state": MotionStatus.STANDING}
-                given = standing if wanted == NavCommand.STAND else self.motion
+                motion = standing if behavior == NavCommand.STAND else self.motion
                 self.inputs.motion, self.inputs.motion_s = (
-                    MotionStatus(goal_id=goal_id, **given),
+                    MotionStatus(goal_id=goal_id, **motion),
                     self.now,
                 )
             self.navigator.step(self.now, self.inputs)
@@ -65,56 +68,62 @@ class Journey:
 
     @property
     def states(self) -> list[int]:
-        """The states, each once in a row."""
+        """The states so far, without repetitions."""
         return [state for state, _, _ in self.reported]
 
     @property
-    def tried(self) -> list[int]:
-        """The recoveries."""
-        return [what for state, what, _ in self.reported if state == NavigationStatus.RECOVERING]
+    def recovery_behaviors(self) -> list[int]:
+        """The behaviors of all recoveries so far."""
+        return [
+            behavior for state, behavior, _ in self.reported if state == NavigationStatus.RECOVERING
+        ]
 
 
-class Way(Journey):
-    """A robot on a way that has a length, and obstacles on it."""
+class DrivingRobot(ScriptedRobot):
+    """A robot that drives on a path of which `path_left_m` is left; it may meet obstacles."""
 
     SPEED = 0.4  # [m/s]
     BACK_OFF, GIVE_WAY = 0.4, 1.4  # [m]
 
-    def __init__(self, left: float, *goals: tuple[float, float, float], **limits: Any) -> None:
+    def __init__(
+        self, path_left_m: float, *goals: tuple[float, float, float], **limits: Any
+    ) -> None:
         super().__init__(*goals, **limits)
-        self.left = left
+        self.path_left_m = path_left_m
         self._back = 0.0
 
-    def drive(self, limit_s: float, blocked: Callable[[float], bool] = lambda _: False) -> Way:
-        """Follow the way, which is `blocked` or not with so much left, at most so long."""
+    def drive(
+        self, limit_s: float, blocked: Callable[[float], bool] = lambda _: False
+    ) -> DrivingRobot:
+        """Drive for at most `limit_s`; `blocked` is called with the path left [m]."""
         until = self.now + limit_s
         while self.now < until and not self.navigator.finished:
             self.motion = self._moved(self.navigator.behavior, blocked)
             self.run(0.1)
         return self
 
-    def drive_until_blocked_at(self, left: float) -> None:
-        """Follow the way until the robot recovers from an obstacle with so much left."""
+    def drive_until_blocked_at(self, left_m: float) -> None:
+        """Drive until a recovery from an obstacle `left_m` before the end of the path."""
         before = self.navigator.recoveries
         while self.navigator.recoveries == before and not self.navigator.finished:
-            self.drive(0.1, lambda now_left: now_left <= left)
+            self.drive(0.1, lambda path_left_m: path_left_m <= left_m)
 
-    def _moved(self, wanted: int, blocked: Callable[[float], bool]) -> dict[str, Any]:
-        if wanted == NavCommand.BACK_OFF and self._back < self.BACK_OFF:
+    def _moved(self, behavior: int, blocked: Callable[[float], bool]) -> dict[str, Any]:
+        if behavior == NavCommand.BACK_OFF and self._back < self.BACK_OFF:
             self._back += 0.02
-            self.left += 0.02
+            self.path_left_m += 0.02
             return {"state": MotionStatus.MOVING}
         if self.navigator.alternative is not None and self._back < self.GIVE_WAY:
             self._back += 0.04
-            self.left += 0.04
+            self.path_left_m += 0.04
             return {"state": MotionStatus.MOVING, "distance_left": 0.5}
         self._back = 0.0
         if self.navigator.alternative is not None:
             return {"state": MotionStatus.DONE}
-        if wanted != NavCommand.FOLLOW or self.left <= 0.0:
+        if behavior != NavCommand.FOLLOW or self.path_left_m <= 0.0:
             return {"state": MotionStatus.DONE}
-        if blocked(self.left):
+        if blocked(self.path_left_m):
             state = MotionStatus.BLOCKED
-            return {"state": state, "reason": "a wall", "distance_left": self.left}
-        self.left = max(0.0, self.left - self.SPEED / 10)
-        return {"state": MotionStatus.MOVING, "distance_left": self.left}
+            return {"state": state, "reason": "a wall", "distance_left": self.path_left_m}
+        self.path_left_m = max(0.0, self.path_left_m - self.SPEED / 10)
+        return {"state": MotionStatus.MOVING, "distance_left": self.path_left_m}

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 
-class EvenTurns:
+class Periods:
     """Counts the turns of a device, whose first turn began half a turn before `now`."""
 
     def __init__(self, now: int, hz: float) -> None:

@@ -1,4 +1,4 @@
-"""Motion control on a bus in virtual time, driving a robot in a small world."""
+"""Motion control in virtual time, driving a simulated robot in a small world."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cairn import LATCHED, RELIABLE, SECOND, SENSOR, Qos, from_ns
+from cairn import SECOND, from_ns
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.messages import packed_poses, pose_message
 from cairn.planar.poses import Pose, compose, wrap
@@ -23,103 +23,89 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from tests.cairn.runtime.running import Lockstep, taken
+from cairn.testing.lockstep import ComponentHarness
 from tests.components.motion_control.world import Array, Robot, World
 
-BEGIN = 1000 * SECOND
+START_S = 1000.0
 STEP = 20_000_000  # [ns] of the base
 
 
-class Stage:
-    """Publishes the messages of the other components; `muted` topics are silent.
+class SimulatedDrive:
+    """Motion control and a robot that follows its commands; publishes the messages it needs.
 
-    With `simulated_time` the component gets a clock, which may be `set_back`.
+    `muted` topics are silent. With `simulated_time` the component gets a clock, which
+    `set_clocks_back` sets back. `commands` holds time [ns], speed [m/s] and turn rate [rad/s].
     """
 
     def __init__(
         self, world: World, robot: Robot, *, simulated_time: bool = False, **parameters: Any
     ) -> None:
-        self.lockstep = Lockstep()
-        self.back = 0
         self.world, self.robot = world, robot
         self.muted: set[str] = set()
         self.beams = 360
         self.mount: Pose = (0.0, 0.0, 0.0)
-        self.health = LocalizationEstimate(located=True, health=0.9)
-        self.nav_command = NavCommand()
+        self.localization = LocalizationEstimate(located=True, health=0.9)
         self.commands: list[tuple[int, float, float]] = []
         self.statuses: list[MotionStatus] = []
         self.clearance = math.inf
         self.random = np.random.default_rng(0)
-        self._cmd_vel = self.lockstep.read("cmd_vel", Twist, SENSOR)
-        self._status = self.lockstep.read("motion_status", MotionStatus)
+        self._nav_command = NavCommand()
+        self._clocks_behind = 0
         self._tick = 0
         self._command = (0.0, 0.0)
-        self._writers: dict[str, Any] = {}
-        self.lockstep.run_until(BEGIN)
-        self.part = self.lockstep.add(
-            MotionControl, parameters=parameters, simulated_time=simulated_time
+        self.motion_control = ComponentHarness(
+            MotionControl, parameters, start_s=START_S, simulated_time=simulated_time
         )
-        self.part.activate()
 
     @property
     def now(self) -> int:
         """Virtual time [ns]."""
-        return BEGIN + self._tick * STEP
-
-    def set_back(self, seconds: float) -> None:
-        """Set back all clocks."""
-        self.back += round(seconds * SECOND)
+        return round(START_S * SECOND) + self._tick * STEP
 
     @property
     def status(self) -> MotionStatus:
         """The newest status."""
         return self.statuses[-1]
 
-    def want(
+    def set_clocks_back(self, seconds: float) -> None:
+        """Set back all clocks."""
+        self._clocks_behind += round(seconds * SECOND)
+
+    def command(
         self, goal_id: int, behavior: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
     ) -> None:
-        """Command something from now on."""
-        self.nav_command = NavCommand(
+        """Publish a navigation command, now and every half second."""
+        self._nav_command = NavCommand(
             goal_id=goal_id, behavior=behavior, goal=pose_message(goal), distance=distance
         )
-        self._send("nav_command", self.nav_command, LATCHED)
+        self._publish("nav_command", self._nav_command)
 
-    def plan(self, goal_id: int, *points: tuple[float, float], **fields: Any) -> None:
+    def publish_plan(self, goal_id: int, *points: tuple[float, float], **fields: Any) -> None:
         """Publish a path through these points."""
         poses = packed_poses(np.array([(x, y, 0.0) for x, y in points]).reshape(-1, 3))
-        self._send("plan", Plan(goal_id=goal_id, poses=poses, **fields), LATCHED)
+        self._publish("plan", Plan(goal_id=goal_id, poses=poses, **fields))
 
-    def wait(self, seconds: float, until: int | None = None) -> None:
-        """Let time pass, or until there is a status with that state."""
+    def run_for(self, seconds: float, until: int | None = None) -> None:
+        """Let time pass, at most until a status has the state `until`."""
         for _ in range(round(seconds * SECOND / STEP)):
             self._step()
             if until is not None and self.statuses and self.status.state == until:
                 break
 
     def _step(self) -> None:
-        stamp = from_ns(self.now - self.back)
-        self._send("clock", Clock(clock=stamp), RELIABLE)
+        stamp = from_ns(self.now - self._clocks_behind)
+        self._publish("clock", Clock(clock=stamp))
         if self._tick % 25 == 0:
-            self._send("nav_command", self.nav_command, LATCHED)
-        twist = Twist(linear=Vector3(x=self.robot.speed), angular=Vector3(z=self.robot.turn))
-        self._send(
-            "odom",
-            Odometry(
-                header=Header(stamp=stamp, frame_id="odom"),
-                child_frame_id="base_link",
-                pose=PoseWithCovariance(pose=pose_message(self.robot.odom)),
-                twist=TwistWithCovariance(twist=twist),
-            ),
-            RELIABLE,
-        )
+            self._publish("nav_command", self._nav_command)
+        self._publish_odometry(stamp)
         if self._tick % 5 == 0:
-            self._look(stamp)
-        self.lockstep.run_until(self.now + STEP - 1)
-        for command in taken(self._cmd_vel):
+            self._publish_scan(stamp)
+            self._publish_localization(stamp)
+        self.motion_control.run_to(self.now + STEP - 1)
+        for command in self.motion_control.take("cmd_vel"):
             self._command = (command.linear.x, command.angular.z)
             self.commands.append((self.now, *self._command))
-        self.statuses += taken(self._status)
+        self.statuses += self.motion_control.take("motion_status")
         self.robot.move(self._command, STEP / SECOND)
         self._tick += 1
         self.clearance = min(
@@ -130,13 +116,25 @@ class Stage:
     def _seconds(self) -> float:
         return self._tick * STEP / SECOND
 
-    def _look(self, stamp: Any) -> None:
+    def _publish_odometry(self, stamp: Any) -> None:
+        twist = Twist(linear=Vector3(x=self.robot.speed), angular=Vector3(z=self.robot.turn))
+        self._publish(
+            "odom",
+            Odometry(
+                header=Header(stamp=stamp, frame_id="odom"),
+                child_frame_id="base_link",
+                pose=PoseWithCovariance(pose=pose_message(self.robot.odom)),
+                twist=TwistWithCovariance(twist=twist),
+            ),
+        )
+
+    def _publish_scan(self, stamp: Any) -> None:
         noise = self.random.normal(0.0, 0.005, self.beams)
         step = 2 * math.pi / self.beams
         angles: Array = np.arange(self.beams, dtype=np.float64) * step - math.pi
         scanner = compose(self.robot.pose, self.mount)
         ranges = self.world.ranges(self._seconds, scanner, angles, noise)
-        self._send(
+        self._publish(
             "scan",
             LaserScan(
                 header=Header(stamp=stamp, frame_id="laser"),
@@ -146,20 +144,15 @@ class Stage:
                 range_max=10.0,
                 ranges=ranges.astype(np.float32),
             ),
-            SENSOR,
         )
+
+    def _publish_localization(self, stamp: Any) -> None:
         x, y, theta = self.robot.pose
         dx, dy, turned = self.random.normal(0.0, 0.01, 3)
-        seen = pose_message((x + dx, y + dy, wrap(theta + turned)))
+        pose = PoseWithCovariance(pose=pose_message((x + dx, y + dy, wrap(theta + turned))))
         header = Header(stamp=stamp, frame_id="map")
-        estimate = replace(self.health, header=header, pose=PoseWithCovariance(pose=seen))
-        self._send("localization", estimate, RELIABLE)
+        self._publish("localization", replace(self.localization, header=header, pose=pose))
 
-    def _send(self, topic: str, message: Any, qos: Qos) -> None:
-        if topic in self.muted:
-            return
-        if topic not in self._writers:
-            self._writers[topic] = self.lockstep.observer.advertise(
-                f"/robot/{topic}", type(message), qos
-            )
-        self._writers[topic].publish(message)
+    def _publish(self, topic: str, message: Any) -> None:
+        if topic not in self.muted:
+            self.motion_control.publish(topic, message, handled=False)

@@ -1,11 +1,11 @@
-"""World and drivers together on virtual time, driven by a script."""
+"""The simulated world and its drivers in virtual time; the test commands the robot."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
-from cairn import LATCHED, SECOND, SENSOR, Component, to_ns
+from cairn import SENSOR, Component, to_ns
 from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.recognizer import SimulatedRecognizer
 from cairn.components.simulation.scanner import SimulatedScanner
@@ -19,8 +19,10 @@ from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.tf2_msgs import TFMessage
-from tests.cairn.runtime.running import Lockstep, Placed, taken
+from cairn.testing.lockstep import ComponentHarness, Lockstep
 from tests.components.simulation.worlds import box
+
+C = TypeVar("C", bound=Component)
 
 EXACT = {
     "distance_scale_sd": 0,
@@ -36,14 +38,16 @@ OBJECTS = [{"id": 1, "x": 6, "y": 2.0, "theta": 3.1416}, {"id": 2, "x": 0, "y": 
 
 
 class Simulation:
-    """The world of `more` and its drivers, driven by a script."""
+    """A simulated world with base, scanner and recognizer; the test commands the robot.
 
-    def __init__(self, folder: Path, exact: bool = True, **more: Any) -> None:
+    `world` holds additional entries of the world file; the errors of the base are off if `exact`.
+    """
+
+    def __init__(self, folder: Path, exact: bool = True, **world: Any) -> None:
         self.file = folder / "world.yaml"
-        self.file.write_text(yaml.safe_dump(box(**more)))
-        self.lockstep = Lockstep()
-        self.lockstep.run_until(SECOND)
-        topics = {
+        self.file.write_text(yaml.safe_dump(box(**world)))
+        self.lockstep = Lockstep(start_s=1.0)
+        topics: dict[str, type[Any]] = {
             "odom": Odometry,
             "truth": PoseStamped,
             "scan": LaserScan,
@@ -51,47 +55,44 @@ class Simulation:
             "collisions": Collision,
             "world_state": WorldState,
             "tf": TFMessage,
+            "tf_static": TFMessage,
         }
-        self._readers = {name: self.lockstep.read(name, kind) for name, kind in topics.items()}
-        self._readers["tf_static"] = self.lockstep.read("tf_static", TFMessage, qos=LATCHED)
+        self._readings = {name: self.lockstep.read(name, kind) for name, kind in topics.items()}
         slip = {"slip": NO_SLIP} if exact else {}
-        self.world = self._add(SimulatedWorld, world=str(self.file), **slip)
-        self.base = self._add(SimulatedBase, **(EXACT if exact else {}))
-        self.scanner = self._add(SimulatedScanner, mount=MOUNT, rate=10, dropouts=0)
-        self.recognizer = self._add(
+        self.world = self.add(SimulatedWorld, world=str(self.file), **slip)
+        self.base = self.add(SimulatedBase, **(EXACT if exact else {}))
+        self.scanner = self.add(SimulatedScanner, mount=MOUNT, rate=10, dropouts=0)
+        self.recognizer = self.add(
             SimulatedRecognizer, detection_probability=1.0, confusion_probability=0.0
         )
-        self.now = SECOND
+
+    def add(self, component: type[C], **parameters: Any) -> ComponentHarness[C]:
+        """Add an active component, beside those of its class that run already."""
+        name = component.__name__.lower()
+        return ComponentHarness(component, parameters, beside=self.lockstep, name=name)
 
     def drive(self, seconds: float, forward: float, turn: float) -> None:
-        """Command these speeds for some seconds."""
+        """Command these speeds [m/s, rad/s] for some seconds."""
         for _ in range(round(seconds * 10)):
             command = Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
             self.lockstep.publish("cmd_vel", command, qos=SENSOR)
-            self.now += SECOND // 10
-            self.lockstep.run_until(self.now)
+            self.lockstep.run_for(0.1)
 
-    def taken(self, topic: str) -> list[Any]:
-        """The messages published since the last call."""
-        return taken(self._readers[topic])
-
-    def rerun(self, kind: type[Component], **parameters: Any) -> Placed[Any]:
-        return self._add(kind, **parameters)
-
-    def _add(self, kind: type[Component], **parameters: Any) -> Placed[Any]:
-        part = self.lockstep.add(kind, name=kind.__name__.lower(), parameters=parameters)
-        part.activate()
-        return part
+    def take(self, topic: str) -> list[Any]:
+        """Return the messages published since the last call."""
+        return self._readings[topic].take()
 
 
 def poses_of(messages: list[Any]) -> dict[int, Pose]:
+    """Return the poses of messages by their stamps [ns]."""
     return {
         to_ns(m.header.stamp): planar_pose(m.pose if isinstance(m, PoseStamped) else m.pose.pose)
         for m in messages
     }
 
 
-def script(simulation: Simulation) -> None:
+def drive_curves(simulation: Simulation) -> None:
+    """Drive straight, turn in place, drive a curve, and stop: 7 s."""
     simulation.drive(2.0, 0.4, 0.0)
     simulation.drive(2.0, 0.0, 1.5)
     simulation.drive(2.0, 0.3, -0.8)

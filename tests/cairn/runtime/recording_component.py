@@ -1,4 +1,4 @@
-"""A component that records its calls, and fails where a test wants it to."""
+"""A component that records its calls, and fails in the steps that a test selects."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ STEPS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
 BOOM = "RuntimeError: boom"
 
 
-class Part(Component):
-    """Records its calls, and fails where a test wants it to."""
+class RecordingComponent(Component):
+    """Records its calls, and fails in the steps that a test selects."""
 
     word: In[String]
     echo: Out[String]
@@ -50,20 +50,22 @@ class Part(Component):
         return bool(self.recovers)
 
     @on("word")
-    def hear(self, word: String) -> None:
-        self.step(f"hear {word.data}")
+    def receive(self, word: String) -> None:
+        self.step(f"receive {word.data}")
         if word.data == "finish":
-            self.finish("all is said")
+            self.finish("work is done")
         if word.data == "finish and fail":
-            self.finish("all is said")
+            self.finish("work is done")
             raise RuntimeError("boom")
         if word.data == "exit":
             raise SystemExit(3)
         self.echo.publish(word)
 
 
-def failing(*steps: str, recovers: Any = False) -> type[Part]:
-    return type("Failing", (Part,), {"fails_in": frozenset(steps), "recovers": recovers})
+def failing(*steps: str, recovers: Any = False) -> type[RecordingComponent]:
+    return type(
+        "Failing", (RecordingComponent,), {"fails_in": frozenset(steps), "recovers": recovers}
+    )
 
 
 def word(data: str) -> String:

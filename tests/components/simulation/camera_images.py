@@ -27,27 +27,27 @@ LENS = PinholeCamera.of(640, 480, math.radians(60))
 POSTER = {"id": 7, "x": 6.0, "y": 2.0, "theta": math.pi, "width": 0.5, "height": 0.4}
 
 
-def stands(**more: Any) -> tuple[VisibleSurfaces, TextureAtlas]:
+def surfaces_with(**more: Any) -> tuple[VisibleSurfaces, TextureAtlas]:
     """The surfaces of the room of 6 m x 4 m with `more` in it."""
     return surfaces_of(geometry_message(Header(), WorldLayout.of(world_file(**more))))
 
 
-def seen(
+def image_from(
     pose: Pose, height: float = 1.0, right: float = 0.0, lens: PinholeCamera = LENS, **more: Any
 ) -> NDArray[np.float32]:
     """The image from a pose, in even light."""
-    return ideal_image(*stands(**more), CameraPose(pose, height).beside(right), lens)
+    return ideal_image(*surfaces_with(**more), CameraPose(pose, height).beside(right), lens)
 
 
 def corners(
-    thing: dict[str, Any],
+    visible_object: dict[str, Any],
     pose: Pose,
     height: float = 1.0,
     right: float = 0.0,
     lens: PinholeCamera = LENS,
 ) -> NDArray[np.float64]:
     """The corners of an object's picture in that image [px]."""
-    model = VisibleObject.model_validate(thing)
+    model = VisibleObject.model_validate(visible_object)
     camera_pose = CameraPose(pose, height).beside(right)
     return panel_corners(model.pose, model.size, model.z, camera_pose, lens)
 

@@ -21,7 +21,7 @@ from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import LineEnd, PtyEnd, TcpEnd
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
-from tests.cairn.runtime.running import Threaded
+from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.patience import LIMIT_S
 
 _ALL = RELIABLE.with_depth(1_000_000)
@@ -77,8 +77,8 @@ class FrequentReporter(HokuyoScanner):
         super().report()
 
 
-class Driven:
-    """A driver and its emulated sensor."""
+class EmulatedDriver:
+    """A driver and the emulated sensor that it reads."""
 
     def __init__(
         self,
@@ -95,7 +95,9 @@ class Driven:
         self.scans = Received(bus, "scan", LaserScan)
         self.multi = Received(bus, "multi_echo_scan", MultiEchoLaserScan)
         self.diagnostics = Received(bus, "diagnostics", DiagnosticArray)
-        self.component = Threaded(FrequentReporter, bus, parameters=parameters, restarts=restarts)
+        self.component = ThreadedComponent(
+            FrequentReporter, bus, parameters=parameters, restarts=restarts
+        )
 
     def health(self, accept: Callable[[Any], bool], after: int | None = None) -> Any:
         """Wait for diagnostics, by default new ones, that `accept` holds of; return the status."""
@@ -107,7 +109,7 @@ class Driven:
 
 
 @contextmanager
-def driven(
+def emulated_driver(
     folder: Path,
     model: str = "UTM-30LX",
     *,
@@ -117,7 +119,7 @@ def driven(
     line: dict[str, Any] | None = None,
     activate: bool = True,
     **parameters: Any,
-) -> Iterator[Driven]:
+) -> Iterator[EmulatedDriver]:
     """Run the driver with a sensor of the model: on a pseudo-terminal, over TCP, or on a cable.
 
     A cable is the device's end of it, and the port that the driver opens.
@@ -131,13 +133,13 @@ def driven(
         where: dict[str, Any] = {"port": port}
         if isinstance(end, TcpEnd):
             where = {"host": "127.0.0.1", "tcp_port": end.port}
-        both = Driven(emulator, device, sent, **(where | parameters))
+        driver = EmulatedDriver(emulator, device, sent, **(where | parameters))
         try:
             if activate:
-                both.component.activate()
-            yield both
+                driver.component.activate()
+            yield driver
         finally:
-            both.component.close()
+            driver.component.close()
 
 
 def assert_were_sent(
