@@ -7,7 +7,7 @@ from cairn.process_exit import ExitReport
 from cairn.supervision.child import LauncherLost
 from cairn.supervision.restart_policy import UnknownChild
 from cairn.supervision.supervisor import Escalate, StartFailed
-from tests.wording import words_in_order
+from tests.wording import assert_words, words_in_order
 
 from .scripted_children import (
     ScriptedChild,
@@ -115,7 +115,7 @@ def test_hung_child_is_killed_and_its_handler_named(world: World) -> None:
     supervisor.reconcile()
     assert world.steps == ["kill scanner", *START_SCANNER]
     assert ("hung", "hung for 5.2 s in read_scan; killed") in world.events_of("scanner")
-    assert supervisor.status()[1].reason == "hung for 5.2 s in read_scan; killed"
+    assert_words(supervisor.status()[1].reason, "hung", "5.2 s", "read_scan", "killed")
 
 
 def test_restarted_child_that_fails_to_configure_is_ended_and_tried_again(world: World) -> None:
@@ -146,7 +146,7 @@ def test_child_that_refuses_its_first_start_escalates_at_once_with_its_own_error
 def test_child_that_keeps_dying_while_it_starts_escalates(world: World) -> None:
     world.script("scanner", *[{"activate": dies("killed by SIGSEGV (signal 11)")}] * 4)
     supervisor = world.supervisor("base", "scanner", "localizer")
-    with pytest.raises(Escalate, match=r"more than 3 restarts .* scanner killed by SIGSEGV"):
+    with pytest.raises(Escalate, match=words_in_order("3 restarts", "scanner", "SIGSEGV")):
         supervisor.start_all()
     assert world.steps.count("launch scanner") == 4
     assert "launch localizer" not in world.steps
@@ -193,7 +193,7 @@ def test_too_many_restarts_stop_all_and_escalate(world: World) -> None:
         world.children["scanner"].end = CRASH
         supervisor.reconcile()
     world.children["scanner"].end = CRASH
-    with pytest.raises(Escalate, match="more than 2 restarts within 10 s; last, scanner: killed"):
+    with pytest.raises(Escalate, match=words_in_order("2 restarts", "10 s", "scanner", "killed")):
         supervisor.reconcile()
     assert world.running() == []
     assert world.events[-1].kind == "given_up"

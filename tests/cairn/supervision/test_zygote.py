@@ -16,6 +16,7 @@ from cairn.supervision.zygote_client import SpawnFailed, ZygoteClient, ZygoteLos
 from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
 from cairn.supervision.zygote_protocol import Exited, Signal, encode_request
 from tests.patience import LIMIT_S
+from tests.wording import assert_words, words_in_order
 
 from . import zygote_children
 from .reports import Tree
@@ -62,7 +63,7 @@ def test_process_that_raises_ends_with_code_1_and_a_traceback(owner: Owner, fres
     ended = owner.spawn("fail", device="/dev/ttyUSB0", fresh=fresh).wait(LIMIT_S)
     assert ended is not None
     assert ended.code == 1
-    assert str(ended) == f"driver (process {ended.pid}): exit code 1"
+    assert_words(str(ended), "driver", str(ended.pid), "exit code 1")
     assert owner.log.read_text().endswith("ValueError: no device /dev/ttyUSB0\n")
 
 
@@ -70,7 +71,7 @@ def test_process_that_raises_ends_with_code_1_and_a_traceback(owner: Owner, fres
 def test_crash_is_reported_by_its_signal(owner: Owner, fresh: bool) -> None:
     ended = owner.spawn("crash", fresh=fresh).wait(LIMIT_S)
     assert ended is not None
-    assert str(ended) == f"driver (process {ended.pid}): killed by SIGSEGV (signal 11)"
+    assert_words(str(ended), "driver", str(ended.pid), "SIGSEGV")
     assert "Segmentation fault" in owner.log.read_text()
 
 
@@ -112,8 +113,7 @@ def test_module_that_cannot_be_imported_fails_only_processes_that_need_it(
     log = tmp_path / "driver.log"
     with pytest.raises(
         SpawnFailed,
-        match=r"(?s)^driver could not be started: the module no_such_module cannot be imported: "
-        r"ModuleNotFoundError: No module named 'no_such_module'.*Traceback",
+        match=words_in_order("driver", "no_such_module", "ModuleNotFoundError", "Traceback"),
     ):
         client.spawn("driver", f"{CHILDREN}:write_output", {}, log, needs=["no_such_module"])
     other = client.spawn("other", f"{CHILDREN}:write_output", {"text": ""}, log, needs=["json"])
