@@ -4,40 +4,37 @@ import pytest
 from pydantic import ValidationError
 
 from cairn.components.motion_control.config import MotionControlConfig
+from tests.wording import assert_words
 
 
 @pytest.mark.parametrize(
-    ("parameters", "message"),
+    ("parameters", "words"),
     [
         (
             {"speed": 0.1},
-            "creep_speed 0.15 is more than speed 0.1: "
-            "lower creep_speed to 0.1 or less, or raise speed",
+            ("creep_speed 0.15", "speed 0.1", "lower creep_speed to 0.1", "raise speed"),
         ),
         (
             {"acceleration": 0.5},
-            "braking 0.6 is more than acceleration 0.5: "
-            "lower braking to 0.5 or less, or raise acceleration",
+            ("braking 0.6", "acceleration 0.5", "lower braking to 0.5", "raise acceleration"),
         ),
         (
             {"turn_braking": 4.0},
-            "turn_braking 4 is more than turn_acceleration 3: "
-            "lower turn_braking to 3 or less, or raise turn_acceleration",
+            ("turn_braking 4", "turn_acceleration 3", "lower turn_braking to 3", "raise"),
         ),
         (
             {"margin": 0.2},
-            "full_speed_clearance 0.2 is not more than margin 0.2: "
-            "raise full_speed_clearance, or lower margin",
+            ("full_speed_clearance 0.2", "margin 0.2", "raise", "lower margin"),
         ),
     ],
 )
 def test_inconsistent_values_are_rejected_with_the_remedy(
-    parameters: dict[str, float], message: str
+    parameters: dict[str, float], words: tuple[str, ...]
 ) -> None:
     with pytest.raises(ValidationError) as refused:
         MotionControlConfig.model_validate(parameters)
 
-    assert message in str(refused.value)
+    assert_words(str(refused.value), *words)
 
 
 def test_values_at_their_bounds_are_accepted() -> None:

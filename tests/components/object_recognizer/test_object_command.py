@@ -218,24 +218,24 @@ def test_unrecognizable_picture_is_rejected(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "why"),
+    ("arguments", "words"),
     [
-        ((), "give images of the object, or --camera"),
-        (("missing.png",), "missing.png cannot be read: No such file"),
-        (("a.png", "--camera"), "give images or --camera, not both"),
-        (("a.png", "--size", "0.4"), "--size 0.4: write it as W,H"),
-        (("a.png", "--size", "0,1"), "--size 0,1: write it as W,H"),
-        (("a.png", "--size", "300,2"), "above 0 and at most 100"),
-        (("a.png", "--size", "0.3,0.4"), "1.33 times as wide as high, but the size 0.3 m x 0.4 m"),
-        (("a.png", "--box", "1,2,3"), "--box 1,2,3: write it as X,Y,W,H"),
-        (("--size", "1,1"), "no such map file; give images of cup"),
+        ((), "images; --camera"),
+        (("missing.png",), "missing.png; No such file"),
+        (("a.png", "--camera"), "images; --camera; not both"),
+        (("a.png", "--size", "0.4"), "--size 0.4; W,H"),
+        (("a.png", "--size", "0,1"), "--size 0,1; W,H"),
+        (("a.png", "--size", "300,2"), "above 0; 100"),
+        (("a.png", "--size", "0.3,0.4"), "1.33; 0.3 m x 0.4 m"),
+        (("a.png", "--box", "1,2,3"), "--box 1,2,3; X,Y,W,H"),
+        (("--size", "1,1"), "no such map file; images of cup"),
     ],
 )
 def test_invalid_arguments_are_rejected_with_reason(
-    folder: Path, arguments: tuple[str, ...], why: str
+    folder: Path, arguments: tuple[str, ...], words: str
 ) -> None:
     photo("a.png", picture_of(1))
-    assert why in rejected("object", "teach", "cup", *arguments)
+    assert_words(rejected("object", "teach", "cup", *arguments), *words.split("; "))
     assert not Path("visual_map.cairn").exists()
 
 
@@ -252,42 +252,44 @@ def test_missing_maps_and_names_are_reported(folder: Path, map_with_a_cup: Path)
 
 
 @pytest.mark.parametrize(
-    ("map_file", "why"),
+    ("map_file", "words"),
     [
-        ("folder", "folder is a folder. Give a map file"),
-        ("/dev/null", "/dev/null is not a regular file"),
-        ("/proc/new.cairn", "/proc/new.cairn: No such file or directory; correct the path"),
-        ("none/new.cairn", "--map none/new.cairn: the folder none does not exist; make it"),
-        ("a.png/new.cairn", "a.png: File exists; something else has this name"),
-        ("a.png", "a.png: file is not a database. It is damaged or not a map"),
+        ("folder", "folder; map file"),
+        ("/dev/null", "/dev/null; regular file"),
+        ("/proc/new.cairn", "/proc/new.cairn; No such file; path"),
+        ("none/new.cairn", "--map none/new.cairn; folder none"),
+        ("a.png/new.cairn", "a.png; File exists"),
+        ("a.png", "a.png; not a database; damaged"),
     ],
 )
-def test_invalid_map_path_is_reported(folder: Path, map_file: str, why: str) -> None:
+def test_invalid_map_path_is_reported(folder: Path, map_file: str, words: str) -> None:
     photo("a.png", picture_of(1))
     (folder / "folder").mkdir()
 
     answer = rejected("object", "teach", "cup", "a.png", "--map", map_file)
 
-    assert why in answer
+    assert_words(answer, *words.split("; "))
     assert "full" not in answer
 
 
 @pytest.mark.usefixtures("cup")
 @pytest.mark.parametrize(
-    ("picture", "why"),
+    ("picture", "words"),
     [
-        ("folder", "folder: the suffix is not that of a supported image format"),
-        ("folder.png", "folder.png cannot be written: Is a directory; it is a folder: give a file"),
-        ("none/a.png", "none/a.png cannot be written: No such file or directory"),
-        ("/proc/a.png", "/proc/a.png cannot be written: No such file or directory"),
+        ("folder", "folder; suffix; image format"),
+        ("folder.png", "folder.png; Is a directory; give a file"),
+        ("none/a.png", "none/a.png; cannot be written; No such file"),
+        ("/proc/a.png", "/proc/a.png; cannot be written; No such file"),
     ],
 )
-def test_unwritable_picture_is_reported(folder: Path, picture: str, why: str) -> None:
+def test_unwritable_picture_is_reported(folder: Path, picture: str, words: str) -> None:
     (folder / "folder").mkdir()
     (folder / "folder.png").mkdir()
     before = sorted(folder.rglob("*"))
 
-    assert why in rejected("object", "show", "cup", "--out", picture)
+    answer = rejected("object", "show", "cup", "--out", picture)
+
+    assert_words(answer, *words.split("; "))
 
     assert sorted(folder.rglob("*")) == before
 

@@ -48,12 +48,12 @@ def test_old_control_names_are_accepted() -> None:
 @pytest.mark.parametrize(
     ("requested", "message"),
     [
-        ({"gain": 101}, "gain = 101: the camera accepts 0 to 100 in steps of 5"),
-        ({"gain": -1}, "gain = -1: the camera accepts 0 to 100 in steps of 5"),
-        ({"gain": 7}, "gain = 7: the camera accepts 0 to 100 in steps of 5"),
+        ({"gain": 101}, "gain = 101.* 0 to 100 .* 5"),
+        ({"gain": -1}, "gain = -1.* 0 to 100 .* 5"),
+        ({"gain": 7}, "gain = 7.* 0 to 100 .* 5"),
         ({"auto_exposure": 0}, r"accepts 1 \(Manual Mode\), 3 \(Aperture Priority Mode\)"),
-        ({"gamma": 1}, "no control gamma; it has bits, exposure_absolute, exposure_auto, gain"),
-        ({"bits": 2}, "bits = 2: the camera accepts bits of 0x80000001"),
+        ({"gamma": 1}, "gamma.* bits, exposure_absolute, exposure_auto, gain"),
+        ({"bits": 2}, "bits = 2.* 0x80000001"),
         ({"power": 1}, "power is read-only"),
     ],
 )
