@@ -2,6 +2,7 @@
 
 import atexit
 import os
+import signal
 import sys
 import threading
 from collections import deque
@@ -52,18 +53,17 @@ class ExitLog:
         except OSError:  # the log does not exist yet
             self._start = 0
 
-    def report(self, pid: int, code: int | None, manner: str) -> ExitReport:
-        """Return the report on a process that ended with this exit code (None: by a signal).
-
-        `manner` is a phrase, such as "exit code 1" or "killed by SIGSEGV (signal 11)".
-        """
+    def report(self, pid: int, code: int) -> ExitReport:
+        """Return the report on a process that ended with this exit code, -N by signal N."""
         where = f"(process {pid}, log {self.file})"
-        if code is None:
-            return ExitReport(False, f"{manner} {where}")
+        if code < 0:
+            known = {one.value: one.name for one in signal.Signals}
+            name = known.get(-code, "a real-time signal")
+            return ExitReport(False, f"killed by {name} (signal {-code}) {where}")
         reason, last_line = self._tail(pid)
         if code in (0, WORK_NOT_DONE):
-            return ExitReport(True, reason or manner, code == 0)
-        reason = reason or (f"{manner}: {last_line}" if last_line else manner)
+            return ExitReport(True, reason or f"exit code {code}", code == 0)
+        reason = reason or f"exit code {code}{f': {last_line}' if last_line else ''}"
         return ExitReport(False, f"{reason} {where}")
 
     def _tail(self, pid: int) -> tuple[str, str]:

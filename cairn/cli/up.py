@@ -36,7 +36,7 @@ from cairn.placement.systemd_notify import ServiceManager, service_manager
 from cairn.process_exit import ExitReport
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
 from cairn.schemas.rcl_interfaces import Log
-from cairn.supervision.zygote_process import ZygoteProcess
+from cairn.supervision.zygote_client import ZygoteProcess
 
 _RUNS_KEPT = 20
 _REPORT_SETTING = "report"

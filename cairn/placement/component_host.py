@@ -1,11 +1,11 @@
-"""Hosts one component on a thread of this process: its loop, control requests and heartbeat."""
+"""Hosts one component on a thread of this process: loop, control requests, heartbeat, children."""
 
 import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
-from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 from cairn.bus.bus import full_name
@@ -14,33 +14,42 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.clock import SystemClock
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
-from cairn.placement.pause_aware_clock import PauseAwareClock
+from cairn.placement.launcher import ProcessHandle
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.rosout import RosoutHandler
 from cairn.runtime.runtime import Runtime
-from cairn.supervision.child import ChildUnavailable
+from cairn.supervision.child import ChildHandle, ChildUnavailable, ZygoteLost
 from cairn.supervision.supervisor import Supervisor
+from cairn.supervision.zygote_client import ZygoteClient
 
+PERIOD_S = 0.25
+PAUSE_S = 1.0
+"""A thread that should run four times a second and has not run for so long was kept from it."""
 _JOIN_LIMIT_S = 5.0
 
 
 class ComponentHost:
-    """Constructs the component of a launch request and runs it on a thread of its own."""
+    """Constructs the component of a launch request and runs it on a thread of its own.
+
+    It launches the children of a supervisor (`SupervisorHost`), and is the handle of a component
+    that is placed in its supervisor's process (`ChildHandle`).
+    """
 
     def __init__(self, launch: LaunchRequest, bus: ZenohBus) -> None:
         """Raises `CairnError` if the component cannot be constructed."""
-        self.launch = launch
-        self.bus = bus
         self.exit_report: ExitReport | None = None
         self.ended = threading.Event()
         self.on_exit: Callable[[], object] = self.ended.is_set
-        self.children: tuple[ComponentHost, ...] = ()  # those in this process
-        self.resources = ExitStack()  # closed with the host
+        self._name = launch.name
+        self._bus = bus
         self._loop = ThreadLoop()
         self._clock = PauseAwareClock()
         self._closed = False
+        self._children: tuple[ComponentHost, ...] = ()  # those in this process
+        self._starting: ProcessHandle | None = None
+        self._zygote: ZygoteClient | None = None
         context = launch.context
         self.runtime = Runtime(
             load_plugin(launch.spec.plugin),
@@ -51,6 +60,8 @@ class ComponentHost:
             self._note_exit,
             self._clock.now,
         )
+        if isinstance(self.runtime.component, Supervisor):
+            self.runtime.component.adopt(launch, self)
         self._rosout = RosoutHandler(self.runtime.node)
         self.runtime.log.addHandler(self._rosout)
         self._control = ControlServer(
@@ -83,6 +94,28 @@ class ComponentHost:
         """Report that a long call has reached its next step: it is not hung."""
         self.runtime.progress(step)
 
+    def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ChildHandle:
+        """Start a child and wait until it accepts requests; see `SupervisorHost`."""
+        if launch.spec.placement == "in_process":
+            host = ComponentHost(launch, self._bus)
+            host.on_exit = on_exit
+            running = (other for other in self._children if not other.ended.is_set())
+            self._children = (*running, host)
+            host.start()
+            return host
+        if self._zygote is None:
+            self._zygote = ZygoteClient(Path(launch.context.zygote), self._log_lost_zygote)
+        self._starting = handle = ProcessHandle(launch, self._bus.session)
+        handle.launch(self._zygote, on_exit)
+        return handle
+
+    def cancel_starts(self) -> None:
+        """Have nothing started any more below, and cut short the start in progress; any thread."""
+        for child in self._children:
+            child.request_stop()
+        if self._starting is not None:
+            self._starting.cancel_start()
+
     def send_request(self, verb: str, arguments: Mapping[str, Any] | None = None) -> "Future[Any]":
         """Have a control request answered on the component's thread; return the future answer."""
         answer: Future[Any] = Future()
@@ -108,18 +141,36 @@ class ComponentHost:
             status = self.runtime.status()
             doing = f"; it is in {status.handler}" if status.handler else ""
             raise ChildUnavailable(
-                f"{self.launch.name} did not answer {verb} within {timeout_s:.1f} s{doing}"
+                f"{self._name} did not answer {verb} within {timeout_s:.1f} s{doing}"
             ) from None
 
     def request_stop(self) -> None:
-        """Have nothing started any more below, and cut short the start in progress; any thread."""
+        """Have a supervisor start nothing any more; from any thread."""
         if isinstance(self.runtime.component, Supervisor):
             self.runtime.component.children.request_stop()
+
+    def terminate(self) -> None:
+        """Ask the component to shut down."""
+        self.send_request("shutdown")
+
+    def kill(self) -> None:
+        """Raise `CairnError`: a thread cannot be killed; its whole process has to end."""
+        raise CairnError(
+            f"{self._name}: it runs in its supervisor's process and cannot be killed; "
+            "give it `placement: process`, or restart the supervisor"
+        )
+
+    def wait(self, timeout_s: float) -> ExitReport | None:
+        """Wait for the end of the component, and leave the bus then; None if it still runs."""
+        if not self.ended.wait(timeout_s):
+            return None
+        self.close()
+        return self.exit_report
 
     def publish_heartbeats(self) -> None:
         """Publish the status of the component and of all below it in this process."""
         self.runtime.heartbeat.publish()
-        for child in self.children:
+        for child in self._children:
             child.publish_heartbeats()
 
     def close(self) -> None:
@@ -131,9 +182,10 @@ class ComponentHost:
             self._control.close()
             self._clock.close()
             self.runtime.log.removeHandler(self._rosout)
-        for child in self.children:
+        for child in self._children:
             child.close()
-        self.resources.close()
+        if self._zygote is not None:
+            self._zygote.close()
 
     def _run(self) -> None:
         try:
@@ -146,3 +198,56 @@ class ComponentHost:
         self.exit_report = self.exit_report or report  # the first is the cause of the others
         self.ended.set()
         self.on_exit()
+
+    def _log_lost_zygote(self, lost: ZygoteLost) -> None:
+        self.runtime.log.critical("%s", lost)
+
+
+class PauseAwareClock:
+    """Counts the seconds in which this process could run; a thread of its own observes that.
+
+    Of a pause, in which the machine did not let this process run, only `PAUSE_S` count: a component
+    that is silent or does not return meanwhile does not hang. A call that lets no other thread run
+    is not a pause: it uses processor time itself.
+    """
+
+    def __init__(
+        self,
+        monotonic: Callable[[], float] = time.monotonic,
+        processor_time: Callable[[], float] = time.process_time,
+    ) -> None:
+        self._monotonic = monotonic
+        self._processor_time = processor_time
+        self._used_s = processor_time()
+        self._last = (0.0, monotonic())  # counted so far, and when; replaced as one
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="cairn clock", daemon=True)
+
+    def start(self) -> None:
+        """Start to observe."""
+        self._thread.start()
+
+    def now(self) -> float:
+        """Return the time [s] since the start; from any thread."""
+        counted_s, at = self._last
+        return counted_s + min(self._monotonic() - at, PAUSE_S)
+
+    def update(self) -> None:
+        """Count the time since the last update; of a pause only `PAUSE_S`."""
+        counted_s, at = self._last
+        now, used_s = self._monotonic(), self._processor_time()
+        passed_s = now - at
+        if passed_s > PAUSE_S and used_s - self._used_s < passed_s / 2:
+            passed_s = PAUSE_S
+        self._used_s = used_s
+        self._last = (counted_s + passed_s, now)
+
+    def close(self) -> None:
+        """Stop observing."""
+        self._closed.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self) -> None:
+        while not self._closed.wait(PERIOD_S):
+            self.update()

@@ -1,23 +1,29 @@
-"""The main function of a component's own process."""
+"""A component's own process: its main function, and the loop of its main thread."""
 
 import faulthandler
 import logging
+import queue
 import signal
 import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from types import FrameType
 from typing import Any
 
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.errors import CairnError
-from cairn.placement.launcher import TRACEBACK_SIGNAL, start_component
-from cairn.placement.main_loop import MainLoop
+from cairn.placement.component_host import ComponentHost
+from cairn.placement.launcher import TRACEBACK_SIGNAL
 from cairn.process_exit import ExitReport, end_process, log_reason
 from cairn.runtime.launch_request import LaunchRequest
 
+LOG_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+HEARTBEAT_S = 0.25
 _SWITCH_INTERVAL_S = 0.0005
 """A handler that computes yields to the threads that receive messages after at most so long."""
-
-LOG_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+_WAKE_UP = 0  # not the number of any signal
 
 
 def main(argument: dict[str, Any]) -> None:
@@ -28,27 +34,84 @@ def main(argument: dict[str, Any]) -> None:
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     report = ExitReport(False, "it could not join the bus")
     try:
-        bus = ZenohBus(open_peer(launch.context.endpoints), launch.context.domain)
-        try:
+        session = open_peer(launch.context.endpoints)
+        with closing(ZenohBus(session, launch.context.domain)) as bus:
             report = _run(launch, bus)
-        finally:
-            bus.close()
     except CairnError as error:
         report = ExitReport(False, str(error))
         if error.__cause__ is not None:  # an exception of the plugin: its author needs the trace
-            logging.getLogger("cairn").error(
-                "component start failed: %s", error, exc_info=error.__cause__
-            )
+            log = logging.getLogger("cairn")
+            log.error("component start failed: %s", error, exc_info=error.__cause__)
     log_reason(report.reason)
     end_process(report.exit_code)
 
 
 def _run(launch: LaunchRequest, bus: ZenohBus) -> ExitReport:
-    host = start_component(launch, bus)
-    loop = MainLoop(host)
-    try:
+    with closing(ComponentHost(launch, bus)) as host:
+        host.start()
+        loop = MainLoop(host)
         with loop.stop_signals(signal.SIGTERM, signal.SIGINT):
             loop.run()
-    finally:
-        host.close()
     return host.exit_report or ExitReport(False, "its loop ended without a report")
+
+
+class MainLoop:
+    """The main thread of a process that hosts components: heartbeats, and signals to stop.
+
+    It runs until a component has ended; a stop signal such as Ctrl-C has it shut down.
+    """
+
+    def __init__(self, host: ComponentHost) -> None:
+        self._host = host
+        # Signal numbers, or `_WAKE_UP`. Unlike an Event it may be used by a signal handler at any
+        # moment.
+        self._inbox: queue.SimpleQueue[int] = queue.SimpleQueue()
+        host.on_exit = self.wake_up
+
+    def run(self, on_turn: Callable[[], None] = lambda: None, *, force: bool = False) -> bool:
+        """Publish heartbeats until the component has ended, and call `on_turn` with each of them.
+
+        `on_turn` is called a last time after the end. With `force`, a second stop signal ends the
+        loop before the component has ended; then the result is False.
+        """
+        stopping = False
+        due = time.monotonic()
+        while not self._host.ended.is_set():
+            if self._received_signal(due - time.monotonic()):
+                if stopping and force:
+                    return False
+                stopping = True
+                self.stop()
+            if time.monotonic() >= due:
+                due = time.monotonic() + HEARTBEAT_S
+                self._host.publish_heartbeats()
+            on_turn()
+        on_turn()
+        return True
+
+    def wake_up(self) -> None:
+        """Have the next turn made at once; from any thread."""
+        self._inbox.put(_WAKE_UP)
+
+    def stop(self) -> None:
+        """Have the component shut down; starts in progress below it are cut short."""
+        self._host.request_stop()
+        self._host.terminate()
+
+    @contextmanager
+    def stop_signals(self, *numbers: signal.Signals) -> Iterator[None]:
+        """Treat these signals as requests to stop."""
+        before = {number: signal.signal(number, self._on_signal) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _on_signal(self, number: int, _: FrameType | None) -> None:
+        self._inbox.put(number)
+
+    def _received_signal(self, timeout_s: float) -> bool:
+        with suppress(queue.Empty):
+            return self._inbox.get(timeout=max(0.0, timeout_s)) != _WAKE_UP
+        return False

@@ -8,7 +8,7 @@ from functools import partial
 
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SECOND
-from cairn.deployment.model import ROOT, ChildSpec, Deployment
+from cairn.deployment.model import ROOT, Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
@@ -33,11 +33,16 @@ class LockstepRun:
         """Raises `CairnError` if the root cannot be constructed."""
         self.executor = LockstepExecutor()
         self.bus = LockstepBus()
-        self.robot = deployment.robot
         self.simulated = deployment.clock == "simulated"
-        self.seed = seed
         self.end: ExitReport | None = None
-        self._root = _LockstepHost(self, ROOT, deployment.root(), self._note_exit)
+        context = RunContext(
+            robot=deployment.robot,
+            simulated_time=deployment.clock == "simulated",
+            seed=seed,
+            lockstep=True,
+        )
+        launch = LaunchRequest(name=ROOT, spec=deployment.root(), context=context)
+        self._root = _LockstepHost(self, launch, self._note_exit)
         self._stopping = False
 
     def run(self, refresh: Callable[[], None]) -> ExitReport:
@@ -133,10 +138,6 @@ class LockstepExecutor:
         """Make `call` at virtual time `time` [ns], now if that is past."""
         heapq.heappush(self._events, (max(time, self._now), next(self._order), call))
 
-    def soon(self, call: Callable[[], None]) -> None:
-        """Make `call` now, after the calls that are due now already."""
-        heapq.heappush(self._events, (self._now, next(self._order), call))
-
     def scheduler(self) -> "LockstepScheduler":
         """Return a scheduler for one component."""
         return LockstepScheduler(self)
@@ -189,7 +190,7 @@ class LockstepScheduler:
 
     def post(self, call: Callable[[], None]) -> None:
         """Make `call` now, after what was posted before."""
-        self._executor.soon(partial(self._make, call))
+        self._executor.at(self._executor.now(), partial(self._make, call))
 
     def deliver(self, call: Callable[[], None]) -> None:
         """Make `call` as `post` does."""
@@ -223,36 +224,21 @@ class LockstepScheduler:
 
 
 class _LockstepHost:
-    """One component in lockstep; also the launcher of its children, and its own `ChildHandle`."""
+    """One component in lockstep; also `SupervisorHost` of its children, and `ChildHandle`."""
 
     def __init__(
         self,
         run: LockstepRun,
-        name: str,
-        spec: ChildSpec,
+        launch: LaunchRequest,
         on_exit: Callable[[ExitReport], None],
-        *,
-        parent: str = "",
-        incarnation: int = 1,
-        previous_exit: str = "",
     ) -> None:
         self.run = run
         self.end: ExitReport | None = None
         self._on_exit = on_exit
         self._scheduler = run.executor.scheduler()
         self._children: list[_LockstepHost] = []
-        launch = LaunchRequest(
-            name=name,
-            spec=spec,
-            parent=parent,
-            incarnation=incarnation,
-            previous_exit=previous_exit,
-            context=RunContext(
-                robot=run.robot, simulated_time=run.simulated, seed=run.seed, lockstep=True
-            ),
-        )
         self.runtime = Runtime(
-            load_plugin(spec.plugin),
+            load_plugin(launch.spec.plugin),
             launch,
             run.bus,
             self._scheduler,
@@ -260,7 +246,7 @@ class _LockstepHost:
             self._note_exit,
         )
         if isinstance(self.runtime.component, Supervisor):
-            self.runtime.component.adopt(spec, self, self)
+            self.runtime.component.adopt(launch, self)
 
     def tree(self) -> Iterator["_LockstepHost"]:
         """Yield this host and all that run below it."""
@@ -294,29 +280,14 @@ class _LockstepHost:
     def report_progress(self, step: str) -> None:
         """Do nothing: virtual time stands still during a call, so that it cannot hang."""
 
-    def launch(
-        self,
-        name: str,
-        spec: ChildSpec,
-        incarnation: int,
-        previous_exit: str,
-        on_exit: Callable[[], None],
-    ) -> ChildHandle:
+    def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ChildHandle:
         """Construct a child."""
-        child = _LockstepHost(
-            self.run,
-            name,
-            spec,
-            lambda _: on_exit(),
-            parent=self.runtime.name,
-            incarnation=incarnation,
-            previous_exit=previous_exit,
-        )
+        child = _LockstepHost(self.run, launch, lambda _: on_exit())
         self._children = [other for other in self._children if other.end is None]
         self._children.append(child)
         return child
 
-    def request_stop(self) -> None:
+    def cancel_starts(self) -> None:
         """Do nothing: a start takes no virtual time."""
 
     def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still

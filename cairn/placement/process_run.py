@@ -1,13 +1,13 @@
 """Runs a deployment in real processes: the router, the zygote, and the root of the tree."""
 
 import os
-import shutil
 import signal
-import tempfile
+import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Protocol
 
 from cairn.bus.bus import full_name
@@ -17,16 +17,13 @@ from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ROOT, Deployment
 from cairn.errors import CairnError
-from cairn.placement.launcher import start_component
-from cairn.placement.main_loop import MainLoop
+from cairn.placement.component_host import ComponentHost
+from cairn.placement.component_process import MainLoop
 from cairn.placement.systemd_notify import ServiceManager
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
-
-PROCESS_MODULE = "cairn.placement.component_process"
-"""The module that every component's process runs; the zygote imports it for all of them."""
+from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 _ZYGOTE_END_S = 0.2
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
@@ -51,8 +48,17 @@ def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
     All processes that it has started end with the context. Raises `CairnError` if the folder for
     its socket cannot be created.
     """
-    with _runtime_folder() as folder:
-        zygote = start_zygote([PROCESS_MODULE, *modules], folder)
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    try:
+        folder = TemporaryDirectory(prefix="cairn-", dir=base, ignore_cleanup_errors=True)
+    except OSError as error:
+        where = base or "the folder for temporary files"
+        raise CairnError(
+            f"the folder for sockets cannot be created in {where}: {error}; set XDG_RUNTIME_DIR to "
+            "a folder that you can write"
+        ) from error
+    with folder as path:
+        zygote = start_zygote([MainLoop.__module__, *modules], Path(path))
         try:
             yield zygote
         finally:
@@ -74,7 +80,8 @@ def run_processes(
     happens. Raises `CairnError` if the port is taken, if the robot runs already on this bus or on a
     second signal; raises errors of the view after everything has been stopped.
     """
-    if deployment.bus.connect:
+    connect = deployment.bus.connect
+    if connect:
         _check_robot_name_is_free(deployment)
     launch = LaunchRequest(
         name=ROOT,
@@ -89,8 +96,10 @@ def run_processes(
             log_folder=str(log_folder),
         ),
     )
-    with _bus(deployment) as bus:
-        root = start_component(launch, bus)
+    session = open_peer(connect) if connect else open_router(deployment.bus.listen)
+    with closing(ZenohBus(session, deployment.domain)) as bus:
+        root = ComponentHost(launch, bus)
+        root.start()
         loop = MainLoop(root)
         monitor = _Monitor(make_view(bus, loop.wake_up), zygote, loop)
         service = service or ServiceManager()
@@ -118,8 +127,9 @@ def run_processes(
     if monitor.failure is not None:
         raise monitor.failure
     report = root.exit_report or ExitReport(False, "the root ended without a report")
-    # The root loses the connection to the zygote a moment before the zygote has ended.
-    if not report.normal and zygote.wait(_ZYGOTE_END_S):
+    with suppress(subprocess.TimeoutExpired):
+        # The root loses the connection to the zygote a moment before the zygote has ended.
+        zygote.process.wait(0 if report.normal else _ZYGOTE_END_S)
         reason = "the zygote was killed, and with it every component; nothing is left running"
         return ExitReport(False, reason)
     return report
@@ -133,11 +143,8 @@ def endpoints(deployment: Deployment) -> tuple[str, ...]:
 def _check_robot_name_is_free(deployment: Deployment) -> None:
     """Two robots of one name would execute each other's commands, and share their topics."""
     name = full_name(deployment.robot, ROOT)
-    session = open_client(deployment.bus.connect)
-    try:
+    with open_client(deployment.bus.connect) as session:
         nodes = read_graph(session, deployment.domain)
-    finally:
-        session.close()
     if any(isinstance(node, NodeEntity) and node.name == name for node in nodes):
         raise CairnError(
             f"a robot {deployment.robot} runs already on the bus of "
@@ -150,9 +157,8 @@ class _Monitor:
     """What the root's main thread does at every turn: refresh the view, and check the zygote."""
 
     def __init__(self, view: RunView, zygote: ZygoteProcess, loop: MainLoop) -> None:
-        self.failure: Exception | None = (
-            None  # the view's; the robot is stopped before it is raised
-        )
+        self.failure: Exception | None = None
+        """The view's; the robot is stopped before it is raised."""
         self._view = view
         self._zygote = zygote
         self._loop = loop
@@ -162,7 +168,9 @@ class _Monitor:
     def check(self) -> None:
         self._show(self._view.refresh)
         self._kill_stopped_zygote()
-        if not self._stopping and (self.failure is not None or not self._zygote.alive):
+        if not self._stopping and (
+            self.failure is not None or self._zygote.process.poll() is not None
+        ):
             self._stopping = True
             self._loop.stop()
 
@@ -177,7 +185,7 @@ class _Monitor:
         elif self._zygote_stopped_at is None:
             self._zygote_stopped_at = now
         elif now - self._zygote_stopped_at > _ZYGOTE_STOPPED_LIMIT_S:
-            self._zygote.kill()
+            self._zygote.process.kill()
 
     def _show(self, show: Callable[[], None]) -> None:
         if self.failure is None:
@@ -185,31 +193,3 @@ class _Monitor:
                 show()
             except Exception as error:  # the terminal is gone, or the disk is full
                 self.failure = error
-
-
-@contextmanager
-def _bus(deployment: Deployment) -> Iterator[ZenohBus]:
-    connect = deployment.bus.connect
-    session = open_peer(connect) if connect else open_router(deployment.bus.listen)
-    bus = ZenohBus(session, deployment.domain)
-    try:
-        yield bus
-    finally:
-        bus.close()
-
-
-@contextmanager
-def _runtime_folder() -> Iterator[Path]:
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    try:
-        folder = Path(tempfile.mkdtemp(prefix="cairn-", dir=base))
-    except OSError as error:
-        where = base or "the folder for temporary files"
-        raise CairnError(
-            f"the folder for sockets cannot be created in {where}: {error}; set XDG_RUNTIME_DIR to "
-            "a folder that you can write"
-        ) from error
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -1,49 +1,43 @@
-"""One child of a supervisor: how it is started, stopped, and terminated or killed if need be."""
+"""One child of a supervisor: how it starts and stops, when it hangs, when it is killed."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from cairn.deployment.model import ChildSpec
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest
+from cairn.schemas.cairn_msgs import ComponentStatus
 
 Verb = Literal["configure", "activate", "deactivate", "shutdown"]
 State = Literal["unloaded", "starting", "active", "stopping", "ended"]
-EventKind = Literal[
-    "starting",
+StartResult = Literal[
     "active",
-    "start_failed",
-    "stopping",
-    "stop_failed",  # a step of stopping failed; the next, harder step follows
-    "stopped",
-    "ended",  # normally, of its own accord
-    "failed",  # of its own accord, or killed from outside
-    "hung",  # killed because it did not return from a handler
-    "restarting",  # the start follows
-    "given_up",  # the supervisor itself fails
+    "canceled",  # a stop was requested; the child may still run
+    "refused",  # the component reported that it cannot start; nothing of it runs
+    "unavailable",  # it was killed or did not answer in time; nothing of it runs
+    "unkillable",  # an earlier incarnation still runs, although it was killed
 ]
 
 _TERMINATE_LIMIT_S = 2.0  # from terminating a child that has not stopped in time to killing it
 _KILL_LIMIT_S = 5.0  # for the kernel to end a killed process and its group
+_SILENCE_S = 3.0
+"""A process may be silent for so long beyond its limit for one handler: it may get no processor."""
 
 
-class LauncherLost(CairnError):  # noqa: N818 - an event as much as an error
-    """All that a launcher has started has ended, and it cannot start anything any more."""
+class ZygoteLost(CairnError):  # noqa: N818 - an event as much as an error
+    """The zygote has ended: all processes that it started are killed, none can be started."""
 
 
 class ChildUnavailable(CairnError):  # noqa: N818 - the state of the child
     """A child was killed or did not answer in time, and did not report itself why it fails."""
 
 
-class StopRequested(Exception):  # noqa: N818 - leaves a start half-way
-    """A stop was requested while a child was being started; the child still runs."""
-
-
 class ChildHandle(Protocol):
     """One running incarnation of a child, in a process of its own or not."""
 
-    def request(self, verb: Verb, timeout_s: float) -> None:
+    def request(self, verb: Verb, timeout_s: float) -> object:
         """Have the child make a transition of its life cycle.
 
         Raises `CairnError` with the component's own error if it refuses, `ChildUnavailable` with
@@ -64,40 +58,37 @@ class ChildHandle(Protocol):
         ...
 
 
-class Launcher(Protocol):
-    """Starts the children of one supervisor."""
+class SupervisorHost(Protocol):
+    """What runs a supervisor: launches its children, and has its loop and its time."""
 
-    def launch(
-        self,
-        name: str,
-        spec: ChildSpec,
-        incarnation: int,
-        previous_exit: str,
-        on_exit: Callable[[], None],
-    ) -> ChildHandle:
-        """Start a child for the `incarnation`th time (from 1); return when it accepts requests.
+    def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ChildHandle:
+        """Start a child; return when it accepts requests.
 
-        `previous_exit` is the reason for the end of the incarnation before, "" for the first.
         `on_exit` is called from any thread when the child has ended. Raises `CairnError` with the
         cause if the start fails, `ChildUnavailable` if the child is killed or the start exceeds
-        `spec.start_limit_s`; then nothing of it runs. Raises `LauncherLost` if the failure is not
-        the child's.
+        its limit; then nothing of it runs. Raises `ZygoteLost`, which is not the child's failure.
         """
         ...
 
-    def request_stop(self) -> None:
+    def cancel_starts(self) -> None:
         """Reject further starts and cancel the start in progress; thread-safe."""
         ...
 
+    def now(self) -> float:
+        """Return the monotonic time [s]: the machine's, or virtual in lockstep."""
+        ...
 
-@dataclass(frozen=True)
-class ChildEvent:
-    """Something that happened to a child; `child` is the supervisor itself for `given_up`."""
+    def awake(self) -> float:
+        """Return the monotonic time [s] without pauses of the machine."""
+        ...
 
-    child: str
-    kind: EventKind
-    reason: str = ""
-    normal: bool = True  # False if the child ended by a failure or by force
+    def post(self, call: Callable[[], None]) -> None:
+        """Have `call` made as a handler of the supervisor; from any thread."""
+        ...
+
+    def report_progress(self, step: str) -> None:
+        """Report that a long call of the supervisor has reached its next step: it is not hung."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -110,155 +101,200 @@ class ChildStatus:
     reason: str
 
 
-@dataclass(frozen=True)
-class StartFailure:
-    """Why a child did not become active; `refused` if the component reported the reason itself."""
-
-    reason: str
-    refused: bool
-
-
 class Child:
     """One child of a supervisor, through all of its incarnations."""
 
     def __init__(
         self,
         name: str,
-        spec: ChildSpec,
-        launcher: Launcher,
-        *,
-        observe: Callable[[ChildEvent], None],
-        report_progress: Callable[[str], None],
+        parent: LaunchRequest,
+        host: SupervisorHost,
+        log: logging.Logger,
         on_exit: Callable[[], None],
-        now: Callable[[], float],
     ) -> None:
+        """`parent` is the supervisor's launch; for `on_exit` see `SupervisorHost.launch_child`."""
         self.name = name
-        self.spec = spec
+        self.spec = parent.spec.children[name]
         self.handle: ChildHandle | None = None
         self.incarnation = 0
         self.reason = ""
         self.state: State = "unloaded"
-        self._unkillable: ChildHandle | None = None
-        self._launcher = launcher
-        self._observe = observe
-        self._report_progress = report_progress
+        self.stop_failure = ""
+        """Why the last stop was not clean, "" if it was."""
+        self._parent = parent
+        self._host = host
+        self._log = log
         self._on_exit = on_exit
-        self._now = now
-
-    @property
-    def unkillable(self) -> bool:
-        """Whether an earlier incarnation still runs, although it was killed."""
-        return self._unkillable is not None and self._unkillable.wait(0) is None
+        self._heartbeat: tuple[ComponentStatus, float] | None = None  # the last, and when it came
+        self._unkillable: ChildHandle | None = None
 
     def status(self) -> ChildStatus:
         """Return the state of the child."""
         return ChildStatus(self.name, self.state, self.incarnation, self.reason)
 
-    def start(self, stop_requested: Callable[[], bool]) -> StartFailure | None:
-        """Launch, configure and activate the child; return why that failed, None if it did not.
+    def start(self, canceled: Callable[[], bool]) -> StartResult:
+        """Launch, configure and activate the child; if that fails, `reason` has the cause.
 
-        After a failure nothing of the child runs. Raises `StopRequested`, `LauncherLost`.
+        Raises `ZygoteLost`.
         """
-        limit_s = self.spec.start_limit_s
-        deadline = self._now() + limit_s
+        if self._unkillable is not None and self._unkillable.wait(0) is None:
+            self.reason = "does not end even when killed"
+            return "unkillable"
+        deadline = self._host.now() + self.spec.start_limit_s
         self.incarnation += 1
         self.state = "starting"
-        self._emit("starting")
+        self._log_event(logging.DEBUG, "starting")
         try:
-            self._report_progress(f"launching {self.name}")
-            self.handle = self._launcher.launch(
-                self.name, self.spec, self.incarnation, self.reason, self._on_exit
-            )
+            self._host.report_progress(f"launching {self.name}")
+            self.handle = self._host.launch_child(self._launch_request(), self._on_exit)
             verbs: tuple[Verb, ...] = ("configure", "activate")
             for verb in verbs:
-                if stop_requested():
-                    raise StopRequested
-                left_s = deadline - self._now()
+                if canceled():
+                    return "canceled"
+                left_s = deadline - self._host.now()
                 if left_s <= 0:
-                    raise ChildUnavailable(f"it was not active after {limit_s:g} s")
-                self._report_progress(f"starting {self.name}: {verb}")
+                    raise ChildUnavailable(f"it was not active after {self.spec.start_limit_s:g} s")
+                self._host.report_progress(f"starting {self.name}: {verb}")
                 self.handle.request(verb, left_s)
-        except LauncherLost:
+        except ZygoteLost:
             self.state = "ended"
             raise
         except CairnError as error:
-            if stop_requested():  # the request has cut the step short
-                raise StopRequested from error
+            if canceled():  # which has cut the step short
+                return "canceled"
             self.reason = self._without_name(error)
-            self._emit("start_failed", self.reason)
+            self._log_event(logging.ERROR, "start failed", self.reason)
             if self.handle is not None:
                 self._force_end(self.handle, self.handle.terminate, self.handle.kill)
             self.handle, self.state = None, "ended"
-            return StartFailure(self.reason, refused=not isinstance(error, ChildUnavailable))
+            return "unavailable" if isinstance(error, ChildUnavailable) else "refused"
         self.state = "active"
-        self._emit("active")
-        return None
+        self._log_event(logging.INFO, "active")
+        return "active"
 
-    def exit_report(self) -> ExitReport | None:
-        """Return how the child ended, None if it runs or there is none."""
-        return None if self.handle is None else self.handle.wait(0)
+    def poll(self) -> ExitReport | None:
+        """Return how the child ended; None if it runs, or there is none."""
+        report = None if self.handle is None else self.handle.wait(0)
+        if report is not None:
+            if report.normal:
+                self._note_exit(logging.INFO, "ended", report)
+            else:
+                self._note_exit(logging.WARNING, "failed", report)
+        return report
+
+    def receive(self, status: ComponentStatus) -> None:
+        """Keep a heartbeat of the child."""
+        self._heartbeat = (status, self._host.awake())
+
+    def kill_if_hung(self) -> ExitReport | None:
+        """Kill the child if it hangs: too long in one handler, or silent too long.
+
+        Both times exclude pauses of the machine. Returns None if it does not hang, or has sent no
+        heartbeat yet.
+        """
+        if self.state != "active" or self.handle is None or self._heartbeat is None:
+            return None
+        status, received_at = self._heartbeat
+        silent_s = self._host.awake() - received_at
+        if status.state != "active" or status.restarts + 1 != self.incarnation:
+            return None  # from before the last restart
+        if status.handler and status.handler_s > self.spec.handler_limit_s:
+            where, hung_s = status.handler, status.handler_s + silent_s
+        elif silent_s > self.spec.hang_timeout_s + _SILENCE_S and self.spec.placement == "process":
+            where, hung_s = _where_silent(status), silent_s
+        else:
+            return None
+        self._force_end(self.handle, self.handle.kill)
+        report = ExitReport(False, f"hung for {hung_s:.1f} s in {where}; killed")
+        self._note_exit(logging.ERROR, "hung", report)
+        return report
 
     def stop(self) -> None:
         """Deactivate and shut down the child; terminate and kill it if that fails."""
+        self.stop_failure = ""
         handle = self.handle
         if handle is None:
             return
         report = handle.wait(0)
         if report is None:
-            deadline = self._now() + self.spec.stop_limit_s
+            deadline = self._host.now() + self.spec.stop_limit_s
             verbs: tuple[Verb, ...] = ("deactivate", "shutdown")
             for verb in verbs if self.state == "active" else verbs[1:]:
                 # Otherwise the step before has ended the child, or has used up the time.
-                if handle.wait(0) is None and self._now() < deadline:
+                if handle.wait(0) is None and self._host.now() < deadline:
                     self._stop_step(handle, verb, deadline)
-            report = handle.wait(max(0.0, deadline - self._now()))
+            report = handle.wait(max(0.0, deadline - self._host.now()))
         if report is None:
             report = self._force_end(handle, handle.terminate, handle.kill)
-        self.note_exit("stopped", report)
+        if report.normal:
+            self._note_exit(logging.INFO, "stopped", report)
+        else:
+            self.stop_failure = self.stop_failure or report.reason  # the first is the cause
+            self._note_exit(logging.WARNING, "stopped", report)
 
-    def kill(self) -> None:
-        """Kill the child at once; no effect if there is none."""
-        if self.handle is not None:
-            self._force_end(self.handle, self.handle.kill)
-        self.handle, self.state = None, "ended"
-
-    def note_exit(self, kind: EventKind, report: ExitReport) -> None:
-        """Record that the child ended."""
-        self.handle, self.state, self.reason = None, "ended", report.reason
-        self._emit(kind, report.reason, normal=report.normal)
-
-    def _emit(self, kind: EventKind, reason: str = "", *, normal: bool = True) -> None:
-        self._observe(ChildEvent(self.name, kind, reason, normal))
+    def _launch_request(self) -> LaunchRequest:
+        return LaunchRequest(
+            name=self.name,
+            spec=self.spec,
+            parent=self._parent.name,
+            incarnation=self.incarnation,
+            previous_exit=self.reason,
+            context=self._parent.context,
+        )
 
     def _stop_step(self, handle: ChildHandle, verb: Verb, deadline: float) -> None:
         self.state = "stopping"
-        self._emit("stopping", verb)
+        self._log_event(logging.DEBUG, "stopping", verb)
+        self._host.report_progress(f"stopping {self.name}: {verb}")
         try:
-            self._report_progress(f"stopping {self.name}: {verb}")
-            handle.request(verb, deadline - self._now())
+            handle.request(verb, deadline - self._host.now())
         except ChildUnavailable as error:
             if handle.wait(0) is None:  # otherwise its exit report has the reason
-                self._emit("stop_failed", f"{verb}: {error}")
+                self._note_stop_failure(f"{verb}: {error}")
         except Exception as error:  # the other children must be stopped all the same
-            self._emit("stop_failed", self._without_name(error))
-
-    def _without_name(self, error: Exception) -> str:
-        return str(error).removeprefix(f"{self.name}: ")
+            self._note_stop_failure(self._without_name(error))
 
     def _force_end(self, handle: ChildHandle, *steps: Callable[[], None]) -> ExitReport:
         """Take steps of growing force, the last one killing, until the child has ended."""
         for step in steps:
             limit_s = _KILL_LIMIT_S if step is steps[-1] else _TERMINATE_LIMIT_S
-            self._report_progress(f"ending {self.name} by force")
+            self._host.report_progress(f"ending {self.name} by force")
             try:
                 step()
             except Exception as error:  # the next step must be taken all the same
-                self._emit("stop_failed", str(error))
+                self._note_stop_failure(str(error))
                 limit_s = 0.0
             report = handle.wait(limit_s)
             if report is not None:
                 return report
         self._unkillable = handle
         reason = "did not end even when killed"
-        self._emit("stop_failed", reason)
+        self._note_stop_failure(reason)
         return ExitReport(False, reason)
+
+    def _note_exit(self, level: int, event: str, report: ExitReport) -> None:
+        self.handle, self.state, self.reason = None, "ended", report.reason
+        self._log_event(level, event, report.reason)
+
+    def _note_stop_failure(self, reason: str) -> None:
+        self.stop_failure = self.stop_failure or reason
+        self._log_event(logging.WARNING, "stop failed", reason)
+
+    def _log_event(self, level: int, event: str, reason: str = "") -> None:
+        words = f"child {event}: {self.name}"
+        self._log.log(level, "%s", f"{words}: {reason}" if reason else words)
+
+    def _without_name(self, error: Exception) -> str:
+        return str(error).removeprefix(f"{self.name}: ")
+
+
+def _where_silent(status: ComponentStatus) -> str:
+    """Return where a component hangs whose process does not even send heartbeats."""
+    import psutil  # imported here to keep `from cairn import Supervisor` light
+
+    try:
+        if psutil.Process(status.pid).status() == psutil.STATUS_STOPPED:
+            return "a process that was stopped by a signal such as SIGSTOP"
+    except psutil.Error:  # another user's, or just gone
+        pass
+    return f"{status.handler or 'a call'} that lets no other thread of its process run"

@@ -7,10 +7,8 @@ child subreaper. When the zygote itself is gone, the root kills what carries the
 import contextlib
 import ctypes
 import os
-import select
 import signal
 import time
-from collections.abc import Callable
 
 import psutil
 
@@ -71,11 +69,10 @@ def kill_orphans(running: set[int]) -> None:
             _kill(child.pid, group)
 
 
-def kill_descendants(await_child: Callable[[float], object], limit_s: float) -> list[int]:
+def kill_descendants(limit_s: float) -> list[int]:
     """Kill and reap all descendants of the calling process, which must be a child subreaper.
 
-    `await_child` waits at most so many seconds for the end of a child. Returns the ids of processes
-    that did not end within `limit_s` seconds.
+    Returns the ids of processes that did not end within `limit_s` seconds.
     """
     deadline = time.monotonic() + limit_s
     while children := psutil.Process().children():
@@ -83,45 +80,29 @@ def kill_descendants(await_child: Callable[[float], object], limit_s: float) -> 
             _kill(child.pid, _group_of(child.pid))
         if time.monotonic() > deadline:
             return [child.pid for child in children]
-        if ended_child() is None:
-            await_child(0.1)
-        while (pid := ended_child()) is not None:
-            os.waitpid(pid, 0)
+        psutil.wait_procs(children, timeout=0.1)  # then their orphans are children, too
     return []
 
 
 def kill_marked(mark: str, limit_s: float) -> list[int]:
     """Kill all processes with this mark; return those that had not ended after `limit_s` s."""
     deadline = time.monotonic() + limit_s
-    while (pids := _marked(mark)) and time.monotonic() < deadline:
-        for pid in pids:
-            _kill_and_wait(pid, deadline)
-    return pids
+    while (left := _marked(mark)) and time.monotonic() < deadline:
+        for process in left:
+            with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied):
+                process.kill()
+        psutil.wait_procs(left, timeout=max(0.0, deadline - time.monotonic()))
+    return [process.pid for process in left]
 
 
-def _marked(mark: str) -> list[int]:
-    """Return the ids of all processes that were executed with this mark in their environment."""
+def _marked(mark: str) -> list[psutil.Process]:
+    """Return all processes that were executed with this mark in their environment."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied):
             if process.environ().get(MARK) == mark and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process.pid)
+                found.append(process)
     return found
-
-
-def _kill_and_wait(pid: int, deadline: float) -> None:
-    try:
-        process = os.pidfd_open(pid)
-    except ProcessLookupError:
-        return
-    try:
-        with contextlib.suppress(psutil.NoSuchProcess, ProcessLookupError):
-            psutil.Process(pid).kill()
-        poll = select.poll()
-        poll.register(process, select.POLLIN)
-        poll.poll(max(0.0, deadline - time.monotonic()) * 1000)
-    finally:
-        os.close(process)
 
 
 def _kill(pid: int, group: int | None) -> None:

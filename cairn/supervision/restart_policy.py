@@ -5,11 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cairn.deployment.model import ChildSpec, Supervision
-from cairn.errors import CairnError
-
-
-class UnknownChild(CairnError):  # noqa: N818 - reads as what happened
-    """A supervisor has no child of that name."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +60,7 @@ class RestartPolicy:
         )
 
     def load(self, name: str) -> Decision:
-        """Have a child run from now on. Raises `UnknownChild`."""
-        self._check(name)
+        """Have a child run from now on."""
         if name in self._required:
             return Decision()
         self._done.discard(name)
@@ -75,8 +69,7 @@ class RestartPolicy:
         return Decision(start=(name,))
 
     def unload(self, name: str) -> Decision:
-        """Have a child not run any more, whatever its siblings do. Raises `UnknownChild`."""
-        self._check(name)
+        """Have a child not run any more, whatever its siblings do."""
         self._done.discard(name)
         if name not in self._required:
             return Decision()
@@ -84,7 +77,7 @@ class RestartPolicy:
         return Decision(stop=(name,))
 
     def restart(self, name: str) -> Decision:
-        """Restart one child on request; this does not count. Raises `UnknownChild`."""
+        """Restart one child on request; this does not count."""
         stop = self.unload(name).stop
         return Decision(stop=stop, start=self.load(name).start)
 
@@ -95,7 +88,6 @@ class RestartPolicy:
 
     def ended(self, name: str, *, normal: bool, at_s: float, reason: str) -> Decision:
         """Decide what follows when a child ended or failed to start (not normal), at `at_s` [s]."""
-        self._check(name)
         if name not in self._required:
             return Decision()
         child = self._children[name]
@@ -118,7 +110,6 @@ class RestartPolicy:
         `refused`: the child reported that it cannot start, and a second attempt would not help;
         otherwise it was killed or did not answer.
         """
-        self._check(name)
         first = name not in self._attempted
         self._attempted.add(name)
         self._failed_starts[name] += 1
@@ -168,9 +159,3 @@ class RestartPolicy:
                 return set(self._order[self._order.index(name) :])
             case "one_for_all":
                 return set(self._order)
-
-    def _check(self, name: str) -> None:
-        if name not in self._children:
-            raise UnknownChild(
-                f"no child is named {name}; choose one of: {', '.join(self._order) or '(none)'}"
-            )

@@ -1,8 +1,8 @@
 """Supervisors: components that keep the components below them running.
 
-When a child ends, the zygote reports its exit to the launcher, which calls `on_exit`; the
-supervisor then reconciles: `RestartPolicy` decides which children stop and start, `Child` starts
-them through the launcher.
+When a child ends, the zygote reports its exit to the supervisor's host, which calls `on_exit`; the
+supervisor then reconciles: `RestartPolicy` decides which children stop and start, `Child` stops
+them and starts them through the host.
 
 Log lines begin with an event in stable words, then the child's name, then the reason:
 
@@ -21,39 +21,19 @@ Level DEBUG adds `child starting` and `child stopping`.
 """
 
 import logging
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, ClassVar, Literal, NoReturn, Protocol
+from typing import Any, ClassVar, Literal, NoReturn
 
 from cairn.bus.qos import LATCHED
-from cairn.deployment.model import ChildSpec, Supervision
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.ports import In, every, on
 from cairn.schemas.cairn_msgs import ComponentStatus
-from cairn.supervision.child import (
-    Child,
-    ChildEvent,
-    ChildStatus,
-    EventKind,
-    Launcher,
-    StartFailure,
-    StopRequested,
-)
-from cairn.supervision.hang_detection import HangDetector
-from cairn.supervision.restart_policy import Decision, RestartPolicy, UnknownChild
-
-_LOG_LEVELS: dict[EventKind, int] = {
-    "active": logging.INFO,
-    "stopped": logging.INFO,
-    "ended": logging.INFO,
-    "failed": logging.WARNING,
-    "stop_failed": logging.WARNING,
-    "start_failed": logging.ERROR,
-    "hung": logging.ERROR,
-}
+from cairn.supervision.child import Child, ChildStatus, StartResult, SupervisorHost
+from cairn.supervision.restart_policy import Decision, RestartPolicy
 
 
 class Escalate(CairnError):  # noqa: N818 - what the owner has to do
@@ -64,24 +44,8 @@ class StartFailed(CairnError):  # noqa: N818 - reads as what happened
     """A child loaded on request did not become active and is unloaded again."""
 
 
-class SupervisorHost(Protocol):
-    """What runs a supervisor: its loop and its time."""
-
-    def now(self) -> float:
-        """Return the monotonic time [s]: the machine's, or virtual in lockstep."""
-        ...
-
-    def awake(self) -> float:
-        """Return the monotonic time [s] without pauses of the machine."""
-        ...
-
-    def post(self, call: Callable[[], None]) -> None:
-        """Have `call` made as a handler of the supervisor; from any thread."""
-        ...
-
-    def report_progress(self, step: str) -> None:
-        """Report that a long call of the supervisor has reached its next step: it is not hung."""
-        ...
+class UnknownChild(CairnError):  # noqa: N818 - reads as what happened
+    """A supervisor has no child of that name."""
 
 
 class Supervisor(Component):
@@ -100,21 +64,11 @@ class Supervisor(Component):
 
     children: "ChildGroup"
 
-    def adopt(self, spec: ChildSpec, launcher: Launcher, host: SupervisorHost) -> None:
+    def adopt(self, launch: LaunchRequest, host: SupervisorHost) -> None:
         """Take over the children of the deployment; called by the placement before `configure`."""
         self._host = host
-        self._hangs = HangDetector(spec.children, host.awake)
-        self._failed_stops: dict[str, str] = {}
-        self.children = ChildGroup(
-            self.name,
-            spec.children,
-            spec.supervision,
-            launcher,
-            observe=self._observe,
-            report_progress=host.report_progress,
-            on_exit=partial(host.post, self._reconcile),
-            now=host.now,
-        )
+        on_exit = partial(host.post, self._reconcile)
+        self.children = ChildGroup(launch, host, self.log, on_exit)
 
     def on_activate(self) -> None:
         """Start the children."""
@@ -123,9 +77,8 @@ class Supervisor(Component):
 
     def on_deactivate(self) -> None:
         """Stop the children; raises `CairnError` naming those that failed while stopping."""
-        self._failed_stops.clear()
         self.children.stop_all()
-        self._raise_failed_stops()
+        self.children.check_stops()
 
     def on_shutdown(self) -> None:
         """Stop the children that are left."""
@@ -152,45 +105,23 @@ class Supervisor(Component):
     @on("component_status")
     def on_heartbeat(self, status: ComponentStatus) -> None:
         """Keep the heartbeat of a child."""
-        self._hangs.receive(status)
+        self.children.receive(status)
 
     @every(hz=2)
     def check_children(self) -> None:
         """Kill children that hang, and restart what has ended."""
-        for child in self.children.status():
-            hang = self._hangs.check(child)
-            if hang is not None:
-                self.children.kill_hung(child.name, child.incarnation, hang.where, hang.seconds)
+        self.children.kill_hung()
         self._reconcile()
 
     def _reconcile(self) -> None:
-        self._failed_stops.clear()
         self.children.reconcile()
         self._finish_if_done()
 
     def _finish_if_done(self) -> None:
         report = self.children.finished
         if report is not None:
-            self._raise_failed_stops()
+            self.children.check_stops()
             self.finish(report.reason, success=report.success)
-
-    def _raise_failed_stops(self) -> None:
-        if self._failed_stops:  # perhaps a report was not written: that is not a success
-            reasons = "; ".join(f"{name}: {why}" for name, why in self._failed_stops.items())
-            raise CairnError(f"not all children stopped cleanly: {reasons}")
-
-    def _observe(self, event: ChildEvent) -> None:
-        child, reason = event.child, event.reason
-        if event.kind == "stop_failed" or (event.kind == "stopped" and not event.normal):
-            self._failed_stops.setdefault(child, reason)  # the first reason is the cause
-        if event.kind == "restarting":
-            self.log.info("restarting child %s: %s", child, reason)
-            return
-        level = _LOG_LEVELS.get(event.kind, logging.DEBUG)
-        if event.kind == "stopped" and not event.normal:
-            level = logging.WARNING
-        words = f"child {event.kind.replace('_', ' ')}: {child}"
-        self.log.log(level, "%s", f"{words}: {reason}" if reason else words)
 
 
 def _raise(error: Exception) -> NoReturn:
@@ -206,50 +137,25 @@ class ChildGroup:
 
     def __init__(
         self,
-        name: str,
-        children: Mapping[str, ChildSpec],
-        supervision: Supervision,
-        launcher: Launcher,
-        *,
-        observe: Callable[[ChildEvent], None],
-        report_progress: Callable[[str], None],
+        launch: LaunchRequest,
+        host: SupervisorHost,
+        log: logging.Logger,
         on_exit: Callable[[], None],
-        now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Take the children, by name in start order, of the supervisor `name`.
+        """Take the children of the supervisor that was launched like this.
 
-        `observe` receives all events. `report_progress` is called before each step that may take
-        long. `on_exit` is called from any thread when a child has ended: `reconcile` is then due.
+        `on_exit` is called from any thread when a child has ended: `reconcile` is then due.
         """
-        self.name = name
-        self._launcher = launcher
-        self._policy = RestartPolicy(children, supervision)
-        self._observe = observe
-        self._now = now
-        self._children = {
-            child: Child(
-                child,
-                spec,
-                launcher,
-                observe=observe,
-                report_progress=report_progress,
-                on_exit=on_exit,
-                now=now,
-            )
-            for child, spec in children.items()
-        }
-        self._stop_requested = False
-        self._finished: ExitReport | None = None
-
-    @property
-    def finished(self) -> ExitReport | None:
+        self.finished: ExitReport | None = None
         """The report on the normal end of a significant child; None if there was none."""
-        return self._finished
-
-    @property
-    def stop_requested(self) -> bool:
-        """Whether `request_stop` was called."""
-        return self._stop_requested
+        self.stop_requested = False
+        self._name = launch.name
+        self._host = host
+        self._log = log
+        self._policy = RestartPolicy(launch.spec.children, launch.spec.supervision)
+        self._children = {
+            name: Child(name, launch, host, log, on_exit) for name in launch.spec.children
+        }
 
     def status(self) -> list[ChildStatus]:
         """Return the states of all children in start order."""
@@ -257,8 +163,8 @@ class ChildGroup:
 
     def request_stop(self) -> None:
         """Start nothing any more, and cut short the start in progress; `stop_all` is then due."""
-        self._stop_requested = True
-        self._launcher.request_stop()
+        self.stop_requested = True
+        self._host.cancel_starts()
 
     def start_all(self) -> None:
         """Start the children that load at start, each when the one before is active.
@@ -267,7 +173,7 @@ class ChildGroup:
         the supervisor fail, see `RestartPolicy`. Returns when all are active, or a stop was
         requested, or a significant child has finished. Raises the same as `reconcile`.
         """
-        self._finished = None
+        self.finished = None
         for name, child in self._children.items():
             if child.spec.load == "at_start":
                 self._policy.load(name)
@@ -278,31 +184,39 @@ class ChildGroup:
 
         Call it after `on_exit`, and now and then. Raises `Escalate` if the policy gives up, or if a
         child must be restarted that does not end even when killed: two incarnations must never run
-        at once. All children are stopped then. Raises `LauncherLost`; call `stop_all` then.
+        at once. All children are stopped then. Raises `ZygoteLost`; call `stop_all` then.
         """
-        try:
-            while not self._stop_requested:
-                self._note_exits()
-                child = self._next_to_start()
-                if child is None:
-                    return
-                if child.unkillable:
-                    self._give_up(f"given up: {child.name} does not end even when killed")
-                self._start_or_decide(child)
-        except StopRequested:
-            return
+        while not self.stop_requested:
+            for running in self._children.values():
+                report = running.poll()
+                if report is not None:
+                    self._on_exit(running, report)
+            required = (self._children[name] for name in self._policy.required)
+            child = next((one for one in required if one.handle is None), None)
+            if child is None:
+                return
+            result = self._start(child)
+            if result == "unkillable":
+                self._give_up(f"given up: {child.name} {child.reason}")
+            if result in ("refused", "unavailable"):
+                now, refused = self._host.now(), result == "refused"
+                decision = self._policy.start_failed(
+                    child.name, at_s=now, reason=child.reason, refused=refused
+                )
+                self._apply(decision, child)
 
-    def kill_hung(self, name: str, incarnation: int, where: str, seconds: float) -> None:
-        """Kill a child that has been hanging in a handler; `reconcile` is then due.
+    def receive(self, heartbeat: ComponentStatus) -> None:
+        """Keep a heartbeat, if it is that of a child."""
+        child = self._children.get(heartbeat.component)
+        if child is not None:
+            child.receive(heartbeat)
 
-        No effect on a later incarnation. Raises the same as `reconcile`.
-        """
-        child = self._child(name)
-        if self._stop_requested or child.handle is None or incarnation != child.incarnation:
-            return
-        child.kill()
-        reason = f"hung for {seconds:.1f} s in {where}; killed"
-        self._note_exit(child, "hung", ExitReport(False, reason))
+    def kill_hung(self) -> None:
+        """Kill the children that hang; `reconcile` is then due. Raises the same as `reconcile`."""
+        for child in self._children.values():
+            report = None if self.stop_requested else child.kill_if_hung()
+            if report is not None:
+                self._on_exit(child, report)
 
     def load(self, name: str) -> None:
         """Start a child that is not loaded; no effect if it is loaded.
@@ -314,10 +228,18 @@ class ChildGroup:
         child = self._child(name)
         if not self._policy.load(name).start:
             return
-        failure = self._start_on_request(child)
-        if failure:
-            self._policy.unload(name)
-            raise StartFailed(f"{name}: {failure}")
+        for _ in range(1 + self._policy.supervision.max_restarts):
+            result = "canceled" if self.stop_requested else self._start(child)
+            if result != "unavailable":
+                break
+        if result == "active":
+            return
+        reason = child.reason
+        if result == "canceled":
+            child.stop()
+            reason = "a stop was requested"
+        self._policy.unload(name)
+        raise StartFailed(f"{name}: {reason}")
 
     def unload(self, name: str) -> None:
         """Stop a child and leave it stopped. Raises `UnknownChild`."""
@@ -344,25 +266,36 @@ class ChildGroup:
             child.stop()
             child.state = "unloaded"
 
-    def _note_exits(self) -> None:
-        for child in self._children.values():
-            report = child.exit_report()
-            if report is not None:
-                self._note_exit(child, "ended" if report.normal else "failed", report)
+    def check_stops(self) -> None:
+        """Raise `CairnError` if a child has failed while it was stopped.
 
-    def _note_exit(self, child: Child, kind: EventKind, report: ExitReport) -> None:
-        child.note_exit(kind, report)
+        Perhaps a report was not written: that is not a success.
+        """
+        failures = {name: child.stop_failure for name, child in self._children.items()}
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items() if reason)
+        if reasons:
+            raise CairnError(f"not all children stopped cleanly: {reasons}")
+
+    def _start(self, child: Child) -> StartResult:
+        result = child.start(lambda: self.stop_requested)
+        if result == "active":
+            self._policy.started(child.name)
+        return result
+
+    def _on_exit(self, child: Child, report: ExitReport) -> None:
         decision = self._policy.ended(
-            child.name, normal=report.normal, at_s=self._now(), reason=report.reason
+            child.name, normal=report.normal, at_s=self._host.now(), reason=report.reason
         )
         if decision.finished:
-            self._finished = ExitReport(True, decision.finished, report.success)
-        self._apply(decision, child.name, report.reason)
+            self.stop_all()
+            self.finished = ExitReport(True, decision.finished, report.success)
+        else:
+            self._apply(decision, child)
 
-    def _apply(self, decision: Decision, child: str, reason: str) -> None:
-        if child in decision.start:
+    def _apply(self, decision: Decision, child: Child) -> None:
+        if child.name in decision.start:
             count = self._policy.restart_count
-            self._observe(ChildEvent(child, "restarting", f"{reason} ({count})"))
+            self._log.info("restarting child %s: %s (%s)", child.name, child.reason, count)
         for name in decision.stop:
             self._children[name].stop()
         if decision.give_up:
@@ -370,46 +303,10 @@ class ChildGroup:
 
     def _give_up(self, reason: str) -> NoReturn:
         self.stop_all()
-        self._observe(ChildEvent(self.name, "given_up", reason))
         raise Escalate(reason)
-
-    def _next_to_start(self) -> Child | None:
-        children = (self._children[name] for name in self._policy.required)
-        return next((child for child in children if child.handle is None), None)
-
-    def _start_or_decide(self, child: Child) -> None:
-        failure = self._start(child)
-        if failure is not None:
-            decision = self._policy.start_failed(
-                child.name, at_s=self._now(), reason=failure.reason, refused=failure.refused
-            )
-            self._apply(decision, child.name, failure.reason)
-
-    def _start_on_request(self, child: Child) -> str:
-        """Start a child, repeatedly if it dies; return why that failed, "" if it did not."""
-        attempts_left = 1 + self._policy.supervision.max_restarts
-        try:
-            while not self._stop_requested:
-                if child.unkillable:
-                    return "it still runs, and does not end even when killed"
-                failure = self._start(child)
-                if failure is None:
-                    return ""
-                attempts_left -= 1
-                if attempts_left == 0 or failure.refused:
-                    return failure.reason
-        except StopRequested:
-            child.stop()
-        return "a stop was requested"
-
-    def _start(self, child: Child) -> StartFailure | None:
-        failure = child.start(lambda: self._stop_requested)
-        if failure is None:
-            self._policy.started(child.name)
-        return failure
 
     def _child(self, name: str) -> Child:
         if name not in self._children:
             known = ", ".join(self._children) or "(none)"
-            raise UnknownChild(f"{self.name}: no child is named {name}; choose one of: {known}")
+            raise UnknownChild(f"{self._name}: no child is named {name}; choose one of: {known}")
         return self._children[name]

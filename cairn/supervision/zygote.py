@@ -1,15 +1,16 @@
 """The zygote: a process that imports what components need, then forks and ends them.
 
-Each connection of a client owns the processes that were spawned over it. When a connection closes,
-however its process ended, the zygote kills these processes.
+Each connection of a client (`zygote_client.py`) owns the processes that were spawned over it. When
+a connection closes, however its process ended, the zygote kills these processes. The messages are
+one JSON object per line on a Unix socket.
 """
 
 import contextlib
+import faulthandler
 import gc
 import importlib
 import json
 import os
-import select
 import selectors
 import signal
 import socket
@@ -18,12 +19,14 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict
 from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn, cast
 
+from pydantic import Field, TypeAdapter
+from pydantic.dataclasses import dataclass
 from setproctitle import setproctitle
 
-from cairn.supervision.child_bootstrap import detach, run_entry, run_in_fresh_interpreter
 from cairn.supervision.orphan_cleanup import (
     become_subreaper,
     ended_child,
@@ -33,28 +36,99 @@ from cairn.supervision.orphan_cleanup import (
     kill_orphans,
     set_parent_death_signal,
 )
-from cairn.supervision.zygote_protocol import (
-    Answer,
-    Done,
-    Exited,
-    Hello,
-    LineSplitter,
-    ProtocolError,
-    Request,
-    RequestRefused,
-    Signal,
-    Spawn,
-    Spawned,
-    decode_request,
-    encode_answer,
+
+BOOTSTRAP = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
+    "from importlib import import_module; module, _, function = sys.argv[1].partition(':'); "
+    "getattr(import_module(module), function)()"
 )
+"""Calls a function ("module:function") of a new interpreter, with the caller's search path."""
 
 _GROUP_LIMIT_S = 1.0  # killed helpers of an ended process may take this long to vanish
 _END_LIMIT_S = 5.0
 _TRACEBACK_LINES = 12
+_LONGEST_LINE = 16 << 20  # bytes; a deployment's largest argument is some kilobytes
 _UCRED = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
+# Python itself ignores the first two and expects that; the others cannot be changed.
+_UNCHANGED_SIGNALS = {signal.SIGPIPE, signal.SIGXFSZ, signal.SIGKILL, signal.SIGSTOP}
 
-Handler = Callable[[], Spawn | None]
+
+@dataclass(frozen=True)
+class Spawn:
+    """Client: start a process of this name that calls `entry` with `argument`.
+
+    The zygote refuses if one of the modules in `needs` could not be imported.
+    """
+
+    request: int  # from 1
+    name: str
+    entry: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
+    argument: dict[str, Any]
+    log_file: str
+    fresh: bool
+    needs: tuple[str, ...]
+    kind: Literal["spawn"] = "spawn"
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Client: send a signal to one of its processes, or kill that process's whole group."""
+
+    pid: int
+    signal: int
+    group: bool
+    kind: Literal["signal"] = "signal"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Zygote: the requested process runs, or why not; for request 0: the imports are finished."""
+
+    request: int
+    pid: int = 0
+    error: str = ""
+    kind: Literal["answer"] = "answer"
+
+
+@dataclass(frozen=True)
+class Exited:
+    """Zygote: a process of the client ended with this exit code, -N by signal N.
+
+    Its whole process group has ended: its devices and ports are free.
+    """
+
+    pid: int
+    code: int
+    kind: Literal["exited"] = "exited"
+
+
+REQUEST: TypeAdapter[Spawn | Signal] = TypeAdapter(
+    Annotated[Spawn | Signal, Field(discriminator="kind")]
+)
+ANSWER: TypeAdapter[Answer | Exited] = TypeAdapter(
+    Annotated[Answer | Exited, Field(discriminator="kind")]
+)
+
+
+def encode(message: Spawn | Signal | Answer | Exited) -> bytes:
+    """Encode a message as a line. Raises `TypeError` if its argument cannot be JSON."""
+    return json.dumps(asdict(message)).encode() + b"\n"  # keeps NaN, unlike pydantic
+
+
+class LineSplitter:
+    """Splits a stream of bytes into lines."""
+
+    def __init__(self) -> None:
+        self._rest = bytearray()
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Return the lines completed by these bytes; `ValueError` if one is too long."""
+        self._rest += data
+        *lines, rest = self._rest.split(b"\n")
+        if len(rest) > _LONGEST_LINE:
+            raise ValueError(f"a line exceeds {_LONGEST_LINE} bytes")
+        self._rest = rest
+        return [bytes(line) for line in lines]
 
 
 def main() -> None:
@@ -70,41 +144,21 @@ def main() -> None:
     set_parent_death_signal(signal.SIGKILL)  # during the imports the pipe is not watched
     if os.getppid() != starter:
         return
-    preloaded = preload(modules)
-    for module, error in preloaded.failures.items():
-        _log(f"import failed: {module}: {error}")
-    for module, threads in preloaded.threads.items():
-        _log(f"module starts threads: {module}: forked processes lack these: {threads}")
+    import_failures = preload(modules)
     gc.collect()
     gc.freeze()
     listening = socket.socket(fileno=listener)
     socket_path = Path(listening.getsockname())
-    spawn = Zygote(listening, preloaded).serve()
+    spawn = Zygote(listening, import_failures).serve()
     if spawn is None:
         _remove_socket(socket_path)
     else:
-        run_entry(spawn.name, spawn.entry, spawn.argument)
+        _run_entry(spawn.name, spawn.entry, spawn.argument)
 
 
-@dataclass
-class Preloaded:
-    """The result of importing modules."""
-
-    failures: dict[str, str] = field(default_factory=dict)  # module: error and traceback's tail
-    threads: dict[str, list[str]] = field(default_factory=dict)  # module: names of threads it left
-
-    def refusal(self, needs: Iterable[str]) -> str:
-        """Return why a process that needs these modules cannot start, "" if it can."""
-        return "; ".join(
-            f"the module {module} cannot be imported: {self.failures[module]}"
-            for module in needs
-            if module in self.failures
-        )
-
-
-def preload(modules: Iterable[str]) -> Preloaded:
-    """Import modules; a module that fails does not keep the others from being imported."""
-    preloaded = Preloaded()
+def preload(modules: Iterable[str]) -> dict[str, str]:
+    """Import modules; return the errors, with the tail of a traceback, of those that fail."""
+    failures = {}
     before = _threads()
     for module in modules:
         try:
@@ -112,23 +166,22 @@ def preload(modules: Iterable[str]) -> Preloaded:
         except (Exception, SystemExit) as error:  # a plugin's module may fail in any way
             trace = "".join(traceback.format_exception(error)).rstrip().splitlines()
             tail = "\n".join(trace[-_TRACEBACK_LINES:])
-            preloaded.failures[module] = f"{type(error).__name__}: {error}\n{tail}"
+            failures[module] = f"{type(error).__name__}: {error}\n{tail}"
+            _log(f"import failed: {module}: {failures[module]}")
         after = _threads()
         started = [after[thread] for thread in sorted(after.keys() - before.keys())]
         if started:
-            preloaded.threads[module] = started
+            _log(f"module starts threads: {module}: forked processes lack these: {started}")
         before = after
-    return preloaded
+    return failures
 
 
 def _threads() -> dict[int, str]:
     """Return thread id and name of all other threads of this process, native ones included."""
     names: dict[int, str] = {}
     for entry in Path("/proc/self/task").iterdir():
-        try:
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has just ended
             names[int(entry.name)] = (entry / "comm").read_text().strip()
-        except (FileNotFoundError, ProcessLookupError):  # it has just ended
-            continue
     names.pop(os.getpid(), None)
     return names
 
@@ -136,11 +189,10 @@ def _threads() -> dict[int, str]:
 class Zygote:
     """Accepts clients, spawns and signals processes for them, and reports their exits."""
 
-    def __init__(self, listener: socket.socket, preloaded: Preloaded) -> None:
+    def __init__(self, listener: socket.socket, import_failures: dict[str, str]) -> None:
         self._pid = os.getpid()
-        self._preloaded = preloaded
-        self._names: dict[int, str] = {}  # of running processes
-        self._owners: dict[int, ClientConnection] = {}  # by process
+        self._import_failures = import_failures
+        self._owners: dict[int, ClientConnection] = {}  # by process whose exit is not reported
         self._emptying: dict[int, tuple[Exited, float]] = {}  # groups whose leader has ended
         self._connections: set[ClientConnection] = set()
         self._selector = selectors.DefaultSelector()
@@ -148,10 +200,11 @@ class Zygote:
         self._listener = listener
         for watched in (self._signals, self._wakeup, self._listener):
             watched.setblocking(False)
-        self._selector.register(0, selectors.EVENT_READ, self._end_everything)
-        self._selector.register(self._signals, selectors.EVENT_READ, self._on_signal)
-        self._selector.register(self._listener, selectors.EVENT_READ, self._accept)
+        self._watch(0, self._end_everything)  # standard input
+        self._watch(self._signals, self._on_signal)
+        self._watch(self._listener, self._accept)
         self._serving = True
+        self._forked: Spawn | None = None  # in a forked child: what to run
 
     def serve(self) -> Spawn | None:
         """Serve until asked to end (returns None); in a forked child, return what to run."""
@@ -162,16 +215,15 @@ class Zygote:
         signal.set_wakeup_fd(self._wakeup.fileno(), warn_on_full_buffer=False)
         set_parent_death_signal(signal.SIGTERM)
         self._reap()  # what ended before signals were watched
-        while self._serving:
-            wait_s = 0.1 if self._emptying else None
-            for key, _ in self._selector.select(wait_s):
-                handler: Handler = key.data
-                spawn = handler()
-                if spawn is not None or not self._serving:
-                    return spawn
-            if self._emptying:
-                self._report_exits()
-        return None
+        while True:
+            for key, _ in self._selector.select(0.1 if self._emptying else None):
+                key.data()
+                if not self._serving:
+                    return self._forked
+            self._report_exits()
+
+    def _watch(self, source: int | socket.socket, handler: Callable[[], None]) -> None:
+        self._selector.register(source, selectors.EVENT_READ, handler)
 
     def _accept(self) -> None:
         try:
@@ -185,82 +237,95 @@ class Zygote:
             client.close()
             return
         connection = ClientConnection(client, pid)
-        self._selector.register(client, selectors.EVENT_READ, lambda: self._receive(connection))
+        self._watch(client, lambda: self._receive(connection))
         self._connections.add(connection)
-        connection.send(Hello())
+        connection.send(Answer(0))
 
-    def _receive(self, connection: "ClientConnection") -> Spawn | None:
+    def _receive(self, connection: "ClientConnection") -> None:
+        requests = []
         try:
-            requests = [decode_request(line) for line in connection.receive()]
-        except ProtocolError as error:
-            _log(f"client disconnected: process {connection.pid}: {error}")
+            requests = [REQUEST.validate_json(line) for line in connection.receive()]
+        except ValueError as error:
+            _log(f"client disconnected: process {connection.pid} sent an invalid request: {error}")
             connection.gone = True
-            requests = []
         for request in requests:
-            spawn = self._handle(connection, request)
-            if spawn is not None:
-                return spawn
+            try:
+                if isinstance(request, Signal):
+                    self._send_signal(connection, request)
+                else:
+                    self._spawn(connection, request)
+            except OSError as error:
+                if isinstance(request, Signal):
+                    _log(f"signal failed: process {request.pid}: {error}")
+                else:
+                    connection.send(Answer(request.request, error=f"the zygote failed: {error}"))
+            if not self._serving:  # in a forked child
+                return
         if connection.gone:
             self._abandon(connection)
-        return None
 
-    def _handle(self, connection: "ClientConnection", request: Request) -> Spawn | None:
-        try:
-            match request:
-                case Spawn():
-                    return self._spawn(connection, request)
-                case Signal():
-                    self._send_signal(connection, request)
-        except OSError as error:
-            connection.send(RequestRefused(request.request, f"the zygote failed: {error}"))
-        return None
-
-    def _spawn(self, connection: "ClientConnection", request: Spawn) -> Spawn | None:
-        refusal = "" if request.fresh else self._preloaded.refusal(request.needs)
-        if refusal:
-            connection.send(RequestRefused(request.request, refusal))
-            return None
+    def _spawn(self, connection: "ClientConnection", request: Spawn) -> None:
         log = os.open(request.log_file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o640)
         every = signal.valid_signals()
         unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, every)  # until the child is ready
         try:
+            for module in request.needs:
+                if module in self._import_failures:
+                    self._refuse(connection, request, module, log)
+                    return
             pid = os.fork()
             if pid == 0:
                 self._become_child(request, log)
-                return request
+                return
             with contextlib.suppress(PermissionError, ProcessLookupError):  # done already, or over
                 os.setpgid(pid, pid)  # the child does the same: the first of the two counts
         finally:
             if os.getpid() == self._pid:
                 os.close(log)
                 signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
-        self._names[pid] = request.name
         self._owners[pid] = connection
-        connection.processes.add(pid)
-        connection.send(Spawned(request.request, pid))
-        return None
+        connection.send(Answer(request.request, pid))
+
+    def _refuse(
+        self, connection: "ClientConnection", request: Spawn, module: str, log: int
+    ) -> None:
+        """Report why a module cannot be imported; write all of it, with a traceback, to the log."""
+        text = f"the module {module} cannot be imported: {self._import_failures[module]}\n"
+        with contextlib.suppress(OSError):  # a full disk
+            os.write(log, text.encode())
+        reason = f"{text.partition(chr(10))[0]} (log {request.log_file})"
+        connection.send(Answer(request.request, error=reason))
 
     def _become_child(self, request: Spawn, log: int) -> None:
+        """Detach this process, a fork, from the zygote, and have `serve` return what it runs."""
         try:
-            detach(self._pid, log)
+            _detach(self._pid, log)
             for connection in self._connections:
                 connection.socket.close()
             for inherited in (self._selector, self._listener, self._signals, self._wakeup):
                 inherited.close()
             if request.fresh:
-                run_in_fresh_interpreter(request.name, request.entry, request.argument)
+                _run_in_fresh_interpreter(request)
+            self._serving, self._forked = False, request
         except BaseException:  # must not return into the zygote's loop
             traceback.print_exc()
             sys.stderr.flush()
             os._exit(1)
 
     def _send_signal(self, connection: "ClientConnection", request: Signal) -> None:
-        if request.pid in connection.processes and request.pid in self._names:
+        if request.pid in self._running(connection):
             if request.group:
                 kill_group(request.pid)
             else:
                 os.kill(request.pid, request.signal)
-        connection.send(Done(request.request))
+
+    def _running(self, connection: "ClientConnection | None" = None) -> set[int]:
+        """Return the processes that are not reaped yet, of one client or of all."""
+        return {
+            pid
+            for pid, owner in self._owners.items()
+            if pid not in self._emptying and connection in (None, owner)
+        }
 
     def _abandon(self, connection: "ClientConnection") -> None:
         """Kill the processes of a client that is gone; their own processes follow in turn."""
@@ -269,12 +334,12 @@ class Zygote:
         connection.gone = True
         if connection.socket in self._selector.get_map():
             self._selector.unregister(connection.socket)
-        for pid in connection.processes & self._names.keys():
+        for pid in self._running(connection):
             kill_group(pid)
         self._close_if_done(connection)
 
     def _close_if_done(self, connection: "ClientConnection") -> None:
-        if connection.gone and not connection.processes:
+        if connection.gone and connection not in self._owners.values():
             connection.socket.close()
             self._connections.discard(connection)
 
@@ -288,21 +353,18 @@ class Zygote:
         """Reap ended processes, and kill what they leave behind."""
         reaped = False
         while (pid := ended_child()) is not None:
-            if pid in self._names:
+            spawned = pid in self._owners
+            if spawned:
                 kill_group(pid)  # the id is its group's as long as it is not reaped
             _, status = os.waitpid(pid, 0)
             reaped = True
-            if pid in self._names:
-                code = os.waitstatus_to_exitcode(status)
-                name = self._names.pop(pid)
-                exited = (
-                    Exited(pid, name, code, None) if code >= 0 else Exited(pid, name, None, -code)
-                )
+            if spawned:
+                exited = Exited(pid, os.waitstatus_to_exitcode(status))
                 self._emptying[pid] = (exited, time.monotonic() + _GROUP_LIMIT_S)
             for connection in [one for one in self._connections if one.pid == pid]:
                 self._abandon(connection)  # even if a fork of the client holds it open
         if reaped:
-            kill_orphans(set(self._names))
+            kill_orphans(self._running())
             self._report_exits()
 
     def _report_exits(self) -> None:
@@ -312,19 +374,13 @@ class Zygote:
                 continue
             del self._emptying[pid]
             connection = self._owners.pop(pid)
-            connection.processes.discard(pid)
             connection.send(exited)
             self._close_if_done(connection)
 
     def _end_everything(self) -> None:
         """Kill all descendants, wait for their end, and stop serving."""
         self._serving = False
-
-        def await_child(timeout_s: float) -> None:
-            if select.select([self._signals], [], [], timeout_s)[0]:
-                self._signals.recv(4096)
-
-        left = kill_descendants(await_child, _END_LIMIT_S)
+        left = kill_descendants(_END_LIMIT_S)
         if left:
             _log(f"processes do not end even by SIGKILL: {left}")
 
@@ -335,13 +391,12 @@ class ClientConnection:
     def __init__(self, client: socket.socket, pid: int) -> None:
         self.socket = client
         self.pid = pid
-        self.processes: set[int] = set()
         self.gone = False  # sends no more requests; its processes are being killed
         self._lines = LineSplitter()
         client.setblocking(False)
 
     def receive(self) -> list[bytes]:
-        """Return the lines that have arrived; set `gone` at the end. Raises `ProtocolError`."""
+        """Return the lines that have arrived; set `gone` at the end. Raises `ValueError`."""
         try:
             data = self.socket.recv(1 << 16)
         except BlockingIOError:
@@ -352,9 +407,9 @@ class ClientConnection:
             self.gone = True
         return self._lines.feed(data)
 
-    def send(self, answer: Answer) -> None:
+    def send(self, answer: Answer | Exited) -> None:
         """Send an answer; disconnect a client that has not read hundreds of them: it hangs."""
-        line = encode_answer(answer)
+        line = encode(answer)
         try:
             complete = self.socket.send(line) == len(line)
         except BlockingIOError:
@@ -364,6 +419,63 @@ class ClientConnection:
         if not complete:
             _log(f"client disconnected: process {self.pid} does not read its answers")
             self.socket.shutdown(socket.SHUT_RDWR)
+
+
+def _detach(zygote: int, log: int) -> None:
+    """Detach the calling process, a fork of the zygote; all signals are blocked at the call.
+
+    It becomes the leader of a process group, dies with the zygote, reads nothing, writes to the
+    file descriptor `log`, and has the default signal handlers again.
+    """
+    signal.set_wakeup_fd(-1)
+    os.setpgid(0, 0)
+    set_parent_death_signal(signal.SIGKILL)
+    if os.getppid() != zygote:  # the zygote ended before the signal was set
+        os._exit(1)
+    _close_input()
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    os.close(log)
+    for number in signal.valid_signals() - _UNCHANGED_SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.pthread_sigmask(signal.SIG_SETMASK, [])
+
+
+def _run_entry(name: str, entry: str, argument: dict[str, Any]) -> None:
+    """Set up the interpreter of a detached process and call `entry` ("package.module:function").
+
+    An exception of the entry ends the process with a traceback and exit code 1.
+    """
+    setproctitle(f"cairn: {name}")
+    cast("Any", sys.stdout).reconfigure(line_buffering=True)
+    faulthandler.enable()
+    gc.enable()
+    module, _, function = entry.partition(":")
+    getattr(importlib.import_module(module), function)(argument)
+
+
+def _run_in_fresh_interpreter(spawn: Spawn) -> NoReturn:
+    """Replace the calling process, already detached, by a new interpreter that runs the entry."""
+    passed = os.memfd_create(spawn.name)
+    os.write(passed, json.dumps([spawn.name, spawn.entry, spawn.argument]).encode())
+    os.lseek(passed, 0, os.SEEK_SET)
+    os.dup2(passed, 0)
+    bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path)]
+    os.execv(sys.executable, [sys.executable, *bootstrap, f"{__name__}:run_passed_entry"])
+
+
+def run_passed_entry() -> None:
+    """Run, in a fresh interpreter, the entry that was passed on standard input."""
+    name, entry, argument = json.loads(sys.stdin.buffer.read())
+    _close_input()
+    _run_entry(name, entry, argument)
+
+
+def _close_input() -> None:
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
 
 
 def _remove_socket(socket_path: Path) -> None:

@@ -1,118 +1,198 @@
-"""A client of the zygote: spawns processes through it, signals them, and learns how they ended."""
+"""Starts the zygote, and spawns, signals and awaits processes through it.
+
+The root of the tree starts the zygote (`start_zygote`); each supervisor with children in processes
+of their own has a connection to it (`ZygoteClient`).
+"""
 
 import contextlib
-import logging
+import itertools
+import json
 import os
 import signal
 import socket
+import stat
 import struct
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
+
+import psutil
 
 from cairn.errors import CairnError
-from cairn.supervision.child import LauncherLost
-from cairn.supervision.zygote_protocol import (
+from cairn.supervision.child import ZygoteLost
+from cairn.supervision.orphan_cleanup import MARK, kill_marked
+from cairn.supervision.zygote import (
+    ANSWER,
+    BOOTSTRAP,
     Answer,
-    Done,
     Exited,
-    Hello,
     LineSplitter,
-    ProtocolError,
-    Request,
-    RequestRefused,
     Signal,
     Spawn,
-    Spawned,
-    decode_answer,
-    encode_request,
+    encode,
 )
 
-_ANSWER_LIMIT_S = 5.0
+_LONGEST_SOCKET_PATH = 107  # bytes, unix(7)
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
-_log = logging.getLogger(__name__)
+# These halve the latency of images: glibc would map and unmap memory for each of them.
+_MALLOC = {
+    "MALLOC_MMAP_THRESHOLD_": "134217728",
+    "MALLOC_TRIM_THRESHOLD_": "268435456",
+    "MALLOC_TOP_PAD_": "33554432",
+}
+# A process with threads must not fork, and numpy's OpenBLAS would start some when imported.
+_SINGLE_THREADED = {"OPENBLAS_NUM_THREADS": "1"}
+_KEEP_MARK = {"SPT_NOENV": "1"}  # setproctitle would overwrite the environment, and the mark in it
 
 
-class ZygoteLost(LauncherLost):
-    """The zygote has ended: all processes that it started are killed, none can be started."""
+class ZygoteProcess:
+    """A running zygote, as the process sees it that started it: the root of the tree.
+
+    When the root ends, in whatever way, the zygote kills all processes and ends.
+    """
+
+    def __init__(
+        self, process: "subprocess.Popen[bytes]", socket_path: Path, log_file: Path, mark: str
+    ) -> None:
+        self.process = process
+        self.socket_path = socket_path
+        self.log_file = log_file
+        self._mark = mark
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it has been stopped by a signal (SIGSTOP), so that it does not serve."""
+        try:
+            return psutil.Process(self.process.pid).status() == psutil.STATUS_STOPPED
+        except psutil.NoSuchProcess:
+            return False
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """End the zygote and all processes of the tree, also if the zygote has been killed.
+
+        Raises `CairnError` if some do not end by SIGKILL within the time limit [s].
+        """
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        try:
+            self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(timeout_s)
+        left = kill_marked(self._mark, timeout_s)
+        self.socket_path.unlink(missing_ok=True)
+        if left:
+            raise CairnError(f"these processes do not end even by SIGKILL: {left}")
 
 
-class SpawnFailed(CairnError):  # noqa: N818 - reads as what happened
-    """A process could not be started; the message gives the reason."""
+def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
+    """Start a zygote that imports these modules and then serves `ZygoteClient`s.
+
+    Returns at once; a client waits for the imports. The runtime directory is created if it does
+    not exist; it contains the socket and the log of the zygote. Call it from the main thread,
+    before or after opening Zenoh sessions. Raises `CairnError` if the directory is open to other
+    users or its path too long.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        raise RuntimeError("the zygote ends with the thread that starts it: use the main thread")
+    _make_private(runtime_dir)
+    mark = uuid4().hex
+    socket_path = runtime_dir / f"zygote-{mark[:8]}.sock"
+    log_file = runtime_dir / "zygote.log"
+    if len(os.fsencode(socket_path)) > _LONGEST_SOCKET_PATH:
+        raise CairnError(
+            f"the path of the socket {socket_path} exceeds {_LONGEST_SOCKET_PATH} bytes; set "
+            "XDG_RUNTIME_DIR to a folder with a shorter path"
+        )
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
+        log_file.open("ab") as log,
+    ):
+        listener.bind(os.fspath(socket_path))
+        listener.listen(64)
+        arguments = map(json.dumps, (os.getpid(), listener.fileno(), list(preload)))
+        bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path)]
+        process = subprocess.Popen(
+            [sys.executable, *bootstrap, "cairn.supervision.zygote:main", *arguments],
+            stdin=subprocess.PIPE,  # the lifeline: it closes when this process ends
+            stdout=log,
+            stderr=log,
+            pass_fds=[listener.fileno()],
+            start_new_session=True,  # the terminal's Ctrl-C reaches the root only
+            env={**_SINGLE_THREADED, **_MALLOC, **os.environ, **_KEEP_MARK, MARK: mark},
+        )
+    return ZygoteProcess(process, socket_path, log_file, mark)
+
+
+def _make_private(directory: Path) -> None:
+    directory.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
+    status = directory.stat()
+    if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise CairnError(
+            f"{directory} can be used by other users, who could then start processes as you; "
+            f"restrict it to yourself (chmod 700 {directory}) or choose another folder"
+        )
 
 
 class ChildProcess:
     """A process spawned through the zygote; it leads a process group of its own."""
 
-    def __init__(self, name: str, pid: int, send_signal: Callable[[int, int, bool], None]) -> None:
-        """`send_signal` takes process id, signal number and whether the group is meant."""
-        self.name = name
+    def __init__(self, pid: int, send: Callable[[Signal], None]) -> None:
         self.pid = pid
-        self._send_signal = send_signal
-        self._exited: Future[Exited] = Future()
+        self.exit: Future[Exited] = Future()
+        """How it ended; set on the client's thread."""
+        self._send = send
 
     @property
     def exited(self) -> Exited | None:
         """How it ended, None while it runs."""
-        return self._exited.result(0) if self._exited.done() else None
+        return self.wait(0)
 
     def wait(self, timeout_s: float) -> Exited | None:
         """Wait for its end and that of its process group; None if it still runs then."""
         with contextlib.suppress(TimeoutError):
-            return self._exited.result(timeout_s)
+            return self.exit.result(timeout_s)
         return None
 
     def on_exit(self, call: Callable[[Exited], object]) -> None:
         """Have `call` made when it has ended, on the client's thread; at once if it has.
 
-        `call` must not make requests to the zygote.
+        `call` must not spawn processes.
         """
-        self._exited.add_done_callback(lambda exited: call(exited.result()))
+        self.exit.add_done_callback(lambda exited: call(exited.result()))
 
-    def signal(self, number: int) -> None:
-        """Send a signal to the process alone; no effect if it has ended.
-
-        Raises `CairnError` if the zygote does not answer.
-        """
-        if not self._exited.done():
-            self._send_signal(self.pid, number, False)
+    def signal(self, number: int, *, group: bool = False) -> None:
+        """Send a signal to the process, or kill its whole group; no effect if it has ended."""
+        if not self.exit.done():
+            self._send(Signal(self.pid, number, group))
 
     def terminate(self) -> None:
         """Ask it to end, by SIGTERM."""
         self.signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Kill its whole process group; no effect if it has ended; see `signal`."""
-        if not self._exited.done():
-            self._send_signal(self.pid, signal.SIGKILL, True)
-
-    def set_exited(self, exited: Exited) -> None:
-        """Record how it ended; for the zygote's client."""
-        self._exited.set_result(exited)
-
-
-@dataclass(frozen=True)
-class _Pending:
-    name: str  # of the process to be started, "" for other requests
-    answer: "Future[Any]"
+        """Kill its whole process group."""
+        self.signal(signal.SIGKILL, group=True)
 
 
 class ZygoteClient:
     """A connection to a zygote, which owns the processes spawned over it.
 
     When it closes, or the process that holds it ends, they are killed with their process groups.
-    For use by one thread. A thread of its own calls `ChildProcess.on_exit` callbacks, and `on_lost`
-    if the zygote ends, before the exits of all processes that end with it; none of them may make
-    requests to the client.
+    One thread spawns processes. A thread of the client's own calls `ChildProcess.on_exit`
+    callbacks, and `on_lost` if the zygote ends, before the exits of all processes that end with it;
+    none of them may spawn processes.
     """
 
     def __init__(
         self,
         socket_path: Path,
-        on_lost: Callable[[ZygoteLost], None] | None = None,
+        on_lost: Callable[[ZygoteLost], None] = lambda _: None,
         timeout_s: float = 60.0,
     ) -> None:
         """Connect, and wait at most `timeout_s` seconds for the zygote's imports.
@@ -122,16 +202,16 @@ class ZygoteClient:
         self._path = socket_path
         self._on_lost = on_lost
         self._lock = threading.Lock()
-        self._closed: CairnError | None = None  # why no more requests can be made
-        self._requests = 0
-        hello: Future[None] = Future()
-        self._pending: dict[int, _Pending] = {0: _Pending("", hello)}
+        self._closed: CairnError | None = None  # why no more processes can be spawned
+        self._numbers = itertools.count(1)
+        ready: Future[ChildProcess] = Future()
+        self._pending = {0: ready}  # answers by request
         self._children: dict[int, ChildProcess] = {}
         self._socket = _connect(socket_path, timeout_s)
         self._reader = threading.Thread(target=self._read, name="zygote client", daemon=True)
         self._reader.start()
         try:
-            self._result(hello, timeout_s, "finish its imports")
+            self._wait(0, ready, timeout_s, "finish its imports")
         except CairnError:
             self.close(0.0)
             raise
@@ -153,16 +233,20 @@ class ZygoteClient:
         with a traceback in the log when it raises. With `fresh` it gets a new interpreter instead
         of a fork of the zygote; otherwise the zygote must have imported the modules in `needs`.
 
-        Raises `SpawnFailed` with the reason, `ZygoteLost`, or `CairnError` at the time limit; if
+        Raises `CairnError` with the reason or at the time limit, or `ZygoteLost`; if
         the process is started after that, it is killed. Raises `TypeError` or `ValueError` for
         arguments of wrong form.
         """
-        number, started = self._next_request(name)
-        self._send(
-            Spawn(number, name, entry, dict(argument), os.fspath(log_file), fresh, tuple(needs))
-        )
-        child: ChildProcess = self._result(started, timeout_s, f"start {name}", number)
-        return child
+        number = next(self._numbers)
+        log = os.fspath(log_file)
+        request = Spawn(number, name, entry, dict(argument), log, fresh, tuple(needs))
+        answer: Future[ChildProcess] = Future()
+        with self._lock:
+            if self._closed is not None:
+                raise self._closed
+            self._pending[number] = answer
+        self._send(request)
+        return self._wait(number, answer, timeout_s, f"start {name}")
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Kill all processes spawned here, and wait at most `timeout_s` seconds for their end."""
@@ -170,44 +254,28 @@ class ZygoteClient:
             self._closed = self._closed or CairnError(f"the connection to {self._path} is closed")
             with contextlib.suppress(OSError):  # the zygote was the first to close it
                 self._socket.shutdown(socket.SHUT_WR)
-        if self._reader is not threading.current_thread():
-            self._reader.join(timeout_s)
+        self._reader.join(timeout_s)
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
-    def _send_signal(self, pid: int, number: int, group: bool) -> None:
-        if self._closed is None:
-            with contextlib.suppress(ZygoteLost):  # then the process is killed
-                request, done = self._next_request("")
-                self._send(Signal(request, pid, number, group))
-                self._result(done, _ANSWER_LIMIT_S, f"send a signal to process {pid}", request)
-
-    def _next_request(self, name: str) -> "tuple[int, Future[Any]]":
-        if threading.current_thread() is self._reader:
-            raise RuntimeError("on_exit and on_lost must not make requests to the zygote")
-        with self._lock:
-            if self._closed is not None:
-                raise self._closed
-            self._requests += 1
-            pending = _Pending(name, Future())
-            self._pending[self._requests] = pending
-            return self._requests, pending.answer
-
-    def _result(self, answer: "Future[Any]", timeout_s: float, what: str, request: int = 0) -> Any:
+    def _wait(
+        self, number: int, answer: "Future[ChildProcess]", timeout_s: float, step: str
+    ) -> ChildProcess:
         try:
             return answer.result(timeout_s)
         except TimeoutError:
             with self._lock:
-                self._pending.pop(request, None)
+                self._pending.pop(number, None)
             raise CairnError(
-                f"the zygote on {self._path} did not {what} within {timeout_s:g} s"
+                f"the zygote on {self._path} did not {step} within {timeout_s:g} s"
             ) from None
 
-    def _send(self, request: Request) -> None:
-        line = encode_request(request)
+    def _send(self, request: Spawn | Signal) -> None:
+        line = encode(request)
         try:
             with self._lock:
-                self._socket.sendall(line)
+                if self._closed is None:  # otherwise all processes are killed anyway
+                    self._socket.sendall(line)
         except OSError:  # ended, or stuck with half a line sent: the reader reports it
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
@@ -218,73 +286,50 @@ class ZygoteClient:
         try:
             while data := self._socket.recv(1 << 16):
                 for line in lines.feed(data):
-                    self._handle(decode_answer(line))
-        except (OSError, ProtocolError) as error:
+                    message = ANSWER.validate_json(line)
+                    if isinstance(message, Exited):
+                        self._on_exited(message)
+                    else:
+                        self._on_answer(message)
+        except (OSError, ValueError) as error:
             reason = str(error)
-        self._end(ZygoteLost(f"zygote lost: {self._path}: {reason}"))
+        self._on_end(ZygoteLost(f"zygote lost: {self._path}: {reason}"))
 
-    def _handle(self, answer: Answer) -> None:
-        match answer:
-            case Hello():
-                self._resolve(0)
-            case Spawned(request, pid):
-                self._spawned(request, pid)
-            case Done(request):
-                self._resolve(request)
-            case RequestRefused(request, error):
-                self._refused(request, error)
-            case Exited():
-                self._exited(answer)
-
-    def _spawned(self, request: int, pid: int) -> None:
+    def _on_answer(self, answer: Answer) -> None:
+        child = ChildProcess(answer.pid, self._send)
         with self._lock:
-            pending = self._pending.pop(request, None)
-            if pending is not None:
-                child = self._children[pid] = ChildProcess(pending.name, pid, self._send_signal)
+            pending = self._pending.pop(answer.request, None)
+            if pending is not None and answer.pid:
+                self._children[answer.pid] = child
         if pending is None:  # the request has timed out
-            self._send(Signal(-1, pid, signal.SIGKILL, True))
+            if answer.pid:
+                child.kill()
+        elif answer.error:
+            pending.set_exception(CairnError(answer.error))
         else:
-            pending.answer.set_result(child)
+            pending.set_result(child)
 
-    def _resolve(self, request: int) -> None:
-        with self._lock:
-            pending = self._pending.pop(request, None)
-        if pending is not None:
-            pending.answer.set_result(None)
-
-    def _refused(self, request: int, error: str) -> None:
-        with self._lock:
-            pending = self._pending.pop(request, None)
-        if pending is not None:
-            pending.answer.set_exception(
-                SpawnFailed(f"{pending.name} could not be started: {error}")
-                if pending.name
-                else CairnError(f"a signal could not be sent: {error}")
-            )
-
-    def _exited(self, exited: Exited) -> None:
-        with self._lock:
-            child = self._children.pop(exited.pid, None)
+    def _on_exited(self, exited: Exited) -> None:
+        child = self._children.pop(exited.pid, None)
         if child is not None:
-            child.set_exited(exited)
+            child.exit.set_result(exited)
 
-    def _end(self, lost: ZygoteLost) -> None:
+    def _on_end(self, lost: ZygoteLost) -> None:
         with self._lock:
             closed, self._closed = self._closed is not None, self._closed or lost
             pending, self._pending = list(self._pending.values()), {}
             self._socket.close()
-        for one in pending:
-            one.answer.set_exception(self._closed)
+        for answer in pending:
+            answer.set_exception(self._closed)
         for pid in self._children:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)  # their death signal spares grandchildren
         try:
-            if not closed and self._on_lost is not None:
+            if not closed:
                 self._on_lost(lost)
-        except Exception:
-            _log.exception("handling the loss of the zygote failed")
-        for child in list(self._children.values()):
-            self._exited(Exited(child.pid, child.name, None, signal.SIGKILL))
+        finally:
+            for pid in list(self._children):
+                self._on_exited(Exited(pid, -signal.SIGKILL))
 
 
 def _connect(path: Path, timeout_s: float) -> socket.socket:

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from cairn.process_exit import WORK_NOT_DONE, ExitLog, ExitReport
-from cairn.supervision.zygote_protocol import Exited
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
 
@@ -57,16 +56,16 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "base.log"
 
 
-def report(log: ExitLog, code: int | None, signal: int | None = None) -> ExitReport:
-    """Return the report on process 7 for this exit code or signal."""
-    return log.report(7, code, Exited(7, "base", code, signal).manner)
+def report(log: ExitLog, code: int) -> ExitReport:
+    """Return the report on process 7 for this exit code, -N for signal N."""
+    return log.report(7, code)
 
 
 def test_killed_process_is_reported_with_its_signal_and_log(file: Path) -> None:
     log = ExitLog(file)
     file.write_text("INFO all is well\n")
 
-    end = report(log, None, 11)
+    end = report(log, -11)
 
     assert not end.normal
     assert_words(end.reason, "SIGSEGV", "process 7", str(file))
@@ -98,7 +97,7 @@ def test_process_logs_its_reason_in_one_line(file: Path) -> None:
     ):
         process.wait(LIMIT_S)
 
-    assert log.report(process.pid, 0, "").reason == "tick: ValueError:; no device"
+    assert log.report(process.pid, 0).reason == "tick: ValueError:; no device"
 
 
 def test_without_a_logged_reason_the_last_line_is_reported(file: Path) -> None:

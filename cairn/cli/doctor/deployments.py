@@ -136,7 +136,7 @@ def _leftovers() -> Finding:
 def _is_zygote(process: psutil.Process) -> bool:
     with suppress(psutil.Error):
         title = " ".join(process.cmdline())
-        return title.startswith("cairn: zygote") or "cairn.supervision.zygote" in title
+        return title.startswith("cairn: zygote") or "cairn.supervision.zygote:main" in title
     return False
 
 

@@ -4,7 +4,7 @@ import queue
 
 import pytest
 
-from cairn.placement.pause_aware_clock import PAUSE_S, PERIOD_S, PauseAwareClock
+from cairn.placement.component_host import PAUSE_S, PERIOD_S, PauseAwareClock
 from tests.patience import LIMIT_S
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
+from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 from . import zygote_children
 from .reports import Reports, Tree

@@ -1,12 +1,16 @@
 """Children that behave as scripted by a test, on a clock that only they advance."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from cairn import CairnError
 from cairn.deployment.model import ChildSpec, Supervision
 from cairn.process_exit import ExitReport
-from cairn.supervision.child import ChildEvent, ChildUnavailable, Verb
+from cairn.runtime.launch_request import LaunchRequest
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.std_msgs import Header
+from cairn.supervision.child import ChildUnavailable, Verb
 from cairn.supervision.supervisor import ChildGroup
 
 Step = Callable[["ScriptedChild", float], None]  # called with the step's time limit [s]
@@ -81,16 +85,29 @@ class ScriptedChild:
         self.script.get(step, usual)(self, timeout_s)
 
 
+class Log(logging.Handler):
+    """What a supervisor has logged: each line with its level."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+        self.logger = logging.Logger("supervisor", logging.DEBUG)
+        self.logger.addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(f"{record.levelname} {record.getMessage()}")
+
+
 @dataclass
 class World:
-    """The launcher, the clock, and a record of all steps."""
+    """The host of a supervisor: launcher, clock, and a record of all steps."""
 
     now_s: float = 100.0
     scripts: dict[str, list[dict[str, Step]]] = field(default_factory=dict)
     children: dict[str, ScriptedChild] = field(default_factory=dict)
     steps: list[str] = field(default_factory=list)
     limits: list[tuple[str, float]] = field(default_factory=list)  # of each request [s]
-    events: list[ChildEvent] = field(default_factory=list)
+    log: Log = field(default_factory=Log)
     progress: list[str] = field(default_factory=list)
     stop_requests: int = 0
     on_step: Callable[[str], None] = lambda text: None
@@ -99,33 +116,37 @@ class World:
         """Set what a child does at each step, by incarnation; later ones are correct."""
         self.scripts[name] = list(incarnations)
 
-    def launch(
-        self,
-        name: str,
-        spec: ChildSpec,
-        incarnation: int,
-        previous_exit: str,
-        on_exit: Callable[[], None],
-    ) -> ScriptedChild:
+    def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ScriptedChild:
+        name = launch.name
         self.steps.append(f"launch {name}")
         scripts = self.scripts.get(name, [])
-        script = scripts[incarnation - 1] if incarnation <= len(scripts) else {}
-        child = ScriptedChild(self, name, incarnation, script)
+        script = scripts[launch.incarnation - 1] if launch.incarnation <= len(scripts) else {}
+        child = ScriptedChild(self, name, launch.incarnation, script)
         if "launch" in script:
-            script["launch"](child, spec.start_limit_s)
+            script["launch"](child, launch.spec.start_limit_s)
         self.children[name] = child
         return child
 
-    def request_stop(self) -> None:
+    def cancel_starts(self) -> None:
         self.stop_requests += 1
+
+    def now(self) -> float:
+        return self.now_s
+
+    def awake(self) -> float:
+        return self.now_s
+
+    def post(self, call: Callable[[], None]) -> None:
+        call()
+
+    def report_progress(self, step: str) -> None:
+        self.progress.append(step)
+        self.on_step(step)
 
     def take_steps(self) -> list[str]:
         """Return the steps since the last call."""
         steps, self.steps = self.steps, []
         return steps
-
-    def events_of(self, child: str) -> list[tuple[str, str]]:
-        return [(event.kind, event.reason) for event in self.events if event.child == child]
 
     def running(self) -> list[str]:
         return [name for name, child in self.children.items() if child.end is None]
@@ -137,17 +158,21 @@ class World:
     def supervisor_with(
         self, supervision: Supervision, *names: str, **children: ChildSpec
     ) -> ChildGroup:
-        def report_progress(step: str) -> None:
-            self.progress.append(step)
-            self.on_step(step)
+        specs = {name: ChildSpec(plugin="test") for name in names} | children
+        spec = ChildSpec(plugin="supervisor", supervision=supervision, children=specs)
+        launch = LaunchRequest(name="mobile_supervisor", spec=spec)
+        return ChildGroup(launch, self, self.log.logger, on_exit=lambda: None)
 
-        return ChildGroup(
-            "mobile_supervisor",
-            {name: ChildSpec(plugin="test") for name in names} | children,
-            supervision,
-            self,
-            observe=self.events.append,
-            report_progress=report_progress,
-            on_exit=lambda: None,
-            now=lambda: self.now_s,
-        )
+
+def heartbeat(
+    child: str, incarnation: int = 1, handler: str = "", handler_s: float = 0.0
+) -> ComponentStatus:
+    """The heartbeat of an active child, within that handler for so many seconds."""
+    return ComponentStatus(
+        header=Header(),
+        component=child,
+        state="active",
+        restarts=incarnation - 1,
+        handler=handler,
+        handler_s=handler_s,
+    )

@@ -2,13 +2,12 @@
 
 from typing import get_args
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn.deployment.model import ChildSpec, Restart, Strategy, Supervision
-from cairn.supervision.restart_policy import Decision, RestartPolicy, UnknownChild
-from tests.wording import assert_words, words_in_order
+from cairn.supervision.restart_policy import Decision, RestartPolicy
+from tests.wording import assert_words
 
 NAMES = ("base", "scanner", "localizer", "planner")
 
@@ -160,11 +159,6 @@ def test_significant_temporary_child_that_crashes_makes_the_supervisor_fail() ->
     supervised = loaded(replay=child("temporary", significant=True))
     decision = supervised.ended("replay", normal=False, at_s=0.0, reason="crash")
     assert_words(decision.give_up, "replay", "not restarted", "crash")
-
-
-def test_unknown_child_is_rejected_with_the_known_names() -> None:
-    with pytest.raises(UnknownChild, match=words_in_order("lidar", "base, scanner")):
-        policy().load("lidar")
 
 
 def test_supervisor_passes_the_normal_end_of_a_significant_child_on() -> None:

@@ -2,11 +2,11 @@
 
 import pytest
 
+from cairn import CairnError
 from cairn.deployment.model import ChildSpec, Supervision
 from cairn.process_exit import ExitReport
-from cairn.supervision.child import LauncherLost
-from cairn.supervision.restart_policy import UnknownChild
-from cairn.supervision.supervisor import Escalate, StartFailed
+from cairn.supervision.child import ZygoteLost
+from cairn.supervision.supervisor import Escalate, StartFailed, UnknownChild
 from tests.wording import assert_words, words_in_order
 
 from .scripted_children import (
@@ -16,6 +16,7 @@ from .scripted_children import (
     does_not_answer,
     ends,
     fails,
+    heartbeat,
     is_ignored,
     takes,
 )
@@ -68,9 +69,11 @@ def test_ended_child_is_restarted_and_the_reason_is_kept(world: World) -> None:
     status = supervisor.status()[0]
     assert (status.state, status.incarnation) == ("active", 2)
     assert status.reason == "killed by SIGSEGV (signal 11)"
-    assert world.events_of("base")[2:4] == [
-        ("failed", "killed by SIGSEGV (signal 11)"),
-        ("restarting", "killed by SIGSEGV (signal 11) (1 of 3 restarts in 10 s)"),
+    assert world.log.lines[-4:] == [
+        "WARNING child failed: base: killed by SIGSEGV (signal 11)",
+        "INFO restarting child base: killed by SIGSEGV (signal 11) (1 of 3 restarts in 10 s)",
+        "DEBUG child starting: base",
+        "INFO child active: base",
     ]
 
 
@@ -80,7 +83,8 @@ def test_hang_of_an_earlier_incarnation_has_no_effect(world: World) -> None:
     world.children["base"].end = CRASH
     supervisor.reconcile()
     world.take_steps()
-    supervisor.kill_hung("base", 1, "drive", 5.0)
+    supervisor.receive(heartbeat("base", incarnation=1, handler="drive", handler_s=10.0))
+    supervisor.kill_hung()
     supervisor.reconcile()
     assert world.steps == []
     assert supervisor.status()[0].incarnation == 2
@@ -111,11 +115,38 @@ def test_hung_child_is_killed_and_its_handler_named(world: World) -> None:
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     world.take_steps()
-    supervisor.kill_hung("scanner", 1, "read_scan", 5.25)
+    supervisor.receive(heartbeat("scanner", handler="read_scan", handler_s=5.25))
+    world.now_s += 0.5
+    supervisor.kill_hung()
     supervisor.reconcile()
     assert world.steps == ["kill scanner", *START_SCANNER]
-    assert ("hung", "hung for 5.2 s in read_scan; killed") in world.events_of("scanner")
-    assert_words(supervisor.status()[1].reason, "hung", "5.2 s", "read_scan", "killed")
+    reason = supervisor.status()[1].reason
+    assert f"ERROR child hung: scanner: {reason}" in world.log.lines
+    assert_words(reason, "hung", "5.8 s", "read_scan", "killed")
+
+
+def test_child_that_works_or_has_sent_no_heartbeat_is_not_killed(world: World) -> None:
+    supervisor = world.supervisor("base", "scanner")
+    supervisor.start_all()
+    world.take_steps()
+    world.now_s += 100.0
+    supervisor.receive(heartbeat("scanner", handler="read_scan", handler_s=4.75))
+    supervisor.receive(heartbeat("stranger", handler="work", handler_s=100.0))
+    world.now_s += 7.5
+    supervisor.kill_hung()
+    assert world.steps == []
+
+
+def test_child_whose_process_is_silent_is_killed(world: World) -> None:
+    supervisor = world.supervisor("base", replay=ChildSpec(plugin="test", placement="in_process"))
+    supervisor.start_all()
+    world.take_steps()
+    supervisor.receive(heartbeat("base", handler="drive"))
+    supervisor.receive(heartbeat("replay"))
+    world.now_s += 8.25
+    supervisor.kill_hung()
+    assert world.steps == ["kill base"]
+    assert_words(supervisor.status()[0].reason, "hung", "8.2 s", "drive", "killed")
 
 
 def test_restarted_child_that_fails_to_configure_is_ended_and_tried_again(world: World) -> None:
@@ -126,7 +157,7 @@ def test_restarted_child_that_fails_to_configure_is_ended_and_tried_again(world:
     world.children["base"].end = CRASH
     supervisor.reconcile()
     assert world.steps == [*("launch base", "configure base", "terminate base"), *START_BASE]
-    assert ("start_failed", "no device /dev/ttyUSB0") in world.events_of("base")
+    assert "ERROR child start failed: base: no device /dev/ttyUSB0" in world.log.lines
     assert supervisor.status()[0].incarnation == 3
 
 
@@ -157,7 +188,7 @@ def test_start_that_does_not_end_in_time_is_a_failed_start(world: World) -> None
     world.script("base", {"launch": takes(8.0), "configure": does_not_answer})
     supervisor = world.supervisor(base=ChildSpec(plugin="test", start_timeout_s=20.0))
     supervisor.start_all()
-    assert ("start_failed", "base did not answer within 12 s") in world.events_of("base")
+    assert "ERROR child start failed: base: base did not answer within 12 s" in world.log.lines
     assert supervisor.status()[0].state == "active"
 
 
@@ -165,7 +196,7 @@ def test_child_that_dies_while_starting_is_restarted(world: World) -> None:
     world.script("base", {"activate": dies("killed by SIGABRT (signal 6)")})
     supervisor = world.supervisor("base")
     supervisor.start_all()
-    assert ("start_failed", "base killed by SIGABRT (signal 6)") in world.events_of("base")
+    assert "ERROR child start failed: base: base killed by SIGABRT (signal 6)" in world.log.lines
     assert supervisor.status()[0].incarnation == 2
 
 
@@ -196,8 +227,6 @@ def test_too_many_restarts_stop_all_and_escalate(world: World) -> None:
     with pytest.raises(Escalate, match=words_in_order("2 restarts", "10 s", "scanner", "killed")):
         supervisor.reconcile()
     assert world.running() == []
-    assert world.events[-1].kind == "given_up"
-    assert world.events[-1].child == "mobile_supervisor"
 
 
 def test_all_children_are_stopped_even_if_one_fails_to_stop(world: World) -> None:
@@ -207,7 +236,11 @@ def test_all_children_are_stopped_even_if_one_fails_to_stop(world: World) -> Non
     world.take_steps()
     supervisor.stop_all()
     assert world.steps == STOP_SCANNER + STOP_BASE
-    assert ("stop_failed", "motor does not stop") in world.events_of("scanner")
+    assert "WARNING child stop failed: scanner: motor does not stop" in world.log.lines
+    with pytest.raises(CairnError, match=r"not all .* stopped cleanly: scanner: motor does not"):
+        supervisor.check_stops()
+    supervisor.stop_all()
+    supervisor.check_stops()
 
 
 def test_child_that_does_not_stop_is_terminated_and_then_killed(world: World) -> None:
@@ -228,7 +261,7 @@ def test_child_that_cannot_be_killed_does_not_keep_the_others_from_stopping(worl
     supervisor.start_all()
     supervisor.stop_all()
     assert world.running() == ["scanner"]
-    assert ("stop_failed", "did not end even when killed") in world.events_of("scanner")
+    assert "WARNING child stop failed: scanner: did not end even when killed" in world.log.lines
 
 
 def test_child_that_cannot_be_killed_escalates_instead_of_running_twice(
@@ -237,7 +270,8 @@ def test_child_that_cannot_be_killed_escalates_instead_of_running_twice(
     world.script("scanner", {"kill": fails("it is placed in its supervisor's process")})
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
-    supervisor.kill_hung("scanner", 1, "read_scan", 6.0)
+    supervisor.receive(heartbeat("scanner", handler="read_scan", handler_s=6.0))
+    supervisor.kill_hung()
     with pytest.raises(Escalate, match=words_in_order("scanner", "killed")):
         supervisor.reconcile()
     assert world.running() == ["scanner"]
@@ -250,11 +284,11 @@ def test_child_that_cannot_be_killed_escalates_instead_of_running_twice(
 
 def test_lost_launcher_is_reported_and_counts_as_no_restart(world: World) -> None:
     def is_lost(child: ScriptedChild, timeout_s: float) -> None:
-        raise LauncherLost("zygote lost")
+        raise ZygoteLost("zygote lost")
 
     world.script("scanner", {"launch": is_lost})
     supervisor = world.supervisor_with(Supervision(max_restarts=0, within_s=1.0), "base", "scanner")
-    with pytest.raises(LauncherLost, match="zygote lost"):
+    with pytest.raises(ZygoteLost, match="zygote lost"):
         supervisor.start_all()
     supervisor.stop_all()
     assert world.running() == []

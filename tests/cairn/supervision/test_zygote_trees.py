@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from cairn import CairnError
-from cairn.supervision.zygote_client import ZygoteLost
-from cairn.supervision.zygote_process import ZygoteProcess, start_zygote
+from cairn.supervision.child import ZygoteLost
+from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
 
 from . import zygote_children
@@ -52,7 +52,7 @@ def test_closing_a_connection_ends_its_processes_and_no_others(
     first.client.close()
     driver.await_end()
     helper.await_end()
-    assert first.exits.get_nowait().signal == signal.SIGKILL
+    assert first.exits.get_nowait().code == -signal.SIGKILL
     assert first.losses.empty()
     with pytest.raises(CairnError, match="is closed"):
         first.spawn("run_until_killed")
@@ -85,7 +85,7 @@ def test_root_killed_during_the_imports_leaves_no_process(tree: Tree, tmp_path: 
     program = (
         f"import sys; sys.path[:] = {[str(tmp_path), *sys.path]!r}\n"
         "from pathlib import Path\n"
-        "from cairn.supervision.zygote_process import start_zygote\n"
+        "from cairn.supervision.zygote_client import start_zygote\n"
         f"zygote = start_zygote(['imports_slowly'], Path({str(tmp_path / 'run')!r}))\n"
         "sys.stdin.read()\n"
     )
@@ -102,18 +102,18 @@ def test_root_killed_during_the_imports_leaves_no_process(tree: Tree, tmp_path: 
 def test_all_processes_end_with_a_killed_zygote(
     owner: Owner, zygote: ZygoteProcess, tree: Tree, tmp_path: Path, fresh: bool
 ) -> None:
-    owner.spawn_reporting("keep_helper", how="same group")
-    owner.spawn_reporting("own", "middle", leaf_fresh=fresh)
+    driver = owner.spawn_reporting("keep_helper", how="same group")
+    middle = owner.spawn_reporting("own", "middle", leaf_fresh=fresh)
     leaf = owner.reports.of("leaf")
     owner.reports.of("leaf's helper")
-    os.kill(zygote.pid, signal.SIGKILL)
+    os.kill(zygote.process.pid, signal.SIGKILL)
     leaf.await_end()
     assert "zygote lost: " in str(owner.losses.get(timeout=LIMIT_S))
-    assert {owner.exits.get_nowait().name, owner.exits.get_nowait().name} == {"driver", "middle"}
+    assert {owner.exits.get_nowait().pid, owner.exits.get_nowait().pid} == {driver.pid, middle.pid}
     with pytest.raises(ZygoteLost):
         owner.spawn("run_until_killed")
     zygote.close()
-    assert not zygote.alive
+    assert zygote.process.poll() is not None
     tree.await_end()
     another = start_zygote([CHILDREN], tmp_path / "run")
     renewed = Owner(another, owner.reports, owner.log)
@@ -127,7 +127,7 @@ def test_sigterm_to_the_zygote_leaves_no_process(
 ) -> None:
     owner.spawn_reporting("keep_helper", how="daemon")
     owner.reports.of("driver's helper")
-    os.kill(zygote.pid, signal.SIGTERM)
+    os.kill(zygote.process.pid, signal.SIGTERM)
     tree.await_end()
 
 
@@ -144,7 +144,7 @@ def test_ending_the_zygote_leaves_no_process(
 def test_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
     owner: Owner, zygote: ZygoteProcess
 ) -> None:
-    os.kill(zygote.pid, signal.SIGSTOP)
+    os.kill(zygote.process.pid, signal.SIGSTOP)
     with pytest.raises(CairnError, match=r"did not start driver within 0\.05 s"):
         owner.client.spawn(
             "driver",
@@ -153,6 +153,6 @@ def test_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
             owner.log,
             timeout_s=0.05,
         )
-    os.kill(zygote.pid, signal.SIGCONT)
+    os.kill(zygote.process.pid, signal.SIGCONT)
     owner.spawn("write_output", text="").wait(LIMIT_S)
     # The late one may be killed before it could report: the fixture `tree` sees that it is gone.

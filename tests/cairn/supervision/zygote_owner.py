@@ -4,9 +4,9 @@ import queue
 from pathlib import Path
 from typing import Any
 
-from cairn.supervision.zygote_client import ChildProcess, ZygoteClient, ZygoteLost
-from cairn.supervision.zygote_process import ZygoteProcess
-from cairn.supervision.zygote_protocol import Exited
+from cairn.supervision.child import ZygoteLost
+from cairn.supervision.zygote import Exited
+from cairn.supervision.zygote_client import ChildProcess, ZygoteClient, ZygoteProcess
 
 from . import zygote_children
 from .reports import Report, Reports
