@@ -14,6 +14,9 @@ def pytest_configure() -> None:
     With PYTHONDONTWRITEBYTECODE each of hundreds of processes would compile all modules again.
     """
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    # Threads of NumPy and OpenCV in several workers would wait for each other's cores.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
     # A busy machine makes no example wrong; half the default number finds as much, and the whole
     # suite is run often.
     settings.register_profile("cairn", deadline=None, max_examples=50)
@@ -23,6 +26,9 @@ def pytest_configure() -> None:
 _REAL = {"launch", "deploy", "bench", "network"}
 """Fixtures that start real processes, or open real Zenoh sessions."""
 
+_LONG = ("processes", "images", "slow")
+"""Marks of tests that may take seconds."""
+
 
 @pytest.hookimpl(tryfirst=True)  # before the plugins that read marks and groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -30,14 +36,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     The tests of a file share what they launch, so one worker runs all tests of a file. Those of a
     group of their own, such as robots that drive in real time, never run side by side, and run
-    first: such a group takes long, and at the end all other workers would wait for it.
+    first: such a group takes long, and at the end all other workers would wait for it. Files whose
+    tests are quick run last, so that no worker begins a long one at the end.
     """
     for item in items:
         if isinstance(item, pytest.Function) and _REAL.intersection(item.fixturenames):
             item.add_marker(pytest.mark.processes)
     if not config.pluginmanager.hasplugin("xdist"):
         return
-    items.sort(key=lambda item: item.get_closest_marker("xdist_group") is None)
+    long = {item.path for item in items if any(map(item.get_closest_marker, _LONG))}
+    items.sort(
+        key=lambda item: (item.get_closest_marker("xdist_group") is None, item.path not in long)
+    )
     for item in items:
         if item.get_closest_marker("xdist_group") is None:
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import signal
 import subprocess
@@ -47,10 +46,10 @@ class ObservedRobot:
             assert self._changed.wait_for(lambda: bool(self._truths), LIMIT_S), self.run
             return self._truths[-1][1]
 
-    def path(self, since: float = 0.0) -> list[Pose]:
-        """Return the robot's true poses since a time of `time.monotonic`."""
+    def path(self) -> list[Pose]:
+        """Return the robot's true poses so far."""
         with self._changed:
-            return [pose for at, pose in self._truths if at >= since]
+            return [pose for _, pose in self._truths]
 
     def go(self, *words: str) -> RunningGo:
         """Start `cairn go`, as from a terminal."""
@@ -64,15 +63,6 @@ class ObservedRobot:
         """Wait until the robot is `meters` away from its present position."""
         begin = self.pose
         self._await(lambda: distance(begin, self._truths[-1][1]) >= meters, "moves")
-
-    def await_near(self, goal: Pose, meters: float, since: float = math.inf) -> None:
-        """Wait until the robot is within `meters` of a goal, or has been since a time."""
-
-        def near() -> bool:
-            poses = [self._truths[-1][1], *self.path(since)]
-            return any(distance(goal, pose) <= meters for pose in poses)
-
-        self._await(near, f"comes within {meters:.2f} m of {goal}")
 
     def await_stand(self) -> None:
         """Wait until the robot has stood for 0.25 s."""

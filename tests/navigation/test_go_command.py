@@ -20,7 +20,9 @@ pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.proces
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
-    with robot_in(tmp_path_factory.mktemp("robot")) as robot:
+    """A robot that all tests share, in their sequence: the first one needs it without a goal."""
+    hangs = "components.mobile_supervisor.hang_timeout_s=2"
+    with robot_in(tmp_path_factory.mktemp("robot"), hangs) as robot:
         yield robot
 
 
@@ -29,51 +31,31 @@ def far_goal(robot: ObservedRobot) -> tuple[str, str]:
     return ("6.6", "1.8") if robot.pose[0] < 4.0 else ("1.4", "1.2")
 
 
-class TestFromStartToEnd:
-    """With a robot of its own that has had no goal before; in this sequence."""
+def test_locate_is_rejected_without_a_localizer(robot: ObservedRobot) -> None:
+    answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
 
-    @pytest.fixture(scope="class")
-    @classmethod
-    def robot(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
-        with robot_in(tmp_path_factory.mktemp("fresh")) as robot:
-            yield robot
+    assert answer.code == 1
+    assert answer.err.startswith(
+        "cairn: nothing subscribes to initialpose: the localizer is loaded with the first goal"
+    )
 
-    def test_locate_is_rejected_without_a_localizer(self, robot: ObservedRobot) -> None:
-        answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
 
-        assert answer.code == 1
-        assert answer.err.startswith(
-            "cairn: nothing subscribes to initialpose: the localizer is loaded with the first goal"
-        )
+def test_go_prints_each_step_and_exits_with_0(robot: ObservedRobot) -> None:
+    going = robot.go("2.0", "1.2", "10deg")
 
-    def test_go_prints_each_step_and_exits_with_0(self, robot: ObservedRobot) -> None:
-        going = robot.go("2.0", "1.2", "10deg")
+    assert going.await_end() == 0
 
-        assert going.await_end() == 0
-
-        printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
-        assert_words(printed[0], "mission N", "(N, N, N deg)", "Ctrl-C")
-        assert printed[1:5] == [
-            "N s  loading: map_builder",
-            "N s  loading: localizer",
-            "N s  loading: path_planner",
-            "N s  loading: motion_control",
-        ]
-        assert "N s  planning" in printed
-        assert "N s  driving: N m left, about N s" in printed
-        assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
-
-    def test_end_of_the_deployment_is_reported(self, robot: ObservedRobot) -> None:
-        going = robot.go(*far_goal(robot))
-        going.await_output("mission ")
-
-        robot.run.stop()
-
-        assert going.await_end() == 1
-        assert re.fullmatch(
-            r"cairn: mission \d+: the deployment has ended, and with it the goal\n",
-            going.lines[-1],
-        ), going
+    printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
+    assert_words(printed[0], "mission N", "(N, N, N deg)", "Ctrl-C")
+    assert printed[1:5] == [
+        "N s  loading: map_builder",
+        "N s  loading: localizer",
+        "N s  loading: path_planner",
+        "N s  loading: motion_control",
+    ]
+    assert "N s  planning" in printed
+    assert "N s  driving: N m left, about N s" in printed
+    assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
 
 
 def test_locate_sets_the_pose(robot: ObservedRobot) -> None:
@@ -222,3 +204,16 @@ def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> Non
 
     assert going.await_end() == 1
     assert_words(going.lines[-1], "lost", "supervisor was restarted")
+
+
+def test_end_of_the_deployment_is_reported(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goal(robot))
+    going.await_output("mission ")
+
+    robot.run.stop()
+
+    assert going.await_end() == 1
+    assert re.fullmatch(
+        r"cairn: mission \d+: the deployment has ended, and with it the goal\n",
+        going.lines[-1],
+    ), going

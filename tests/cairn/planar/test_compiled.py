@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -45,10 +46,13 @@ class Package:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "edited_package"
-        self.folder.mkdir()
         self.cache = self.folder / "__pycache__"
         self._environment = {**os.environ, "PYTHONPATH": str(folder)}
         self._environment.pop("NUMBA_CACHE_DIR", None)
+
+    def create(self) -> None:
+        """Write the modules."""
+        self.folder.mkdir()
         for name, text in (("limits", LIMITS), ("callee", CALLEE), ("caller", CALLER)):
             self.write(name, text)
 
@@ -70,24 +74,41 @@ class Package:
         return value, hits > 0
 
 
+@pytest.fixture(scope="module")
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> Package:
+    """A package that has run once, to be copied only: each run takes a second."""
+    package = Package(tmp_path_factory.mktemp("first"))
+    package.create()
+    assert package.run() == (21.0, False)
+    return package
+
+
 @pytest.fixture
-def package(tmp_path: Path) -> Package:
+def package(first_run: Package, tmp_path: Path) -> Package:
+    shutil.copytree(first_run.folder, tmp_path / first_run.folder.name)
     return Package(tmp_path)
 
 
 def test_edit_of_a_callee_in_another_file_takes_effect_in_the_next_process(
     package: Package,
 ) -> None:
-    assert package.run() == (21.0, False)
+    removed = [
+        package.cache / "caller.gone.cpython-311.1.nbc",
+        package.cache / "caller.b-1.py311.nbi",
+    ]
+    for file in removed:
+        file.touch()
 
     package.write("callee", CALLEE.replace("FACTOR * value", "FACTOR * value + 100.0"))
     assert package.run() == (121.0, False)
+
+    assert not any(file.exists() for file in removed), "code of removed kernels"
+    assert list(package.cache.glob("caller.caller.*.nbi"))
     package.write("limits", "FACTOR = 3.0\n")
     assert package.run() == (131.0, False)
 
 
 def test_unchanged_kernel_comes_from_the_cache_whatever_its_comments(package: Package) -> None:
-    package.run()
     files = sorted(path.name for path in package.cache.glob("*.nb?"))
 
     package.write("callee", "# A comment.\n" + CALLEE)
@@ -97,25 +118,11 @@ def test_unchanged_kernel_comes_from_the_cache_whatever_its_comments(package: Pa
     assert sorted(path.name for path in package.cache.glob("*.nb?")) == files
 
 
-def test_code_of_a_removed_kernel_leaves_the_cache(package: Package) -> None:
-    package.run()
-    orphans = [
-        package.cache / "caller.gone.cpython-311.1.nbc",
-        package.cache / "caller.b-1.py311.nbi",
-    ]
-    for orphan in orphans:
-        orphan.touch()
-
-    package.write("limits", "FACTOR = 3.0\n")
-    package.run()
-
-    assert not any(orphan.exists() for orphan in orphans)
-    assert list(package.cache.glob("caller.caller.*.nbi"))
-
-
 def test_cache_of_a_read_only_package_is_in_the_folder_that_the_environment_names(
-    package: Package, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
+    package = Package(tmp_path)
+    package.create()
     elsewhere = tmp_path / "elsewhere"
 
     assert package.run(NUMBA_CACHE_DIR=str(elsewhere)) == (21.0, False)

@@ -1,10 +1,14 @@
 """Tests of the checks of pictures before they are taught."""
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cairn.vision import teaching
 from cairn.vision.teaching import make_view, repeats, why_unrecognizable
+from tests.cairn.vision.extracted import CachedExtract
 from tests.cairn.vision.test_real_images import FILES, image_of
 from tests.cairn.visual_map.views import texture
 
@@ -12,6 +16,14 @@ pytestmark = pytest.mark.images
 
 
 REAL = [name for name in FILES if name != "chessboard"]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def extracted_once() -> Iterator[None]:
+    """Extract the features of each image once: that takes most of the time of these tests."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(teaching, "extract", CachedExtract())
+        yield
 
 
 def tiled(tile: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:

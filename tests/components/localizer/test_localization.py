@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -126,23 +127,21 @@ def test_single_gross_error_is_not_corroborated() -> None:
 
 
 def test_misrecognized_object_is_a_false_match() -> None:
+    run = Run(landmarks())
+    run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
     verdicts = []
-    for when in range(150, 300, 15):
-        run = Run(landmarks())
-        run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
-        moments = list(drive(62.0))
-        seen = {s.object_id for s in moments[when].observations}
-        if not seen:
-            continue
-        true = moments[when].observations[0]
-        other = next(i for i in range(1, 8) if i not in seen)
-        moments[when] = replace(moments[when], observations=[replace(true, object_id=other)])
 
-        run.through(moments)
-
-        (judgment,) = next(f for m, f in run.frames if m is moments[when]).evidence
-        assert judgment.similarity == 0.5
-        verdicts.append(judgment.verdict)
+    for number, moment in enumerate(drive(62.0)):
+        seen = {s.object_id for s in moment.observations}
+        if number in range(150, 300, 15) and seen:
+            other = next(i for i in range(1, 8) if i not in seen)
+            wrong = replace(moment.observations[0], object_id=other)
+            branch = deepcopy(run).through([replace(moment, observations=[wrong])])
+            (judgment,) = branch.frames[-1][1].evidence
+            assert judgment.observation.object_id == other
+            assert judgment.similarity == 0.5
+            verdicts.append(judgment.verdict)
+        run.through([moment])
 
     assert verdicts.count(ObjectEvidence.FALSE_MATCH) >= 5
     assert set(verdicts) <= {ObjectEvidence.FALSE_MATCH, ObjectEvidence.NOT_CONVERGED}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import shutil
 from collections.abc import Callable, Sequence
@@ -19,10 +18,10 @@ from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.testing.lockstep import ComponentHarness
 from cairn.vision import teaching
-from cairn.vision.features import Features, extract
 from cairn.vision.teaching import make_view
 from cairn.visual_map.object_models import add_views
 from cairn.visual_map.sqlite_file import create
+from tests.cairn.vision.extracted import CachedExtract
 from tests.components.object_recognizer.scenes import (
     SIZE,
     Thing,
@@ -75,21 +74,6 @@ class Robot:
         published = self.show(*pair(things, self._noise))
         assert published is not None
         return published
-
-
-class CachedExtract:
-    """Caches the features of images: most tests show the same few images."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[bytes, tuple[int, ...], int], Features] = {}
-
-    def __call__(self, gray: NDArray[np.uint8], most: int = 0) -> Features:
-        """Return the same as `vision.features.extract`, from the cache if the image is known."""
-        key = (hashlib.sha256(gray.tobytes()).digest(), gray.shape, most)
-        if key not in self._known:
-            self._known[key] = extract(gray, most)
-        features = self._known[key]
-        return features.at(np.arange(len(features)))  # a copy
 
 
 @pytest.fixture(scope="session")
