@@ -20,12 +20,12 @@ demo: $(VENV)/ready
 
 ## The tests without real processes, images and long runs: a minute and a half on two cores.
 quick: $(VENV)/tests
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
+	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder \
 	    -m "not processes and not images and not realtime and not slow"
 
 ## All tests.
 test: $(VENV)/tests
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "not realtime"
+	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime"
 	$(BIN)/pytest -m realtime
 
 ## The drivers on the kernel's own devices, in a virtual machine: cameras, USB and RS-232 lines whose

@@ -319,28 +319,16 @@ class MrclamDataset:
 
 def _read(path: Path, columns: tuple[_Column, ...]) -> tuple[Array, list[int]]:
     """Read the numbers of a file (rows, columns) and the line number of each row."""
-    rows: list[list[float]] = []
-    lines: list[int] = []
-    for line, text in text_lines(path):
-        fields = text.split("#", 1)[0].split()
-        if not fields:
-            continue
-        if len(fields) != len(columns):
-            found = f"{len(fields)} columns instead of {len(columns)}: {text.strip()[:60]!r}"
-            raise damaged_line(path, line, found)
-        try:
-            row = [float(field) for field in fields]
-        except ValueError:
-            raise damaged_line(path, line, f"not a number in {text.strip()[:60]!r}") from None
-        if not all(map(math.isfinite, row)):
-            raise damaged_line(path, line, f"not a finite number in {text.strip()[:60]!r}")
-        rows.append(row)
-        lines.append(line)
-    if not rows:
+    records = {line: text for line, text in text_lines(path) if text.split("#", 1)[0].strip()}
+    if not records:
         raise RecordingError(
             f"{path} holds no record. It is empty or cut off: take a fresh copy of the data set."
         )
-    table = np.array(rows)
+    lines = list(records)
+    table = _parse(list(records.values()))
+    if table is None or table.shape[1] != len(columns) or not np.isfinite(table).all():
+        # Line by line, which is slow, to find the damaged one.
+        table = np.array([_parse_line(path, line, records[line], columns) for line in lines])
     for column, values in zip(columns, table.T, strict=True):
         wrong = np.nonzero((values < column.low) | (values > column.high))[0]
         if wrong.size:
@@ -348,6 +336,28 @@ def _read(path: Path, columns: tuple[_Column, ...]) -> tuple[Array, list[int]]:
             limits = f"not from {column.low:g} to {column.high:g}"
             raise damaged_line(path, lines[int(wrong[0])], f"{found}, {limits}")
     return table, lines
+
+
+def _parse(records: list[str]) -> Array | None:
+    """Return the numbers of all lines at once, None if a line is damaged."""
+    try:
+        return np.loadtxt(records, ndmin=2)
+    except ValueError:
+        return None
+
+
+def _parse_line(path: Path, line: int, text: str, columns: tuple[_Column, ...]) -> list[float]:
+    fields = text.split("#", 1)[0].split()
+    if len(fields) != len(columns):
+        found = f"{len(fields)} columns instead of {len(columns)}: {text.strip()[:60]!r}"
+        raise damaged_line(path, line, found)
+    try:
+        row = [float(field) for field in fields]
+    except ValueError:
+        raise damaged_line(path, line, f"not a number in {text.strip()[:60]!r}") from None
+    if not all(map(math.isfinite, row)):
+        raise damaged_line(path, line, f"not a finite number in {text.strip()[:60]!r}")
+    return row
 
 
 def _whole(path: Path, line: int, value: float, meaning: str) -> int:

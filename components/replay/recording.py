@@ -186,11 +186,12 @@ def damaged_line(path: Path, line: int, fault: str) -> RecordingError:
     )
 
 
-def _open(path: Path) -> gzip.GzipFile | bz2.BZ2File | BufferedReader:
+def _open(path: Path) -> BufferedReader:
     with path.open("rb") as stream:
         magic = stream.read(3)
     if magic[:2] == b"\x1f\x8b":
-        return gzip.open(path, "rb")
+        # Their own iterators are written in Python, and slow.
+        return BufferedReader(gzip.open(path, "rb"))
     if magic == b"BZh":
-        return bz2.open(path, "rb")
+        return BufferedReader(bz2.open(path, "rb"))
     return path.open("rb")
