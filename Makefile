@@ -20,10 +20,10 @@ demo: $(VENV)/ready
 
 ## The tests without real processes, images and long runs: a minute and a half on two cores.
 quick: $(VENV)/tests
-	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder \
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
 	    -m "not processes and not images and not realtime and not slow"
 
-## All tests.
+## All tests. One worker more than cores: many tests wait for processes that they have started.
 test: $(VENV)/tests
 	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime"
 	$(BIN)/pytest -m realtime
