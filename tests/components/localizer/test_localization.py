@@ -138,7 +138,7 @@ def test_misrecognized_object_is_a_false_match() -> None:
             wrong = replace(moment.observations[0], object_id=other)
             branch = deepcopy(run).through([replace(moment, observations=[wrong])])
             (judgment,) = branch.frames[-1][1].evidence
-            assert judgment.observation.object_id == other
+            assert judgment.object_id == other
             assert judgment.similarity == 0.5
             verdicts.append(judgment.verdict)
         run.through([moment])
