@@ -47,7 +47,7 @@ class ObserverConfig(Config):
 
 
 class Observer(Component):
-    """Writes lines of JSON, [kind, stamp [s], ...]: see `docs/how-to/experiments.md`."""
+    """Writes a series: lines of JSON, each [kind, stamp [s], values ...]."""
 
     config: ObserverConfig
 
@@ -87,7 +87,15 @@ class Observer(Component):
 
 
 class WorldObserver(Observer):
-    """Records the ground truth of a run, and the observations of the object recognizer."""
+    """Records the ground truth of a run, and the observations of the object recognizer.
+
+    Lines of JSON, each [kind, stamp [s], values ...], in meters and radians:
+
+    - pose: x, y, heading
+    - objects: [[id, x, y], ...], true positions from then on
+    - observation: id, range, bearing
+    - collision: obstacle, x, y
+    """
 
     truth: In[PoseStamped] = In(qos=_LOSSLESS)
     true_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
@@ -124,7 +132,19 @@ class WorldObserver(Observer):
 
 
 class MethodObserver(Observer):
-    """Records the estimates of one localizer and the map of one map builder."""
+    """Records the estimates of one localizer and the map of one map builder.
+
+    Lines of JSON, each [kind, stamp [s], values ...], in meters and radians:
+
+    - pose: x, y, heading, and the stated variances xx, xy, yy, heading
+    - particles: variances of the particles: x, y, heading
+    - landmark: id, x, y, state (0 live, 1 relocating), reliability, from then on
+    - change: id, kind (as in cairn_msgs/VisualMapChange), old position, new position, reason
+    - evidence: id, similarity, verdict (as in cairn_msgs/ObjectEvidence), distance, x, y, range,
+      bearing, [robot's pose]
+    - relocalized: x, y, heading, and the time [s] until which the robot was certainly not lost
+      (0: unknown)
+    """
 
     localization: In[LocalizationEstimate] = In(qos=_LOSSLESS)
     visual_map: In[VisualMap] = In(qos=LATCHED.with_depth(100))
