@@ -24,7 +24,7 @@ ENTRY = "cairn.placement.component_process:main"
 """What every component's process runs."""
 TRACEBACK_SIGNAL = signal.SIGUSR1
 """A component's process that receives it logs the stacks of all of its threads."""
-_TRACEBACK_LIMIT_S = 0.2
+_TRACEBACK_LIMIT_S = 0.3  # for the zygote to send that signal, and the process to log
 _KILL_LIMIT_S = 5.0
 _EXIT_AFTER_ERROR_S = 0.2  # a component that refuses a request ends soon after
 _LEAVING_LIMIT_S = 5.0  # between leaving the bus and the end of the process, in either order
@@ -70,15 +70,15 @@ class ProcessHandle:
             process.on_exit(lambda _: on_exit())
             if watcher.wait(timeout_s):
                 return
-        report = self.wait(0)
-        if report is None:
+        exited = process.wait(0)
+        if exited is None:
             process.kill()
-            self.wait(_KILL_LIMIT_S)
+            process.wait(_KILL_LIMIT_S)
             raise ChildUnavailable(
                 f"it did not join the bus within {timeout_s:g} s; log: {self._log.file}"
             )
-        was_killed = process.exited is not None and process.exited.code < 0
-        raise ChildUnavailable(report.reason) if was_killed else CairnError(report.reason)
+        reason = self._log.report(exited.pid, exited.code).reason
+        raise ChildUnavailable(reason) if exited.code < 0 else CairnError(reason)
 
     def request(self, verb: Verb, timeout_s: float) -> None:
         """Have it make a transition; see `ChildHandle`. `cancel_start` cuts a start short."""

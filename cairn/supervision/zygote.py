@@ -115,22 +115,6 @@ def encode(message: Spawn | Signal | Answer | Exited) -> bytes:
     return json.dumps(asdict(message)).encode() + b"\n"  # keeps NaN, unlike pydantic
 
 
-class LineSplitter:
-    """Splits a stream of bytes into lines."""
-
-    def __init__(self) -> None:
-        self._rest = bytearray()
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Return the lines completed by these bytes; `ValueError` if one is too long."""
-        self._rest += data
-        *lines, rest = self._rest.split(b"\n")
-        if len(rest) > _LONGEST_LINE:
-            raise ValueError(f"a line exceeds {_LONGEST_LINE} bytes")
-        self._rest = rest
-        return [bytes(line) for line in lines]
-
-
 def main() -> None:
     """Serve until the process that started the zygote ends; in a forked child, run its entry.
 
@@ -269,10 +253,10 @@ class Zygote:
         every = signal.valid_signals()
         unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, every)  # until the child is ready
         try:
-            for module in request.needs:
-                if module in self._import_failures:
-                    self._refuse(connection, request, module, log)
-                    return
+            missing = next((one for one in request.needs if one in self._import_failures), None)
+            if missing is not None:
+                self._refuse(connection, request, missing, log)
+                return
             pid = os.fork()
             if pid == 0:
                 self._become_child(request, log)
@@ -392,11 +376,14 @@ class ClientConnection:
         self.socket = client
         self.pid = pid
         self.gone = False  # sends no more requests; its processes are being killed
-        self._lines = LineSplitter()
+        self._received = b""  # the beginning of a line
         client.setblocking(False)
 
     def receive(self) -> list[bytes]:
-        """Return the lines that have arrived; set `gone` at the end. Raises `ValueError`."""
+        """Return the lines that are complete now; set `gone` at the end.
+
+        Raises `ValueError` if a line is too long.
+        """
         try:
             data = self.socket.recv(1 << 16)
         except BlockingIOError:
@@ -405,7 +392,10 @@ class ClientConnection:
             data = b""
         if not data:
             self.gone = True
-        return self._lines.feed(data)
+        *lines, self._received = (self._received + data).split(b"\n")
+        if len(self._received) > _LONGEST_LINE:
+            raise ValueError(f"a line exceeds {_LONGEST_LINE} bytes")
+        return lines
 
     def send(self, answer: Answer | Exited) -> None:
         """Send an answer; disconnect a client that has not read hundreds of them: it hangs."""

@@ -31,7 +31,6 @@ from cairn.supervision.zygote import (
     BOOTSTRAP,
     Answer,
     Exited,
-    LineSplitter,
     Signal,
     Spawn,
     encode,
@@ -148,11 +147,6 @@ class ChildProcess:
         """How it ended; set on the client's thread."""
         self._send = send
 
-    @property
-    def exited(self) -> Exited | None:
-        """How it ended, None while it runs."""
-        return self.wait(0)
-
     def wait(self, timeout_s: float) -> Exited | None:
         """Wait for its end and that of its process group; None if it still runs then."""
         with contextlib.suppress(TimeoutError):
@@ -233,9 +227,9 @@ class ZygoteClient:
         with a traceback in the log when it raises. With `fresh` it gets a new interpreter instead
         of a fork of the zygote; otherwise the zygote must have imported the modules in `needs`.
 
-        Raises `CairnError` with the reason or at the time limit, or `ZygoteLost`; if
-        the process is started after that, it is killed. Raises `TypeError` or `ValueError` for
-        arguments of wrong form.
+        Raises `ZygoteLost`, or `CairnError` with the reason or at the time limit; if the process is
+        started after that, it is killed. Raises `TypeError` or `ValueError` for arguments of wrong
+        form.
         """
         number = next(self._numbers)
         log = os.fspath(log_file)
@@ -281,11 +275,10 @@ class ZygoteClient:
                 self._socket.shutdown(socket.SHUT_RDWR)
 
     def _read(self) -> None:
-        lines = LineSplitter()
         reason = "it has closed the connection"
         try:
-            while data := self._socket.recv(1 << 16):
-                for line in lines.feed(data):
+            with self._socket.makefile("rb") as lines:
+                for line in lines:
                     message = ANSWER.validate_json(line)
                     if isinstance(message, Exited):
                         self._on_exited(message)

@@ -52,7 +52,7 @@ def test_process_that_returns_ends_normally_with_its_output_logged(
 ) -> None:
     child = owner.spawn("write_output", text="hello", fresh=fresh)
     ended = child.wait(LIMIT_S)
-    assert ended == owner.exits.get(timeout=LIMIT_S) == child.exited
+    assert ended == owner.exits.get(timeout=LIMIT_S) == child.wait(0)
     assert ended == Exited(child.pid, 0)
     assert sorted(owner.log.read_text().splitlines()) == ["stderr hello", "stdout hello"]
 
