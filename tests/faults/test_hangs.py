@@ -61,7 +61,7 @@ def test_machine_pause_does_not_trigger_hang_detection(launch: Launching) -> Non
       listener: {plugin: test_listener, hang_timeout_s: 0.5}
     """
     )
-    received = run.await_line("heard 10,")
+    received = run.await_line("received 10,")
     processes = sorted(run.pids())
 
     for pid in processes:
@@ -71,10 +71,10 @@ def test_machine_pause_does_not_trigger_hang_detection(launch: Launching) -> Non
         os.kill(pid, signal.SIGCONT)
 
     resumed = len(run.lines)
-    run.await_line("heard", after=resumed)
-    run.await_line("heard", after=resumed + 1)
+    run.await_line("received", after=resumed)
+    run.await_line("received", after=resumed + 1)
     assert sorted(run.pids()) == processes
-    assert not [line for line in run.lines[received:] if "heard" not in line], run
+    assert not [line for line in run.lines[received:] if "received" not in line], run
     assert run.stop() == 0
 
 

@@ -14,7 +14,7 @@ def test_component_that_fails_is_restarted_as_often_as_virtual_time_allows(
         """
     components:
       talker: {plugin: test_talker, parameters: {words: 790}, restart: transient, significant: true}
-      sentry: {plugin: test_sentry, parameters: {hears: 100}}
+      sentry: {plugin: test_sentry, parameters: {fail_after: 100}}
     """,
         "--lockstep",
     )
@@ -22,11 +22,11 @@ def test_component_that_fails_is_restarted_as_often_as_virtual_time_allows(
     assert run.await_end() == 0
 
     failed = run.await_line(
-        "00:00:05.000 WARNING robot.root: child failed: sentry: hear .*: ValueError"
+        "00:00:05.000 WARNING robot.root: child failed: sentry: receive .*: ValueError"
     )
     run.await_line("00:00:05.000 INFO    robot.root: child active: sentry", after=failed)
     assert sum("WARNING robot.root: child failed: sentry" in line for line in run.lines) == 7
-    run.await_line("^ended.*: talker has finished: all said")
+    run.await_line("^ended.*: talker has finished: all words sent")
 
 
 def test_too_many_restarts_end_the_run_with_the_reason(launch: Launching) -> None:
@@ -35,7 +35,7 @@ def test_too_many_restarts_end_the_run_with_the_reason(launch: Launching) -> Non
     supervision: {max_restarts: 1}
     components:
       talker: {plugin: test_talker}
-      sentry: {plugin: test_sentry, parameters: {hears: 3}}
+      sentry: {plugin: test_sentry, parameters: {fail_after: 3}}
     """,
         "--lockstep",
     )
@@ -45,5 +45,5 @@ def test_too_many_restarts_end_the_run_with_the_reason(launch: Launching) -> Non
     run.await_line("robot.root: child stopped: talker: shut down")
     run.await_line(
         "cairn: deployment0.yaml failed: .*: given up after more than 1 restarts within 10 s; "
-        r"last, sentry: hear \(port words\): ValueError: heard 3; logs: "
+        r"last, sentry: receive \(port words\): ValueError: received 3; logs: "
     )

@@ -85,7 +85,7 @@ def test_transient_component_that_has_finished_is_not_restarted(
       beacon: {plugin: test_beacon}
     """
     )
-    run.await_line("INFO    robot.root: child ended: talker: all said")
+    run.await_line("INFO    robot.root: child ended: talker: all words sent")
     run.await_line("child active: beacon")
     assert run.stop() == 0
     assert sum("child active: talker" in line for line in run.lines) == 1
@@ -112,7 +112,9 @@ def test_normal_end_of_a_significant_component_ends_the_deployment_normally(
     assert run.await_end() == 0
 
     run.await_line("child stopped: beacon: shut down")
-    run.await_line("^ended.*: mobile has finished: talker has finished: all said; logs and report")
+    run.await_line(
+        "^ended.*: mobile has finished: talker has finished: all words sent; logs and report"
+    )
     assert not any("WARNING" in line for line in run.lines)
 
 

@@ -35,13 +35,13 @@ def test_occupied_tcp_port_is_reported_with_remedies(launch: Launching) -> None:
         f"cairn: cannot listen on {first.endpoint}: the port is probably in use by another "
         r"deployment or a ROS 2 router; stop that one, join it \(`--set bus.connect=\[...\]`\)"
     )
-    first.await_line("listener: heard 10")
+    first.await_line("listener: received 10")
     assert first.stop() == 0
 
 
 def test_another_message_type_on_a_topic_is_reported_to_both_components(launch: Launching) -> None:
     run = launch(TALK)
-    run.await_line("listener: heard 1")
+    run.await_line("listener: received 1")
     bus = ZenohBus(open_peer([run.endpoint]))
     try:
         reported: list[str] = []
@@ -56,7 +56,7 @@ def test_another_message_type_on_a_topic_is_reported_to_both_components(launch: 
     finally:
         bus.close()
     seen = len(run.lines)
-    run.await_line("listener: heard", after=seen)
+    run.await_line("listener: received", after=seen)
     assert run.stop() == 0
 
 
@@ -83,7 +83,7 @@ def test_invalid_messages_of_a_foreign_node_are_rejected_and_counted(launch: Lau
     refused = r"ERROR   robot.listener: port words: rejected invalid message on /robot/words"
     run.await_line(refused + r" \(1 so far\): .*linear.x = nan: must be a finite number")
     run.await_line(refused + r" \(2 so far\): .*20 bytes are not CDR")
-    run.await_line("listener: heard 1, the last was 42")
+    run.await_line("listener: received 1, the last was 42")
     listener = await_status("/robot/listener", lambda row: row["invalid"] == 2, run.endpoint)
     assert (listener["received"], listener["restarts"]) == (1, 0)
     assert run.stop() == 0

@@ -27,7 +27,7 @@ def test_full_disk_for_logs_is_reported_once_and_the_robot_keeps_running(launch:
 
     assert run.await_end() == 0
 
-    run.await_line("listener: heard 50")
+    run.await_line("listener: received 50")
     run.await_line("^ended.*: talker has finished")
     warnings = [line for line in run.lines if "root.log cannot be written: File too large" in line]
     assert len(warnings) == 1

@@ -28,7 +28,7 @@ def rover(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
     with launching(tmp_path_factory.mktemp("rover")) as launch:
         run = launch(ROVER, robot="rover")
         run.await_line("child active: talker")
-        run.await_line("heard 1,")
+        run.await_line("received 1,")
         yield run
         assert run.stop() == 0
 

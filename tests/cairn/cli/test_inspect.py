@@ -113,7 +113,7 @@ def test_logs_prints_the_last_messages(command: Command) -> None:
 
     assert "INFO    rover.root: child active: talker\n" in everything
     assert json.loads(one[0])["name"] == "rover.listener"
-    assert json.loads(one[0])["message"] == "heard 1, the last was 1"
+    assert json.loads(one[0])["message"] == "received 1, the last was 1"
 
 
 def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: Run) -> None:
@@ -143,9 +143,9 @@ def test_logs_follow_continues_until_ctrl_c(rover: Run) -> None:
         assert follower.stdout is not None
         assert follower.stderr is not None
         seen = len(rover.lines)
-        now = rover.lines[rover.await_line("heard", after=seen) - 1]
+        now = rover.lines[rover.await_line("received", after=seen) - 1]
         for line in follower.stdout:
-            if line > now and "heard" in line:
+            if line > now and "received" in line:
                 break
         follower.send_signal(2)
         assert follower.wait(LIMIT_S) == 130

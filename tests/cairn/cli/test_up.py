@@ -37,14 +37,14 @@ def test_up_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) 
     for event in (
         "child active: listener",
         "child active: talker",
-        "child ended: talker: all said",
+        "child ended: talker: all words sent",
         "child stopped: listener: shut down",
-        "^ended.*: talker has finished: all said",
+        "^ended.*: talker has finished: all words sent",
     ):
         seen = run.await_line(event, after=seen)
     assert seen == len(run.lines) - 1
-    run.await_line("heard 20")  # lines of different processes come in no certain order
-    assert "heard 20, the last was 20" in run.log_of("listener")
+    run.await_line("received 20")  # lines of different processes come in no certain order
+    assert "received 20, the last was 20" in run.log_of("listener")
     assert "child active: talker" in run.log_of("root")
 
 
@@ -92,8 +92,8 @@ def test_lockstep_with_the_same_seed_prints_the_same(launch: Launching) -> None:
 
     first, second = (run.lines[1:-2] for run in runs)
     assert first == second
-    assert any("listener: heard 20, the last was 20" in line for line in first)
-    assert "child ended: talker: all said" in runs[0].log_of("lockstep")
+    assert any("listener: received 20, the last was 20" in line for line in first)
+    assert "child ended: talker: all words sent" in runs[0].log_of("lockstep")
 
 
 def test_lockstep_stops_on_ctrl_c(launch: Launching) -> None:
@@ -165,7 +165,7 @@ def test_up_shows_a_live_table_on_a_terminal(launch: Launching, tmp_path: Path) 
         assert process.wait(LIMIT_S) == 0
     assert re.search(r"component +state +handler", shown)
     assert "finalized" in shown
-    assert "talker has finished: all said" in shown
+    assert "talker has finished: all words sent" in shown
 
 
 def everything_from(screen: int) -> str:

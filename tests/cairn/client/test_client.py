@@ -27,7 +27,7 @@ COMPONENTS = """
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
     with launching(tmp_path_factory.mktemp("rover")) as launch:
         run = launch(COMPONENTS, robot="rover")
-        run.await_line("heard 1,")
+        run.await_line("received 1,")
         yield run
         assert run.stop() == 0
 

@@ -21,15 +21,15 @@ class Talker(Component):
 
     def on_activate(self) -> None:
         """Start at 1."""
-        self._said = 0
+        self._sent = 0
 
     @every(hz=20)
     def talk(self) -> None:
         """Publish the next number."""
-        self._said += 1
-        self.words.publish(Twist(linear=Vector3(x=float(self._said))))
-        if self._said == self.config.words:
-            self.finish("all said")
+        self._sent += 1
+        self.words.publish(Twist(linear=Vector3(x=float(self._sent))))
+        if self._sent == self.config.words:
+            self.finish("all words sent")
 
     def on_parameters(self, new: Config) -> None:
         """Reject a volume above 10."""
@@ -44,20 +44,20 @@ class Listener(Component):
 
     def on_activate(self) -> None:
         """Reset the count."""
-        self._heard = 0
+        self._received = 0
 
     @on("words")
-    def hear(self, word: Twist) -> None:
+    def receive(self, word: Twist) -> None:
         """Count the words."""
-        self._heard += 1
-        if self._heard == 1 or self._heard % 10 == 0:
-            self.log.info("heard %d, the last was %g", self._heard, word.linear.x)
+        self._received += 1
+        if self._received == 1 or self._received % 10 == 0:
+            self.log.info("received %d, the last was %g", self._received, word.linear.x)
 
 
 class SentryConfig(Config):
     """When it fails."""
 
-    hears: int = Field(3, ge=1, description="Fails after receiving this many words [1].")
+    fail_after: int = Field(3, ge=1, description="Fails after receiving this many words [1].")
 
 
 class Sentry(Component):
@@ -68,11 +68,11 @@ class Sentry(Component):
 
     def on_activate(self) -> None:
         """Reset the count."""
-        self._heard = 0
+        self._received = 0
 
     @on("words")
-    def hear(self, word: Twist) -> None:
+    def receive(self, word: Twist) -> None:
         """Count the words; fail at the limit."""
-        self._heard += 1
-        if self._heard == self.config.hears:
-            raise ValueError(f"heard {self._heard}")
+        self._received += 1
+        if self._received == self.config.fail_after:
+            raise ValueError(f"received {self._received}")
