@@ -8,7 +8,7 @@ Drivers have the same files, as far as they need them:
 - `client.py`: requests and replies over a line
 - `sensor.py` (`base.py`, `camera.py`): the connected device, and the loop on the device thread
 - `messages.py`: values of the protocol as messages
-- `stamping.py`: when something was measured
+- `stamping.py` (`frames.py`): when something was measured
 - `health.py`: what diagnostics report
 - `emulator.py`, `emulator_*.py`: the emulated device
 - `emulator_cli.py`: `cairn emulate NAME`
