@@ -17,7 +17,9 @@ Array = NDArray[np.float64]
 # compared. Benchmark `localization_logs` measures how often the truth lies within the covariance
 # that results (docs/benchmarks.md).
 
-# Weights of the newest scan in the running means: means over 20 scans.
+# Weights of the newest scan in the running means: means over 20 scans. Truth within 1 sigma on
+# fr101, fr079: 71, 83 %; with half and double the first one 68, 83 % and 73, 84 %, with half and
+# double the second one 66, 83 % and 72, 83 %.
 _NEWEST_STEP, _NEWEST_FIT = 0.05, 0.05
 # Added to actual and expected corrections, so that tiny ones have no effect [m^2], [rad^2].
 _LITTLE_M2, _LITTLE_RAD2 = 1e-6, 1e-7

@@ -48,7 +48,8 @@ _DOUBTFUL_EVERY_S, _UNCONFIRMED_EVERY_S, _LOST_EVERY_S, _UNKNOWN_EVERY_S = 3.0, 
 # For so long [s] a search that found the robot at its current position supports that position:
 # until the next one in doubt.
 _FOUND_HERE_S = 3.0
-# From this share of the posterior on, a search result is unambiguous.
+# From this share of the posterior on, a search result is unambiguous. With half of it as many of
+# the robots on fr101 and fr079 are located (20 and 19 of 20, benchmark `localization_logs`).
 _UNAMBIGUOUS = 0.9
 # Without scans, a robot waits so long [s] for a second object before it believes a result by one
 # object; or for the particles around the only object to narrow to this spread [m].
