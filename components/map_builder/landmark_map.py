@@ -221,5 +221,9 @@ def _working_file(map_file: Path, working_copy: Path | None, now_ns: int) -> Pat
     return working_copy
 
 
+# A smaller difference of positions [m] is not a change that readers of the map need.
+_SAME_M = 0.01
+
+
 def _differ(a: MapPosition | None, b: MapPosition | None) -> bool:
-    return a is not b and (a is None or b is None or a.distance(b) > 0.01)
+    return a is not b and (a is None or b is None or a.distance(b) > _SAME_M)

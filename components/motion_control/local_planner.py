@@ -264,6 +264,7 @@ class LocalPlanner:
         apart = np.maximum(1e-9, targets[:, 0] ** 2 + targets[:, 1] ** 2)
         curvatures = np.clip(2.0 * targets[:, 1] / apart, -_SHARPEST, _SHARPEST)
         halves = np.arctan2(targets[:, 1], targets[:, 0])
+        # An arc to a point behind the robot is not used; its length only has to be finite.
         lengths = np.sqrt(apart) / np.maximum(0.1, np.sinc(halves / math.pi))
         self._check(points, curvatures, lengths)
         best = None

@@ -10,6 +10,20 @@ import numpy as np
 from cairn.components.motion_control.collision_checks import check_arcs
 from cairn.components.motion_control.scan_memory import NearbyObstacles
 
+# Where no other reason is given, these constants were chosen by hand; half and double were not
+# compared.
+
+# In a curve the robot uses this share of its turn rate [1]; the rest corrects its heading.
+_TURN_SHARE = 0.9
+# A turn on the spot is at least so fast [rad/s], or as the angle to go per second: slower ones
+# stall.
+_LEAST_TURN = 0.1
+# In planned motions an obstacle keeps at least this distance [m] to the robot, or this share of the
+# margin if that is less: the noise of a scan must not count as a contact.
+_CONTACT_M, _CONTACT_SHARE = 0.01, 0.4
+# Curvatures [1/m], angles [rad] and speeds [m/s] below these count as zero.
+_STRAIGHT, _NO_ANGLE, _NO_SPEED = 1e-6, 1e-3, 1e-3
+
 
 @dataclass(frozen=True)
 class MotionLimits:
@@ -47,18 +61,18 @@ class MotionLimits:
     def speed_in(self, curvature: float) -> float:
         """Return the speed [m/s] at which the robot can follow a curvature [1/m]."""
         bend = abs(curvature)
-        if bend < 1e-6:
+        if bend < _STRAIGHT:
             return self.speed
         sideways = math.sqrt(self.acceleration / bend)
-        return min(self.speed, sideways, 0.9 * self.turn_speed / bend)
+        return min(self.speed, sideways, _TURN_SHARE * self.turn_speed / bend)
 
     def turn_rate_for(self, angle: float) -> float:
         """Return the turn rate [rad/s] on the spot with that angle [rad] to go."""
         size = abs(angle)
-        if size < 1e-3:
+        if size < _NO_ANGLE:
             return 0.0
         turn = _stopping(size, self.turn_braking, self.latency)
-        return math.copysign(min(self.turn_speed, max(turn, min(0.1, size))), angle)
+        return math.copysign(min(self.turn_speed, max(turn, min(_LEAST_TURN, size))), angle)
 
     @property
     def keepout_radius(self) -> float:
@@ -73,7 +87,7 @@ class MotionLimits:
     @property
     def contact_radius(self) -> float:
         """Return the least distance [m] of an obstacle to the robot's center in planned motions."""
-        return self.radius + min(0.01, 0.4 * self.margin)
+        return self.radius + min(_CONTACT_M, _CONTACT_SHARE * self.margin)
 
 
 def _stopping(distance: float, deceleration: float, latency: float) -> float:
@@ -104,7 +118,7 @@ Command = tuple[float, float]
 STAND: Command = (0.0, 0.0)
 
 # A command may be ahead of the measured velocity by this time [s] of acceleration: the delay of the
-# base (`latency` 0.15 s) twice. Chosen by hand; half and double were not compared.
+# base (`latency` 0.15 s) twice.
 _LEAD_S = 0.3
 # The velocity changes by at most and at least so much time [s] of acceleration per command: after a
 # pause no more than two periods of 20 Hz, and at once when a scan follows a timed command.
@@ -149,7 +163,7 @@ class CommandLimiter:
     def _guarded(self, forward: float, turn: float, obstacles: NearbyObstacles) -> float:
         """Return the speed from which the robot can still stop before obstacles on this arc."""
         limits = self._limits
-        if abs(forward) < 1e-3 or (forward > 0.0 and not obstacles.ground_seen_ahead):
+        if abs(forward) < _NO_SPEED or (forward > 0.0 and not obstacles.ground_seen_ahead):
             return 0.0
         points = obstacles.points
         if forward < 0.0:
