@@ -71,7 +71,6 @@ def samples(name: str, count: int) -> list[Any]:
     return found
 
 
-@cache
 def arbitrary(cls: type[Any]) -> st.SearchStrategy[Any]:
     """Return a strategy for valid messages of a class."""
     if cls in _WITH_RULES_BETWEEN_FIELDS:
