@@ -23,7 +23,7 @@ from cairn.testing.driver_contract import (
     UnplugContract,
 )
 from cairn.testing.robot import Bench, settings
-from cairn.testing.scanner_contract import ScanContract
+from cairn.testing.scanner_contract import RangeScannerContract, ScanContract
 
 DEPLOYMENT = """
     settings: {utm: "", pbs: ""}
@@ -101,3 +101,9 @@ class TestUtmLife(EndContract, Life):
     component = "utm"
     rate_hz = 40.0
     live_parameters = {"skip": 1, "cluster": 2}
+
+
+def test_both_classes_together_run_the_whole_contract() -> None:
+    run = {name for one in (TestUtmLife, TestUtmScans) for name in dir(one)}
+
+    assert {name for name in dir(RangeScannerContract) if name.startswith("test_")} <= run
