@@ -15,6 +15,7 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import BatteryState
 from cairn.testing.base_contract import BaseContract, SafetyContract
 from cairn.testing.driver_contract import (
+    Contract,
     EndContract,
     LifeCycleContract,
     ParametersContract,
@@ -30,7 +31,7 @@ DEVICE_TIMEOUT_S = 1.0  # as in the deployment
 COASTING_S = 0.5  # of motors without power
 
 
-class EmulatedRoboclaw:
+class EmulatedRoboclaw(Contract):
     """The base of both contracts, with a controller for each class."""
 
     deployment = DEPLOYMENT

@@ -12,6 +12,7 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.base_contract import BaseContract, SafetyContract
 from cairn.testing.driver_contract import (
+    Contract,
     EndContract,
     LifeCycleContract,
     ParametersContract,
@@ -39,7 +40,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForeignBase]:
         yield base
 
 
-class BaseBehindRos2:
+class BaseBehindRos2(Contract):
     """The base of both contracts."""
 
     deployment = DEPLOYMENT
