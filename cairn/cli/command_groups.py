@@ -1,4 +1,7 @@
-"""Groups of commands that are imported only when they are invoked; the groups of devices."""
+"""Groups of commands that are imported only when they are invoked; the groups of devices.
+
+Typer imports all commands; Click's documentation shows lazy groups as a recipe, not as a class.
+"""
 
 from __future__ import annotations
 

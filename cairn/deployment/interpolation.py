@@ -1,4 +1,7 @@
-"""Interpolation: replace `${name}` by settings, and `${here}` by the folder of the file."""
+"""Interpolation: replace `${name}` by settings, and `${here}` by the folder of the file.
+
+OmegaConf interpolates too, but stops at the first mistake and does not know the lines of a file.
+"""
 
 import re
 from collections.abc import Mapping

@@ -1,6 +1,7 @@
 """Reports the state of a deployment to systemd, or another service manager (sd_notify(3)).
 
-Without a service manager it does nothing.
+Without a service manager it does nothing. Libraries for it need libsystemd (systemd-python) or have
+had no release for years (sdnotify), and leave the watchdog's timing, most of this file, to us.
 """
 
 from __future__ import annotations

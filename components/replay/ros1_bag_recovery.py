@@ -2,7 +2,7 @@
 
 Format: wiki.ros.org/Bags/Format/2.0, and 1.2 of the year 2009. A record is a header (length, then
 fields `name=value`, each with its length) and data (length, then bytes); in format 2.0 messages
-are in chunks of records.
+are in chunks of records. rosbags needs the index and rejects bags that were not closed.
 """
 
 from __future__ import annotations

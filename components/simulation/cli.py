@@ -1,4 +1,8 @@
-"""`cairn world`: check and draw world files, and change the world of a running simulation."""
+"""`cairn world`: check and draw world files, and change the world of a running simulation.
+
+What draws and checks is imported where it is used: it compiles kernels and loads matplotlib, and
+the other commands only send a request.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +16,6 @@ from cairn import CairnError
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, show
 from cairn.client import connect as connect_to
-from cairn.components.simulation.camera import seen_from, write_picture
-from cairn.components.simulation.layout import WorldLayout
-from cairn.components.simulation.render_kernels import NEAR_M
-from cairn.components.simulation.world_checks import unreachable_areas, world_problems
-from cairn.components.simulation.world_drawing import draw_world
-from cairn.components.simulation.world_file import read_world
 from cairn.deployment.shipped import world_file
 
 app = typer.Typer(
@@ -48,6 +46,10 @@ Radius = Annotated[float, typer.Option(min=0.01, help="Radius of the robot [m]."
 @app.command()
 def check(file: File, radius: Radius = 0.22) -> None:
     """Check a world file; report its contents or its problems."""
+    from cairn.components.simulation.layout import WorldLayout
+    from cairn.components.simulation.world_checks import unreachable_areas, world_problems
+    from cairn.components.simulation.world_file import read_world
+
     world = read_world(file)
     problems = world_problems(world, radius)
     if problems:
@@ -70,6 +72,9 @@ def draw(
     radius: Radius = 0.22,
 ) -> None:
     """Draw a world file as a plan."""
+    from cairn.components.simulation.world_drawing import draw_world
+    from cairn.components.simulation.world_file import read_world
+
     try:
         draw_world(read_world(file), radius, out)
     except (OSError, ValueError) as error:
@@ -92,6 +97,11 @@ def see(
     ] = 1.0,
 ) -> None:
     """Write the picture that the simulated camera takes at a pose of a world file, at its start."""
+    from cairn.components.simulation.camera import seen_from, write_picture
+    from cairn.components.simulation.layout import WorldLayout
+    from cairn.components.simulation.render_kernels import NEAR_M
+    from cairn.components.simulation.world_file import read_world
+
     pose = _pose_arguments(x, y, theta)
     world = read_world(file)
     WorldLayout.of(world).require_room("the camera", pose["x"], pose["y"], NEAR_M)
