@@ -147,6 +147,16 @@ def test_help_of_the_command_line_imports_no_implementation() -> None:
     assert shown.stdout.splitlines()[-1] == "[]"
 
 
+def test_commands_that_only_send_requests_import_no_heavy_library() -> None:
+    script = (
+        "import sys\nimport cairn.cli.control, cairn.cli.inspect, cairn.components.simulation.cli\n"
+        "print([one for one in ('cv2', 'matplotlib', 'numba', 'scipy') if one in sys.modules])"
+    )
+    shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+
+    assert shown.stdout == "[]\n"
+
+
 def test_importing_cairn_imports_no_dependency() -> None:
     script = (
         "import cairn, sys\n"
