@@ -1,6 +1,7 @@
 """Open the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
 
 import json
+import re
 import secrets
 import threading
 import time
@@ -23,6 +24,8 @@ LEASE_MS = 5000
 Longer than a busy machine pauses, because requests in progress and their replies are lost with the
 link.
 """
+
+_RUST_LOCATION = re.compile(r" at /\S+\.rs:\d+\.?")
 
 
 def open_peer(connect: Sequence[str]) -> zenoh.Session:
@@ -92,8 +95,8 @@ def _open(config: zenoh.Config, failure: str) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        reason = str(error).partition(" at /")[0]
-        raise CairnError(f"{failure}. ({reason})") from error
+        reason = _RUST_LOCATION.sub("", str(error)).rstrip(".")
+        raise CairnError(f"{failure} (Zenoh: {reason})") from error
 
 
 def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:

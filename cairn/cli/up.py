@@ -171,8 +171,8 @@ def _check_shipped(file: Path, deployment: Deployment) -> None:
 def _announced_long_import() -> Iterator[None]:
     """Print a note if importing the plugins of a deployment takes long."""
     text = (
-        "importing the plugins; the first start after an installation compiles kernels, about a "
-        "minute"
+        "importing the plugins: a few seconds, or about a minute at the first start after an "
+        "installation, which compiles kernels"
     )
     timer = threading.Timer(_LONG_IMPORT_S, note, [text])
     timer.daemon = True
