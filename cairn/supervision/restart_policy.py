@@ -11,8 +11,8 @@ from cairn.deployment.model import ChildSpec, Supervision
 class Decision:
     """Children to stop, in that order, as far as they run; then children to start, in order.
 
-    `give_up` and `finished` are reasons, "" if not so: all children are stopped, and the supervisor
-    itself fails (`give_up`) or ends normally (`finished`).
+    `give_up` and `finished` are reasons, "" if not so: all children have to stop, and the
+    supervisor itself fails (`give_up`) or ends normally (`finished`).
     """
 
     stop: tuple[str, ...] = ()
@@ -59,27 +59,17 @@ class RestartPolicy:
             f"{len(self._restart_times)} of {limits.max_restarts} restarts in {limits.within_s:g} s"
         )
 
-    def load(self, name: str) -> Decision:
+    def load(self, name: str) -> None:
         """Have a child run from now on."""
-        if name in self._required:
-            return Decision()
-        self._done.discard(name)
-        self._required.add(name)
-        self._failed_starts[name] = 0
-        return Decision(start=(name,))
+        if name not in self._required:
+            self._done.discard(name)
+            self._required.add(name)
+            self._failed_starts[name] = 0
 
-    def unload(self, name: str) -> Decision:
+    def unload(self, name: str) -> None:
         """Have a child not run any more, whatever its siblings do."""
         self._done.discard(name)
-        if name not in self._required:
-            return Decision()
         self._required.discard(name)
-        return Decision(stop=(name,))
-
-    def restart(self, name: str) -> Decision:
-        """Restart one child on request; this does not count."""
-        stop = self.unload(name).stop
-        return Decision(stop=stop, start=self.load(name).start)
 
     def started(self, name: str) -> None:
         """Note that a child has become active."""
@@ -94,9 +84,8 @@ class RestartPolicy:
         if child.ends_supervisor and (normal or child.restart_type == "temporary"):
             if not normal:
                 return self._give_up(f"{name} failed and is not restarted: {reason}")
-            others = tuple(reversed(self.required))
             self._required.clear()
-            return Decision(stop=others, finished=f"{name} has finished: {reason}")
+            return Decision(finished=f"{name} has finished: {reason}")
         if child.restart_type == "temporary" or (child.restart_type == "transient" and normal):
             self._required.discard(name)
             if child.restart_type == "transient":
@@ -119,9 +108,8 @@ class RestartPolicy:
         return self.ended(name, normal=False, at_s=at_s, reason=reason)
 
     def _give_up(self, reason: str) -> Decision:
-        others = tuple(reversed(self.required))
         self._required.clear()
-        return Decision(stop=others, give_up=reason)
+        return Decision(give_up=reason)
 
     def _restart_after(self, name: str, at_s: float, reason: str) -> Decision:
         exceeded = self._exceeded_limit(name, at_s)

@@ -226,8 +226,9 @@ class ChildGroup:
         not count as a restart: the caller decides what follows.
         """
         child = self._child(name)
-        if not self._policy.load(name).start:
+        if name in self._policy.required:
             return
+        self._policy.load(name)
         for _ in range(1 + self._policy.supervision.max_restarts):
             result = "canceled" if self.stop_requested else self._start(child)
             if result != "unavailable":
@@ -254,8 +255,9 @@ class ChildGroup:
         if name not in self._policy.required:
             self.load(name)
             return
-        self._policy.restart(name)
+        self._policy.unload(name)
         child.stop()
+        self._policy.load(name)
         self.reconcile()
 
     def stop_all(self) -> None:
@@ -293,13 +295,13 @@ class ChildGroup:
             self._apply(decision, child)
 
     def _apply(self, decision: Decision, child: Child) -> None:
+        if decision.give_up:
+            self._give_up(decision.give_up)
         if child.name in decision.start:
             count = self._policy.restart_count
             self._log.info("restarting child %s: %s (%s)", child.name, child.reason, count)
         for name in decision.stop:
             self._children[name].stop()
-        if decision.give_up:
-            self._give_up(decision.give_up)
 
     def _give_up(self, reason: str) -> NoReturn:
         self.stop_all()

@@ -397,13 +397,15 @@ def test_unloaded_child_stays_unloaded(world: World) -> None:
     assert supervisor.status()[1].state == "unloaded"
 
 
-def test_requested_restart_stops_and_starts_one_child(world: World) -> None:
-    supervisor = world.supervisor_with(Supervision(max_restarts=0, within_s=1.0), "base", "scanner")
+def test_requested_restart_stops_and_starts_one_child_and_is_not_counted(world: World) -> None:
+    supervision = Supervision(strategy="one_for_all", max_restarts=0, within_s=1.0)
+    supervisor = world.supervisor_with(supervision, "base", "scanner")
     supervisor.start_all()
-    world.take_steps()
-    supervisor.restart("base")
-    assert world.steps == STOP_BASE + START_BASE
-    assert supervisor.status()[0].incarnation == 2
+    for incarnation in range(2, 7):
+        world.take_steps()
+        supervisor.restart("base")
+        assert world.steps == STOP_BASE + START_BASE
+        assert supervisor.status()[0].incarnation == incarnation
 
 
 def test_request_for_an_unknown_child_names_the_known_ones(world: World) -> None:
