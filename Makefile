@@ -18,7 +18,7 @@ demo: $(VENV)/ready
 	$(BIN)/cairn up replay_mrclam --report $(REPORT)/recording
 	@echo "pictures: map.png and reliability.png in $(REPORT)/tour and $(REPORT)/recording"
 
-## The tests without real processes, images and long runs: a minute and a half on two cores.
+## The tests without real processes, images and long runs: a good minute on two cores.
 quick: $(VENV)/tests
 	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
 	    -m "not processes and not images and not realtime and not slow"

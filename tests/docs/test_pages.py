@@ -42,6 +42,7 @@ def offline_commands() -> list[tuple[str, str]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", sorted({command for _, command in offline_commands()}), ids=str.split
 )

@@ -16,6 +16,8 @@ from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.navigation.driving import DEPLOY, STOPS_S, LockstepRobot
 
+pytestmark = pytest.mark.slow
+
 RobotFactory = Callable[..., LockstepRobot]
 
 
