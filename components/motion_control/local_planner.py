@@ -48,9 +48,12 @@ _SHARPEST, _MOST_BEARING = 8.0, 1.3
 # this clearance [m].
 _GOOD_CLEARANCE_M, _BETTER_CLEARANCE_M = 0.05, 0.01
 # Turning on the spot starts when the path is this far off the heading, and ends here [rad]; the
-# difference keeps the robot from alternating between both motions.
+# difference keeps the robot from alternating between both motions. In the hall with ten people
+# (`cairn evaluate navigation --goals 3 --seeds 0..1`) half and double of the first value reach all
+# goals without a collision on paths of 1.024 and 1.023 times the shortest; the present one 1.020.
 _TURN_FROM, _TURN_TO = 1.0, 0.2
-# An obstacle on the path nearer than this [m] is driven around.
+# An obstacle on the path nearer than this [m] is driven around. There, half and double reach all
+# goals without a collision as well, on paths of 1.011 and 1.034 times the shortest.
 _AVOID_WITHIN_M = 1.4
 _CHECKED = round(_AVOID_WITHIN_M / SPACING_M) + 2
 # Obstacles this near before the goal [m] do not stop the robot early: more than `stop_distance`.

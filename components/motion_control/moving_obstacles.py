@@ -31,6 +31,7 @@ _SEAM_RAD = 0.2
 
 # A thing is searched within this distance [m] of its predicted position: one that was not seen
 # moving yet walks 0.25 m between two scans at 2.5 m/s and 10 Hz.
+# Half of it changes nothing in the hall with ten people (`--goals 3 --seeds 0..1`).
 _MATCH_M = 0.35
 # A velocity is estimated from positions over so much time [ns]: four to seven scans at 10 Hz.
 _MIN_WATCHED_NS, _MAX_WATCHED_NS = 350_000_000, 650_000_000
