@@ -229,6 +229,7 @@ def _raw_pong(endpoint: str, handler: str, parent: Connection) -> None:
             publisher.put(sample.payload.to_bytes())
 
         subscriber: Any
+        drainer: threading.Thread | None = None
         if handler == "callback":
             subscriber = session.declare_subscriber("bench/ping", answer)
         else:
@@ -243,10 +244,13 @@ def _raw_pong(endpoint: str, handler: str, parent: Connection) -> None:
                     except zenoh.ZError:
                         return
 
-            threading.Thread(target=drain, daemon=True).start()
+            drainer = threading.Thread(target=drain)
+            drainer.start()
         parent.send("ready")
         parent.poll(60)
         subscriber.undeclare()
+        if drainer is not None:
+            drainer.join()  # one that wakes in Zenoh while the interpreter ends aborts the process
 
 
 def _session(*, listen: str | None = None, connect: str | None = None) -> zenoh.Session:

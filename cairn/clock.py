@@ -10,7 +10,10 @@ SECOND = 1_000_000_000
 
 
 class Clock(Protocol):
-    """The time of a component; the system's, simulated or replayed, without a difference to it."""
+    """The time of a component; the system's, simulated or replayed, without a difference to it.
+
+    `now` may be called on any thread, also on a driver's device thread.
+    """
 
     def now(self) -> int:
         """Return the time in nanoseconds since the clock's epoch."""

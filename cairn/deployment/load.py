@@ -37,6 +37,35 @@ def load_deployment(
     return assemble(read_sources(file, overlays), sets)
 
 
+class DeploymentNames(NamedTuple):
+    """The names by which a deployment is reached on the bus; `components` at any depth."""
+
+    robot: str
+    domain: int
+    components: tuple[str, ...]
+
+
+def read_names(
+    file: Path, overlays: Sequence[Path] = (), sets: Sequence[str] = ()
+) -> DeploymentNames:
+    """Return the names in a deployment without checking the rest, and without importing plugins.
+
+    Raises `DeploymentError` if a file cannot be read, an assignment is invalid, or a reference to
+    a setting cannot be replaced.
+    """
+    merged, problems = _merge_sources(read_sources(file, overlays), sets)
+    root, found, _ = interpolate(merged)
+    problems += found
+    if problems:
+        raise DeploymentError(problems)
+    robot, domain = root.find("robot"), root.find("domain")
+    return DeploymentNames(
+        Deployment.model_fields["robot"].default if robot is None else str(robot.value),
+        0 if domain is None or not isinstance(domain.value, int) else domain.value,
+        tuple(name for name, _, _ in component_nodes(root)),
+    )
+
+
 class SourceDocument(NamedTuple):
     """A file that was read: its tree, None if it is unreadable, and its problems."""
 
@@ -52,17 +81,7 @@ def read_sources(file: Path, overlays: Sequence[Path] = ()) -> list[SourceDocume
 
 def assemble(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Deployment:
     """Return the deployment in files that were read before, as `load_deployment` does."""
-    problems = [problem for source in sources for problem in source.problems]
-    nodes = [source.node for source in sources if source.node is not None]
-    if len(nodes) < len(sources):
-        raise DeploymentError(problems)
-    root = nodes[0]
-    for over in nodes[1:]:
-        root, found = apply_overlay(root, over)
-        problems += found
-    for assignment in sets:
-        root, found = apply_set(root, assignment, _SECTIONS)
-        problems += found
+    root, problems = _merge_sources(sources, sets)
     root, found, unresolved = interpolate(root)
     problems += found
     if _exceeds(root, MAX_VALUES):
@@ -108,6 +127,27 @@ def apply_set(
     if problem is not None:
         return base, [problem]
     return apply_overlay(base, _nested(steps, value, at))
+
+
+def _merge_sources(
+    sources: Sequence[SourceDocument], sets: Sequence[str]
+) -> tuple[DocumentNode, list[Problem]]:
+    """Return the first tree, changed by the others and by the assignments, and all problems.
+
+    Raises `DeploymentError` if a file is unreadable.
+    """
+    problems = [problem for source in sources for problem in source.problems]
+    nodes = [source.node for source in sources if source.node is not None]
+    if len(nodes) < len(sources):
+        raise DeploymentError(problems)
+    root = nodes[0]
+    for over in nodes[1:]:
+        root, found = apply_overlay(root, over)
+        problems += found
+    for assignment in sets:
+        root, found = apply_set(root, assignment, _SECTIONS)
+        problems += found
+    return root, problems
 
 
 def _exceeds(root: DocumentNode, limit: int) -> bool:

@@ -12,12 +12,26 @@ _LONGEST_LATE_S = 3.0  # if all messages were late for this long, they are not: 
 
 
 class DeviceClock:
-    """Converts a device's time stamps to system time.
+    """Converts a device's time stamps to system time, the clock that takes the arrival times.
+
+    For each message, in order of arrival:
+
+        device_s = clock.seconds(ticks)  # the stamp of the message
+        stamped_s = device_s + clock.offset(device_s, arrived_s)
+
+    Take `arrived_s` from `time.monotonic()` on the device thread, right after the read that
+    returned the last byte of the message. `stamped_s` is then of `time.monotonic()`, too: publish
+    `self.clock.now()` minus the age, `time.monotonic() - stamped_s`. Use one clock per device, and
+    a new one (or `restart`) whenever the device is opened again.
 
     A message may arrive late, because of the line or a busy computer, but never early. Of all
     differences between arrival time and device time the smallest one is therefore nearest to the
     truth. The clock keeps it, and lets it grow as fast as clocks may drift apart (500 ppm). Device
     time counts `ticks_per_s`, and wraps around at `2**bits` ticks.
+
+    The offset contains the shortest time that a message takes from its stamp to its arrival, such
+    as the transmission time of a serial line: `stamped_s` is late by it. If the line takes that
+    time for every message (10 bits per byte at 8N1), subtract it from `arrived_s`.
 
     Two things are impossible: that a message arrives before it was sent, and that its stamp is
     older than that of an earlier message, because a line keeps their order. One impossible stamp is
@@ -65,9 +79,10 @@ class DeviceClock:
 
         Args:
             device_s: the message's stamp, as `seconds` returns it [s].
-            arrived_s: system time of its arrival [s].
+            arrived_s: when its last byte was read [s], of a clock that is not set, such as
+                `time.monotonic()`; minus the transmission time, if that is known.
 
-        The offset includes the least time that a message takes to arrive.
+        The offset contains the shortest time that a message takes to arrive.
         """
         measured = arrived_s - device_s
         if math.isinf(self._offset_s):

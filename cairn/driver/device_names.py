@@ -1,6 +1,9 @@
 """How parameters name a device: serial ports, USB numbers, network addresses.
 
-Such parameters carry a mark, so that `cairn doctor` can check the devices of a deployment.
+Such parameters carry a mark, so that `cairn doctor` checks the devices of a deployment:
+
+    class GaugeConfig(Config):
+        port: SerialPort = Field(description="Serial port of the gauge.")
 """
 
 from __future__ import annotations
@@ -24,8 +27,8 @@ TCP = "tcp:"
 class NamesDevice:
     """Marks a parameter whose value names a device: `Annotated[str, NamesDevice(find_port)]`.
 
-    `find` returns the present path of the device of a name, or `tcp:HOST:PORT`; it raises
-    `CairnError` if there is none.
+    `find` takes the parameter's value and returns the present path of that device, or
+    `tcp:HOST:PORT`; it raises `CairnError` if there is no such device.
     """
 
     find: Callable[[str], str | os.PathLike[str]]
@@ -35,19 +38,20 @@ class NamesDevice:
 class NamesHost:
     """Marks a parameter whose value is the address of a device on the network.
 
-    `port` is the name of the parameter beside it that holds the TCP port.
+    As in `Annotated[str, NamesHost("tcp_port")]`: `port` is the name of the parameter beside it
+    that holds the TCP port.
     """
 
     port: str
 
 
 SerialPort = Annotated[str, NamesDevice(find_port)]
-"""A serial port, by a name that `find_port` takes."""
+"""Type of a parameter that names a serial port, by a name that `find_port` takes."""
 
 
 @dataclass(frozen=True)
 class NamedDevice:
-    """A device that a driver is to use: the parameter that names it, and how to find it now."""
+    """A device that a deployment names: the parameter that names it, and how to find it now."""
 
     parameter: str
     find: Callable[[], str]

@@ -36,7 +36,7 @@ _PORTIONS_PER_S = 100  # a paced line is given what it sends in 10 ms at a time
 
 
 class EmulatedDevice(Protocol):
-    """A device as its line shows it. It has no line and no clock: time [s] is passed, and grows.
+    """A device as seen on its line. It has no line and no clock: time [s] is passed, and grows.
 
     It returns what it sends as frames, each a whole message of its protocol.
     """
@@ -69,7 +69,13 @@ class EmulatedDevice(Protocol):
         ...
 
     def baud(self) -> int | None:
-        """Return the speed of its line [bit/s]; None if it does not matter."""
+        """Return the speed of its line [bit/s]; None if it does not matter.
+
+        The emulator sets a real serial port to it. On a pseudo-terminal, which has no speed of its
+        own, it compares it with the speed that the host has set: a host at another speed receives
+        zeros, and what it sends is lost. A device whose speed can be changed by a command returns
+        the new speed from then on.
+        """
         ...
 
 

@@ -1,7 +1,8 @@
 """What commands of `cairn emulate` share: options, fault commands on stdin, recordings.
 
 A package adds an emulator of its own as a function for typer, named by an entry point of the group
-`cairn.emulators`; it creates the device and calls `emulate`.
+`cairn.emulators`. Its parameters are annotated with the options here that it has (`Pty`, `Tcp`,
+`Serial`, `Record`, `Faults`, `Seed`, `Paced`); it creates the device and calls `emulate`.
 """
 
 from __future__ import annotations

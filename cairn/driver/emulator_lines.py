@@ -64,7 +64,8 @@ class LineEnd(Protocol):
 class PtyEnd:
     """A pseudo-terminal: a virtual serial port, linked to by a path of one's choice.
 
-    It takes any speed, number of data bits and parity, and applies none of them.
+    A host may set any speed, number of data bits and parity; the terminal applies none of them.
+    The emulator compares the host's speed with that of the device: see `EmulatedDevice.baud`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -137,7 +138,7 @@ class PtyEnd:
         return _SPEEDS.get(speed)
 
     def set_baud(self, baud: int | None) -> None:
-        """Do nothing: a pseudo-terminal transfers at any speed."""
+        """Do nothing: a pseudo-terminal has no speed; see `baud` for that of the host."""
 
     @property
     def address(self) -> str:

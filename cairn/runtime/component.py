@@ -81,7 +81,11 @@ class Component:
 
     @property
     def clock(self) -> Clock:
-        """The component's time: the system's, simulated, or lockstep."""
+        """The component's time: the system's, simulated, or lockstep.
+
+        A driver may call `self.clock.now()` on its device thread, too. With
+        `clock_source = "device"` it is the system's time.
+        """
         return self._context.clock
 
     @property
@@ -106,8 +110,8 @@ class Component:
     def post(self, call: Callable[[], None]) -> None:
         """Make `call` soon, as one of the handlers; discarded if the component is not active then.
 
-        A driver's own thread may use only this and the log of its component. It returns at once;
-        another thread makes the call.
+        A driver's own thread may use only this, `clock` and `log` of its component. It returns at
+        once; another thread makes the call.
         """
         self._context.post(call)
 

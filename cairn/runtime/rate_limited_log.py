@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from typing import NamedTuple
 
 
 class RateLimitedLog:
@@ -14,16 +15,34 @@ class RateLimitedLog:
     def __init__(self, log: logging.Logger) -> None:
         """Write to `log`, usually a component's `self.log`."""
         self._log = log
-        self._counts: dict[str, int] = {}
+        self._counts: dict[str, _Counts] = {}
 
     def warn(self, subject: str, message: str) -> None:
-        """Count a warning about `subject`; log the 1st, 2nd, 4th, 8th ... with the count."""
-        count = self._counts[subject] = self._counts.get(subject, 0) + 1
-        if count & (count - 1) == 0:
-            repeated = f" ({count} times so far)" if count > 1 else ""
-            self._log.warning("%s%s", message, repeated)
+        """Count a warning about `subject`; log the 1st, 2nd, 4th, 8th ... with the count.
+
+        The count is that of this very message, or else that of all warnings about the subject.
+        """
+        before = self._counts.get(subject, _Counts("", 0, 0))
+        same = before.same + 1 if message == before.message else 1
+        now = self._counts[subject] = _Counts(message, same, before.all + 1)
+        if now.all & (now.all - 1) == 0:
+            self._log.warning("%s%s", message, now)
 
     def resolved(self, subject: str, message: str) -> None:
         """Reset the count of `subject`; log `message`, the state now, if there were warnings."""
         if self._counts.pop(subject, None) is not None:
             self._log.info("%s", message)
+
+
+class _Counts(NamedTuple):
+    """The last message about a subject, how often it came in a row, and the number of warnings."""
+
+    message: str
+    same: int
+    all: int
+
+    def __str__(self) -> str:
+        """Return what is logged after the message."""
+        if self.same > 1:
+            return f" ({self.same} times so far)"
+        return f" ({self.all} warnings so far)" if self.all > 1 else ""

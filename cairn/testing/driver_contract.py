@@ -36,9 +36,6 @@ class Contract:
     sets: ClassVar[Sequence[str]] = ()
     """Settings, as in `cairn up --set NAME=VALUE`."""
 
-    robot_name: ClassVar[str] = "robot"
-    """The robot's name in the deployment."""
-
     component: ClassVar[str]
     """The driver's name in the deployment."""
 
@@ -374,7 +371,7 @@ class UnplugContract(Contract):
             )
 
         with robot.read(topic, DiagnosticArray) as diagnostics:
-            what = "a status worse than OK, when the device was unplugged"
+            what = "a status worse than OK of the unplugged device"
             diagnostics.await_that(is_reported, what, limit_s=self.report_limit_s)
 
 

@@ -1,5 +1,6 @@
 """Runs `cairn up` as a user would, reads its output, and checks that nothing of it is left."""
 
+import argparse
 import contextlib
 import json
 import os
@@ -13,6 +14,8 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import datetime
+from operator import itemgetter
 from pathlib import Path
 from textwrap import dedent
 from typing import Any
@@ -20,12 +23,20 @@ from uuid import uuid4
 
 import psutil
 
+from cairn.deployment.load import DeploymentNames, read_names
+from cairn.deployment.shipped import deployment_file
+
 CAIRN = str(Path(sys.executable).parent / "cairn")
 """The command of the environment that runs the tests."""
 
 LIMIT_S = 120.0
 """Default time limit of waits [s]: far longer than they take."""
 
+_RECORD = re.compile(r"(\d+\.\d+|\d+-\d+-\d+ [\d:,]+) ([A-Z]+) ")
+"""The beginning of a log record: time and level."""
+
+_PROBLEMS = ("WARNING", "ERROR", "CRITICAL")
+_CRASHES = ("Traceback (", "Fatal Python error")  # written past the log
 _MARK = "CAIRN_TEST_RUN"  # in the environment of all processes of a run, grandchildren included
 
 
@@ -41,6 +52,7 @@ class Run:
         head: int | None,
         **how: Any,
     ) -> None:
+        self.arguments = arguments
         self.report = report
         self.endpoint = endpoint
         self.lines: list[str] = []
@@ -117,11 +129,32 @@ class Run:
 
     def log_of(self, component: str) -> str:
         """Return the log file of a component."""
-        return (self.report / "logs" / f"{component}.log").read_text(encoding="utf-8")
+        return (self.logs / f"{component}.log").read_text(encoding="utf-8")
+
+    @property
+    def logs(self) -> Path:
+        """The folder of the log files, one for each process."""
+        return self.report / "logs"
+
+    def problems(self, limit: int) -> list[str]:
+        """Return the lines of the last warnings and errors in the log files, in order of time.
+
+        Tracebacks are included. Each file contributes at most about `limit` lines, so that errors
+        that follow from others do not displace their cause.
+        """
+        found = []
+        for file in self.logs.glob("*.log"):
+            count = 0
+            for time_s, lines in reversed(_problems_in(file)):
+                found.append((time_s, lines))
+                count += len(lines)
+                if count >= limit:
+                    break
+        return [line for _, lines in sorted(found, key=itemgetter(0)) for line in lines]
 
     def __str__(self) -> str:
-        """Return its output, for the message of a test that fails."""
-        return "its output:\n" + "".join(self.lines)
+        """Return its log folder and its output, for the message of a test that fails."""
+        return f"logs: {self.logs}; output of cairn up:\n" + "".join(self.lines)
 
     def _processes(self) -> list[psutil.Process]:
         found = []
@@ -210,6 +243,45 @@ def launching(folder: Path) -> Iterator[Launching]:
                 run.process.wait(LIMIT_S)
         for run in launch.runs:
             run.await_nothing_left()
+
+
+def names_of(file: Path, arguments: Sequence[str]) -> DeploymentNames:
+    """Return the robot's and the components' names in the deployment of `cairn up FILE ...`.
+
+    Raises `DeploymentError` if the deployment cannot be read.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--overlay", action="append", type=deployment_file, default=[])
+    parser.add_argument("--set", action="append", dest="sets", default=[])
+    known, _ = parser.parse_known_args(list(arguments))
+    return read_names(deployment_file(str(file)), known.overlay, known.sets)
+
+
+def _problems_in(file: Path) -> list[tuple[float, list[str]]]:
+    """Return the warnings, errors and crashes in a log file, each as time [s] and lines.
+
+    A line that begins no record belongs to the record before it.
+    """
+    found: list[tuple[float, list[str]]] = []
+    time_s, is_problem = 0.0, False
+    for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
+        start = _RECORD.match(line)
+        if start is not None:
+            time_s, is_problem = _time_of(start[1]), start[2] in _PROBLEMS
+        is_crash = not is_problem and line.startswith(_CRASHES)
+        if is_crash or (start is not None and is_problem):
+            is_problem = True
+            found.append((time_s, []))
+        if is_problem:
+            found[-1][1].append(line)
+    return found
+
+
+def _time_of(text: str) -> float:
+    """Return the time of a log record [s since 1970]; the log of the root has it in seconds."""
+    if " " not in text:
+        return float(text)
+    return datetime.strptime(text, "%Y-%m-%d %H:%M:%S,%f").timestamp()
 
 
 def free_port() -> int:

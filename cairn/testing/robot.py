@@ -26,7 +26,7 @@ from cairn.clock import to_ns
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rosgraph_msgs import Clock
-from cairn.testing.launching import LIMIT_S, Run, launching
+from cairn.testing.launching import LIMIT_S, Run, launching, names_of
 
 M = TypeVar("M")
 
@@ -54,29 +54,38 @@ class RunningDeployment:
     Names of topics and components are below the robot's namespace unless they begin with `/`.
     """
 
-    def __init__(self, run: Run, name: str = "robot", limit_s: float = START_LIMIT_S) -> None:
+    def __init__(self, run: Run, limit_s: float = START_LIMIT_S) -> None:
         """Wait until all components that are loaded at the start are active.
 
-        `name`: the robot's name. Raises `AssertionError` with all output of `cairn up` if they are
-        not active within `limit_s` [s].
+        Raises `AssertionError` with all output of `cairn up` if they are not active within
+        `limit_s` [s].
         """
         run.await_line("child active: ", limit_s=limit_s)  # of the first: the router replies by now
+        names = names_of(Path(run.arguments[0]), run.arguments[1:])
         self.run = run
-        self.name = name
-        self._bus = ZenohBus(open_peer([run.endpoint]))
+        self.name = names.robot
+        """The robot's name in the deployment."""
+        self._bus = ZenohBus(open_peer([run.endpoint]), names.domain)
         self._node = self._bus.node("/conformance", _raise)
         self._publishers: dict[str, Any] = {}
         self._now: Callable[[int], int] = _system
         self._changed = threading.Condition()
         self._statuses: dict[str, ComponentStatus] = {}
+        try:
+            self._join(limit_s)
+        except BaseException:  # an open session at the interpreter's exit aborts the process
+            self.close()
+            raise
+
+    def _join(self, limit_s: float) -> None:
         with self._changed:
-            topic = full_name(name, _STATUS)
+            topic = full_name(self.name, _STATUS)
             many = RETAINED.with_depth(1000)
             self._heartbeats = self._node.subscribe(topic, ComponentStatus, many, self._on_status)
         self.wait_for_peers()
         # The root is active when all its children are, and they when theirs are.
         self.await_state("root", "active", limit_s)
-        clock = full_name(name, "clock")
+        clock = full_name(self.name, "clock")
         if clock in self.topics(Clock):
             self._now = _SimulatedNow(self.read("clock", Clock))
 
@@ -87,6 +96,7 @@ class RunningDeployment:
 
     def close(self) -> None:
         """Leave the bus; the deployment continues."""
+        self._node.close()  # first: no handler is called while the session closes
         self._bus.close()
 
     def topics(self, message: type[Any]) -> set[str]:
@@ -201,7 +211,9 @@ class RunningDeployment:
         with self._changed:
             in_time = self._changed.wait_for(holds, limit_s)
             last = self._statuses.get(component)
-        assert in_time, f"{component} is not {what} within {limit_s:g} s, but {last}; {self.run}"
+        assert in_time, (
+            f"{component} is not {what} after {limit_s:g} s; {_last_heard(last)}; {self.run}"
+        )
         assert last is not None
         return last
 
@@ -284,6 +296,14 @@ class RunningDeployment:
                 self._changed.notify_all()
 
 
+def _last_heard(status: ComponentStatus | None) -> str:
+    if status is None:
+        return "nothing was received from it"
+    reason = f", {status.reason}" if status.reason else ""
+    handler = f", in its handler {status.handler}" if status.handler else ""
+    return f"its last status: {status.state}, process {status.pid}{handler}{reason}"
+
+
 class Bench:
     """A deployment that is launched when it is first needed; a context manager.
 
@@ -296,7 +316,6 @@ class Bench:
         deployment: str | Path,
         arguments: Sequence[str] = (),
         *,
-        robot: str = "robot",
         connect: str | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
@@ -306,13 +325,14 @@ class Bench:
         """
         self._deployment = deployment
         self._arguments = arguments
-        self._name = robot
         self._connect = connect
         self._environment = environment
         self._stack = ExitStack()
         self._launch = self._stack.enter_context(launching(folder))
         self._robot: RunningDeployment | None = None
         self._start_error = ""
+        self._inactive: dict[str, str] = {}
+        self._components: tuple[str, ...] = ()
 
     def robot(self, component: str) -> RunningDeployment:
         """Return the running deployment, with that component active.
@@ -320,25 +340,46 @@ class Bench:
         If a test has left the component inactive, it is activated; if that fails, or the deployment
         has ended, it is launched again. Raises `AssertionError` if it does not start.
         """
+        self.check_component(component)
+        known = self._start_error or self._inactive.get(component, "")
+        assert not known, known  # the same for every test of the contract: do not wait again
         if self._robot is not None and not _brought_back(self._robot, component):
             self.drop()
         if self._robot is None:
-            assert not self._start_error, self._start_error
             run = self._launch(
                 self._deployment,
                 *self._arguments,
-                robot=self._name,
                 connect=self._connect,
                 environment=self._environment,
             )
             try:
-                self._robot = RunningDeployment(run, self._name)
-                self._robot.await_state(component, "active")
+                self._robot = RunningDeployment(run)
             except AssertionError as error:
-                # The same for every test of the contract: do not launch again.
                 self._start_error = str(error)
                 raise
+            try:
+                self._robot.await_state(component, "active")
+            except AssertionError as error:
+                self._inactive[component] = str(error)
+                raise
         return self._robot
+
+    @property
+    def runs(self) -> list[Run]:
+        """The launches so far."""
+        return self._launch.runs
+
+    def check_component(self, component: str, setting: str = "component") -> None:
+        """Raise `AssertionError` if the deployment has no such component; `setting` names it."""
+        if not self._components:
+            file = self._deployment
+            if not isinstance(file, Path):
+                file = self._launch.write(file)
+            self._components = names_of(file, self._arguments).components
+        assert component in self._components, (
+            f"{setting} = {component!r}: the deployment has no such component; it has "
+            f"{', '.join(self._components)}"
+        )
 
     def drop(self) -> None:
         """Kill the running deployment; the next call of `robot` launches it again."""
@@ -461,7 +502,9 @@ class Reading(Generic[M]):
             holds = self._changed.wait_for(lambda: condition(self.arrivals[after:]), limit_s)
             count = len(self.arrivals) - after
         damaged = f"; invalid: {self.invalid[-1]}" if self.invalid else ""
-        assert holds, f"{self.topic}: not within {limit_s:g} s: {what}; {count} received{damaged}"
+        assert holds, (
+            f"{self.topic}: expected {what} within {limit_s:g} s, received {count}{damaged}"
+        )
 
     def stays_silent(self, seconds: float) -> bool:
         """Return whether no message arrives within this time [s]."""
@@ -473,7 +516,9 @@ class Reading(Generic[M]):
         """Wait for `seconds` without a message; raise `AssertionError` after `limit_s` [s]."""
         deadline = time.monotonic() + limit_s
         while not self.stays_silent(seconds):
-            assert time.monotonic() < deadline, f"{self.topic}: not silent within {limit_s:g} s"
+            assert time.monotonic() < deadline, (
+                f"{self.topic}: published after {limit_s:g} s; expected {seconds:g} s of silence"
+            )
 
     def close(self) -> None:
         """Unsubscribe; what was received is kept."""

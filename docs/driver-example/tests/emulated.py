@@ -49,9 +49,6 @@ class EmulatedLantern:
     def baud(self) -> int:
         return protocol.BAUD
 
-    def set_baud(self, baud: int) -> None:
-        """Do nothing: it has one speed."""
-
     def _distances(self) -> tuple[int, ...]:
         """Return a wall from 1 m on the left to 3 m on the right, with noise and two gaps [mm]."""
         self._turns += 1

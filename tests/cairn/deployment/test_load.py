@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cairn.deployment.document import DocumentNode, read_document
-from cairn.deployment.load import apply_overlay, apply_set, load_deployment
+from cairn.deployment.load import apply_overlay, apply_set, load_deployment, read_names
 from cairn.deployment.problems import DeploymentError
 from tests.wording import assert_words
 
@@ -44,6 +44,22 @@ def test_settings_replace_references_and_keep_their_type(write: Write) -> None:
     assert parameters["particles"] == 500
     assert parameters["map_file"] == f"{Path.cwd()}/deploy/recordings/500.mcap"
     assert deployment.settings["file"] == parameters["map_file"]
+
+
+def test_names_are_read_without_plugins_and_with_overlays_and_sets(write: Write) -> None:
+    file = write("""
+        cairn: 1
+        robot: ${name}
+        settings: {name: rover}
+        components:
+          boss: {plugin: not_installed, children: {base: {plugin: not_installed}}}
+        """)
+    overlay = write("domain: 7", "overlay.yaml")
+
+    assert read_names(file) == ("rover", 0, ("boss", "base"))
+    assert read_names(file, [overlay], ["name=tower"]) == ("tower", 7, ("boss", "base"))
+    with pytest.raises(DeploymentError, match="there is no setting nam"):
+        read_names(file, sets=["nam=tower"])
 
 
 def test_set_changes_a_setting_by_name(write: Write) -> None:

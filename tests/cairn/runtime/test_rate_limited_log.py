@@ -21,9 +21,23 @@ def test_first_second_fourth_and_eighth_warning_are_logged_with_their_count(
 
     assert caplog.messages == [
         "no scan 1",
-        "no scan 2 (2 times so far)",
-        "no scan 4 (4 times so far)",
-        "no scan 8 (8 times so far)",
+        "no scan 2 (2 warnings so far)",
+        "no scan 4 (4 warnings so far)",
+        "no scan 8 (8 warnings so far)",
+    ]
+
+
+def test_count_is_that_of_the_message_as_long_as_it_stays_the_same(
+    warnings: RateLimitedLog, caplog: pytest.LogCaptureFixture
+) -> None:
+    warnings.warn("device", "the line is gone")
+    for _ in range(3):
+        warnings.warn("device", "the line cannot be opened")
+
+    assert caplog.messages == [
+        "the line is gone",
+        "the line cannot be opened (2 warnings so far)",
+        "the line cannot be opened (3 times so far)",
     ]
 
 
