@@ -119,7 +119,7 @@ class Emulator:
         self._thread = threading.Thread(target=self._run, name="emulator", daemon=True)
 
     def __enter__(self) -> Emulator:
-        """Power the device on and plug it in; raises `CairnError` if the line cannot be had."""
+        """Power the device on and plug it in; raises `CairnError` if the line cannot be opened."""
         try:
             self._plug_in()
         except CairnError:

@@ -106,8 +106,7 @@ def emulate(
 ) -> None:
     """Emulate a device until SIGINT, SIGTERM, SIGHUP, or the command `quit`.
 
-    Fault commands are read from stdin, one per line, and answered; without stdin it runs all the
-    same.
+    Fault commands are read from stdin, one per line, and answered. It also runs with stdin closed.
 
     Args:
         name: of the device, for the first line of output.
@@ -119,7 +118,7 @@ def emulate(
         data_bits: of a byte on a real serial line.
         commands: fault commands of this device, by name, beside those of all devices.
 
-    Raises `CairnError` if the line cannot be had, and whatever fails in the device.
+    Raises `CairnError` if the line cannot be opened, and whatever fails in the device.
     """
     end = line.end(device.baud(), data_bits)
     shares = fault_shares(faults)
