@@ -42,7 +42,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if isinstance(item, pytest.Function) and _REAL.intersection(item.fixturenames):
             item.add_marker(pytest.mark.processes)
-    if not config.pluginmanager.hasplugin("xdist"):
+    if not hasattr(config, "workerinput"):  # in one process: in the order of the command line
         return
     long = {item.path for item in items if any(map(item.get_closest_marker, _LONG))}
     items.sort(
