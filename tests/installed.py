@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -40,6 +41,14 @@ class Environment:
     def variables(self) -> dict[str, str]:
         """Return the environment variables of its programs."""
         return {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+    def check_tests_pass(self, *arguments: str, folder: Path | None = None) -> None:
+        """Check that no test fails, and that none is skipped but because this computer paused."""
+        command = ("python", "-m", "pytest", "-q", "-rs", "-p", "no:cacheprovider", *arguments)
+        shown = self.run(*command, folder=folder)
+        assert re.search(r"^\d+ passed(, \d+ skipped)? in", shown, re.MULTILINE), shown
+        skipped = [line for line in shown.splitlines() if line.startswith("SKIPPED")]
+        assert all("this computer is too busy" in line for line in skipped), shown
 
     @property
     def site(self) -> Path:

@@ -45,6 +45,7 @@ RETAINED = LATCHED.with_depth(100)
 _STATUS = "component_status"
 _REQUEST_S = 15.0
 _PEERS_S = 20.0
+_TRANSITIONS = ("configure", "activate", "deactivate", "cleanup")
 _STEPS = {"unconfigured": ("configure", "activate"), "inactive": ("activate",), "active": ()}
 
 
@@ -226,10 +227,11 @@ class RunningDeployment:
     ) -> Any:
         """Return a component's reply to a request (life cycle, parameters, its own).
 
-        Raises `ControlError` with the component's reason if it rejects the request,
-        `NoReplyError` if no reply arrives in time.
+        After a transition of the life cycle `status` reports the new state. Raises `ControlError`
+        with the component's reason if it rejects the request, `NoReplyError` if no reply arrives in
+        time.
         """
-        return request(
+        reply = request(
             self._bus.session,
             self._bus.domain,
             full_name(self.name, component),
@@ -237,6 +239,17 @@ class RunningDeployment:
             arguments,
             timeout_s=limit_s,
         )
+        if verb in _TRANSITIONS:
+            # The status is another message than the reply, and may arrive later.
+            replied = time.time_ns()
+            self.await_status(
+                component,
+                lambda status: (
+                    status.state in (reply, "finalized") or to_ns(status.header.stamp) > replied
+                ),
+                f"{reply}, as it replied to {verb}",
+            )
+        return reply
 
     def parameters(self, component: str) -> dict[str, dict[str, Any]]:
         """Return a component's parameters by name: value, type, bounds, description."""

@@ -145,10 +145,7 @@ def test_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path
     project = tmp_path / "my_robot"
     installed.install(project)
 
-    tested = installed.run("python", "-m", "pytest", "-q", "-p", "no:cacheprovider", folder=project)
-
-    assert " passed in " in tested
-    assert "failed" not in tested
+    installed.check_tests_pass(folder=project)
     assert "my_robot_gauge" in installed.run("cairn", "plugins", folder=tmp_path)
     assert "no problem" in installed.run("cairn", "check", "deploy/my_robot.yaml", folder=project)
 

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from textwrap import dedent
 
@@ -147,3 +148,13 @@ def test_deployment_that_does_not_start_is_described_and_leaves_no_session_open(
     assert re.search("nothing was received from it|its last status: ", str(failure.value))
     assert f"logs: {run.logs}" in str(failure.value)
     assert [one.is_closed() for one in sessions] == [True]
+
+
+def test_status_after_a_transition_is_that_of_the_reply(
+    deploy: Callable[..., RunningDeployment],
+) -> None:
+    robot = deploy("components: {talker: {plugin: test_talker}}")
+
+    for _ in range(10):
+        assert robot.request("talker", "deactivate") == robot.status("talker").state == "inactive"
+        assert robot.request("talker", "activate") == robot.status("talker").state == "active"
