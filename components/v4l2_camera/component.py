@@ -32,7 +32,7 @@ from cairn.components.v4l2_camera.controls import ControlRejected
 from cairn.components.v4l2_camera.decoding import Gray, split_side_by_side
 from cairn.components.v4l2_camera.format_negotiation import FormatCheck
 from cairn.components.v4l2_camera.health import CameraMonitor, PairMonitor
-from cairn.components.v4l2_camera.pairing import StampedImage, StereoPairer
+from cairn.components.v4l2_camera.pairing import UNPAIRED_KEPT, StampedImage, StereoPairer
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
@@ -106,6 +106,8 @@ class V4l2StereoCamera(Component):
             )
         )
         self._newest = [deque[StampedImage](maxlen=1) for _ in self._cameras]
+        # The stamps of the last left images that were published without a right one.
+        self._alone = deque[int](maxlen=UNPAIRED_KEPT + 1)
         self._device_errors = [""] * len(self._cameras)
         self._pairer = StereoPairer(self._format_check.half_period())
         self._pair_monitor = PairMonitor(self.name, self._pairer)
@@ -211,10 +213,11 @@ class V4l2StereoCamera(Component):
         pair = self._pairer.add(side, image)
         if pair is not None:
             left, right = pair
-            self._publish(left.stamp, (left.gray, right.gray))
+            if left.stamp not in self._alone:  # otherwise it was published
+                self._publish(left.stamp, (left.gray, right.gray))
         elif side == 0 and not self._cameras[1].is_streaming:
             # With one camera objects are ranged by size: better than nothing until both are back.
-            self._pairer.discard_newest(side)  # a pair would publish it once more
+            self._alone.append(image.stamp)
             self._publish(image.stamp, (image.gray,))
 
     def _views(self, gray: Gray) -> tuple[Gray, ...]:

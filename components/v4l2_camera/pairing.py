@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cairn.components.v4l2_camera.decoding import Gray
 
-_UNPAIRED_KEPT = 3
+UNPAIRED_KEPT = 3
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class StereoPairer:
         nearest = min(others, key=lambda other: abs(other.captured - image.captured), default=None)
         if nearest is None or abs(nearest.captured - image.captured) > self.tolerance:
             own.append(image)
-            if len(own) > _UNPAIRED_KEPT:
+            if len(own) > UNPAIRED_KEPT:
                 own.popleft()
                 self.unpaired[side] += 1
             return None
@@ -57,8 +57,3 @@ class StereoPairer:
         self.pairs += 1
         self.offset = right.captured - left.captured
         return left, right
-
-    def discard_newest(self, side: int) -> None:
-        """Discard the newest image of a camera that found no partner yet; it counts as unpaired."""
-        self._unpaired[side].pop()
-        self.unpaired[side] += 1

@@ -205,14 +205,16 @@ def test_left_image_published_alone_is_not_published_again_in_a_pair(
         now = time.monotonic_ns()
         left.send(1, captured=now - 200_000_000)
         levels = [level(driver.await_one("left_image"))]
-        right.send(2, captured=now - 200_000_000)
+        left.send(2, captured=now - 150_000_000)
+        levels.append(level(driver.await_one("left_image")))
+        right.send(0, captured=now - 200_000_000)
         driver.await_values(lambda values: values["images"] == "1", index=1)
         left.send(3, captured=now - 50_000_000)
         right.send(4, captured=now - 50_000_000)
         while levels[-1] != 3:
             levels.append(level(driver.await_one("left_image")))
 
-    assert levels == [1, 3]
+    assert levels == [1, 2, 3]
 
 
 def test_one_camera_with_two_names_is_rejected(cameras: FakeCameras, tmp_path: Path) -> None:
