@@ -22,7 +22,6 @@ from cairn.planar.grid import OCCUPIED, distance_field
 from cairn.tools.evaluation.results import SIGMA_LIMITS
 from tests.components.localizer.random_floor import (
     MODEL,
-    RESOLUTION,
     START,
     floor,
     free_pose,
@@ -30,6 +29,7 @@ from tests.components.localizer.random_floor import (
     scan,
     wander,
 )
+from tests.components.localizer.room import RESOLUTION
 
 Array = NDArray[np.float64]
 

@@ -161,7 +161,7 @@ class Localizer(Component):
         self._jumps = self._outdated = 0
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Refuse: the particles are allocated once."""
+        """Reject all changes: the particles are allocated once."""
         raise ParameterRejected("the localizer takes its parameters when it is configured")
 
     @on("map")

@@ -125,7 +125,7 @@ class MapBuilder(Component):
         return False
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Refuse all changes: files cannot be replaced while their map is in use."""
+        """Reject all changes: files cannot be replaced while their map is in use."""
         raise ParameterRejected(
             "the map builder's parameters can only be set when it is configured"
         )

@@ -90,7 +90,7 @@ class ObjectRecognizer(Component):
         self._last_left: int | None = None
 
     def on_parameters(self, new: Config) -> None:
-        """Refuse to change the file, the number of cameras or of threads while it runs."""
+        """Reject changes of the file, the number of cameras or of threads."""
         for name in ("map_file", "stereo", "threads"):
             if getattr(new, name) != getattr(self.config, name):
                 raise ParameterRejected(f"{name} can only be set when the recognizer is configured")

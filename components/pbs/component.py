@@ -71,7 +71,7 @@ class PbsScanner(Component):
         return False
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Refuse all changes."""
+        """Reject all changes."""
         raise ParameterRejected(
             f"{self.name}: parameters are fixed while the driver runs; restart it to change them"
         )

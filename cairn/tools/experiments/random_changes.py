@@ -33,7 +33,7 @@ class RandomChanges:
     """Draws random changes of a world, which is read as it is at the beginning."""
 
     def __init__(self, world_file: Path) -> None:
-        """Read the world; `CairnError` if there is no such file, or it is wrong."""
+        """Read the world; raises `CairnError` if the file does not exist or is invalid."""
         self._file = world_file
         world = read_world(world_file)
         self._layout = WorldLayout.of(world)

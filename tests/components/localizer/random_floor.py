@@ -12,10 +12,10 @@ from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells, distance_field
 from cairn.planar.poses import Pose, compose, wrap
+from tests.components.localizer.room import RESOLUTION, beam_ends
 
 Array = NDArray[np.float64]
 
-RESOLUTION = 0.05
 MODEL = MeasuredBase().model()
 START: Pose = (2.0, 2.0, 0.4)
 
@@ -39,17 +39,7 @@ def scan(
 ) -> Array:
     """Return end points (m, 2) [m] in the base frame of a full turn of beams, with 1 cm noise."""
     angles = np.linspace(-math.pi, math.pi, beams, endpoint=False)
-    ranges = np.arange(0.0, longest, 0.01)
-    x = pose[0] + np.cos(pose[2] + angles)[:, None] * ranges
-    y = pose[1] + np.sin(pose[2] + angles)[:, None] * ranges
-    rows, columns = grid.values.shape
-    row = np.clip((y / RESOLUTION).astype(int), 0, rows - 1)
-    column = np.clip((x / RESOLUTION).astype(int), 0, columns - 1)
-    inside = grid.values[row, column] == OCCUPIED
-    far = ranges[inside.argmax(axis=1)] + 0.01 * random.standard_normal(beams)
-    hit = inside.any(axis=1)
-    points: Array = np.column_stack((far * np.cos(angles), far * np.sin(angles)))[hit]
-    return points
+    return beam_ends(grid, pose, angles, random, reach=longest, noise=0.01)
 
 
 def wander(

@@ -40,6 +40,18 @@ def scanned(
 ) -> NDArray[np.float64]:
     """End points (m, 2) [m, base frame] of a scan: steps of 1 cm until a cell is occupied."""
     angles = np.linspace(-field_of_view / 2, field_of_view / 2, beams)
+    return beam_ends(grid, pose, angles, random, reach, noise)
+
+
+def beam_ends(
+    grid: OccupancyCells,
+    pose: Pose,
+    angles: NDArray[np.float64],
+    random: np.random.Generator,
+    reach: float,
+    noise: float,
+) -> NDArray[np.float64]:
+    """End points (m, 2) [m, base frame] of the beams that hit an occupied cell within reach [m]."""
     ranges = np.arange(0.0, reach, 0.01)
     x = pose[0] + np.cos(pose[2] + angles)[:, None] * ranges
     y = pose[1] + np.sin(pose[2] + angles)[:, None] * ranges
@@ -48,7 +60,7 @@ def scanned(
     column = np.clip((x / RESOLUTION).astype(int), 0, columns - 1)
     inside = grid.values[row, column] == OCCUPIED
     hit = inside.any(axis=1)
-    far = ranges[inside.argmax(axis=1)] + noise * random.standard_normal(beams)
+    far = ranges[inside.argmax(axis=1)] + noise * random.standard_normal(angles.size)
     ends = np.column_stack((far * np.cos(angles), far * np.sin(angles)))
     points: NDArray[np.float64] = ends[hit]
     return points

@@ -14,15 +14,9 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import BatteryState
 from cairn.testing.base_contract import BaseContract, SafetyContract
-from cairn.testing.driver_contract import (
-    Contract,
-    EndContract,
-    LifeCycleContract,
-    ParametersContract,
-    StopContract,
-    UnplugContract,
-)
+from cairn.testing.driver_contract import Contract
 from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from tests.components.base_life import BaseLifeContract
 from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
 
 FORWARD = Twist(linear=Vector3(x=0.5))
@@ -45,19 +39,8 @@ class EmulatedRoboclaw(Contract):
             yield base
 
 
-class TestRoboclawLife(
-    EmulatedRoboclaw,
-    EndContract,
-    StopContract,
-    UnplugContract,
-    LifeCycleContract,
-    ParametersContract,
-):
-    """What is not judged by the clock, with limits that suit a computer with other work."""
-
-    return_limit_s = 30.0
-    report_limit_s = 30.0
-    cycles = 6
+class TestRoboclawLife(EmulatedRoboclaw, BaseLifeContract):
+    """The base without tests in real time."""
 
 
 @pytest.mark.realtime

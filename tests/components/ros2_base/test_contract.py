@@ -11,17 +11,11 @@ from cairn.components.ros2_base.component import Ros2Base
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.base_contract import BaseContract, SafetyContract
-from cairn.testing.driver_contract import (
-    Contract,
-    EndContract,
-    LifeCycleContract,
-    ParametersContract,
-    StopContract,
-    UnplugContract,
-)
+from cairn.testing.driver_contract import Contract
 from cairn.testing.robot import Arrival, Reading, RunningDeployment
 from tests.cairn.bus.network import eventually, node
 from tests.cairn.runtime.threaded import ThreadedComponent
+from tests.components.base_life import BaseLifeContract
 from tests.components.ros2_base.foreign_base import ForeignBase, foreign_base
 
 DEPLOYMENT = """
@@ -53,14 +47,8 @@ class BaseBehindRos2(Contract):
         return base
 
 
-class TestRos2Life(
-    BaseBehindRos2, EndContract, StopContract, UnplugContract, LifeCycleContract, ParametersContract
-):
-    """What is not judged by the clock, with limits that suit a computer with other work."""
-
-    return_limit_s = 30.0
-    report_limit_s = 30.0
-    cycles = 6
+class TestRos2Life(BaseBehindRos2, BaseLifeContract):
+    """The base without tests in real time."""
 
 
 @pytest.mark.realtime

@@ -1,0 +1,19 @@
+"""The part of the base contract that is not judged by the clock, for drivers of emulated bases."""
+
+from cairn.testing.driver_contract import (
+    EndContract,
+    LifeCycleContract,
+    ParametersContract,
+    StopContract,
+    UnplugContract,
+)
+
+
+class BaseLifeContract(
+    EndContract, StopContract, UnplugContract, LifeCycleContract, ParametersContract
+):
+    """Its limits suit a computer with other work; the rest of the contract runs in real time."""
+
+    return_limit_s = 30.0
+    report_limit_s = 30.0
+    cycles = 6
