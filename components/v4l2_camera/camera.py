@@ -251,12 +251,12 @@ class VideoCamera:
         stamp = min(captured, arrived)
         self.latency_s = 1e-9 * (arrived - stamp)
         self.stamps_at_start = newest.at_start
-        counts.images += 1
         with self._rate_lock:
             self._rate.note(1e-9 * arrived)
         if not self.is_streaming:
             self.is_streaming = True
             self._warnings.resolved("stream", f"{self._settings.device}: images arrive again")
+        counts.images += 1
         self._on_image(StampedImage(gray, captured, stamp + offset))
 
     def _decode(self, data: bytes) -> Gray | None:
