@@ -1,6 +1,7 @@
 """What all tests may use: the project's own conformance kit, as users have it."""
 
 import os
+import signal
 
 import pytest
 from hypothesis import settings
@@ -9,11 +10,12 @@ pytest_plugins = ["cairn.testing.plugin"]
 
 
 def pytest_configure() -> None:
-    """Have the programs that tests start keep what they compile of Cairn, as they do by default.
-
-    With PYTHONDONTWRITEBYTECODE each of hundreds of processes would compile all modules again.
-    """
+    """Prepare the environment of the programs that tests start."""
+    # With PYTHONDONTWRITEBYTECODE each of hundreds of processes would compile all modules again.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    # A shell that runs a command in the background has it ignore SIGINT, and what it starts, too.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     # Threads of NumPy and OpenCV in several workers would wait for each other's cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
