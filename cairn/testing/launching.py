@@ -2,8 +2,10 @@
 
 import argparse
 import contextlib
+import itertools
 import json
 import os
+import random
 import re
 import select
 import signal
@@ -15,6 +17,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
+from functools import cache
 from operator import itemgetter
 from pathlib import Path
 from textwrap import dedent
@@ -37,6 +40,7 @@ _RECORD = re.compile(r"(\d+\.\d+|\d+-\d+-\d+ [\d:,]+) ([A-Z]+) ")
 
 _PROBLEMS = ("WARNING", "ERROR", "CRITICAL")
 _CRASHES = ("Traceback (", "Fatal Python error")  # written past the log
+_BLOCK = 100  # ports
 _MARK = "CAIRN_TEST_RUN"  # in the environment of all processes of a run, grandchildren included
 
 
@@ -103,11 +107,11 @@ class Run:
 
     def pid_of(self, component: str) -> int:
         """Return the process id of a component, or of the `zygote`."""
-        found = [
-            process.pid
-            for process in self._processes()
-            if " ".join(process.cmdline()).startswith(f"cairn: {component}")
-        ]
+        found = []
+        for process in self._processes():
+            with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
+                if " ".join(process.cmdline()).startswith(f"cairn: {component}"):
+                    found.append(process.pid)
         assert len(found) == 1, f"{component} has the processes {found}; {self}"
         return found[0]
 
@@ -285,11 +289,37 @@ def _time_of(text: str) -> float:
 
 
 def free_port() -> int:
-    """Return a free TCP port."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+    """Return a free TCP port that neither the kernel nor another test process gives away.
+
+    A port that the kernel has chosen (port 0) would not do: it may give the same one to any
+    connection or listener on this computer as soon as it is released, and a deployment opens its
+    router only seconds after its port was chosen.
+    """
+    while True:
+        port = next(_own_ports())
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+
+
+@cache
+def _own_ports() -> Iterator[int]:
+    """Return the ports of a block that this process alone uses, again and again.
+
+    The block is outside the range from which the kernel chooses ports, if there is room.
+    """
+    chosen_by_kernel = Path("/proc/sys/net/ipv4/ip_local_port_range").read_text(encoding="ascii")
+    first, last = map(int, chosen_by_kernel.split())
+    blocks = [range(start, start + _BLOCK) for start in range(10_000, 65_000, _BLOCK)]
+    random.SystemRandom().shuffle(blocks)  # a test may have seeded the other generator
+    blocks.sort(key=lambda block: block[0] <= last and first <= block[-1])
+    reservation = socket.socket(socket.AF_UNIX)
+    for block in blocks:
+        with contextlib.suppress(OSError):  # another process has reserved it
+            reservation.bind(f"\0cairn-test-ports-{block[0]}")
+            reservation.detach()  # stays open until the process ends
+            return itertools.cycle(block)
+    raise AssertionError("other processes have reserved all TCP ports from 10000 on")
 
 
 def await_any_end(pids: Sequence[int], limit_s: float) -> None:

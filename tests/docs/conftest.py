@@ -2,7 +2,6 @@
 
 import os
 import re
-import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from cairn.testing.launching import free_port
 from tests.patience import LIMIT_S
 
 ROOT = Path(__file__).parents[2]
@@ -80,6 +80,4 @@ def page_blocks() -> Callable[[str], list[Block]]:
 @pytest.fixture
 def endpoint() -> str:
     """An endpoint on which no process listens."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"

@@ -1,6 +1,5 @@
 """Buses for the tests: real sessions on loopback or one in memory, and a reader that waits."""
 
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from cairn.bus.graph import read_graph
 from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.testing.launching import free_port
 from tests.patience import LIMIT_S
 
 
@@ -21,8 +21,7 @@ class Network:
 
     def __init__(self) -> None:
         self._stack = ExitStack()
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self.endpoint = f"tcp/127.0.0.1:{self.port}"
         self.router = ZenohBus(open_router(self.endpoint))
         self._stack.callback(self.router.close)
@@ -37,7 +36,7 @@ class Network:
         """Return the graph as a command sees it."""
         session = open_client([self.endpoint])
         try:
-            return read_graph(session, domain)
+            return read_graph(session, domain, LIMIT_S)
         finally:
             session.close()
 

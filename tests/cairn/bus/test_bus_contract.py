@@ -142,14 +142,15 @@ def test_slow_subscriber_keeps_the_newest_and_counts_the_dropped(pair: Pair, dep
     writer.publish(String(data="0"))
     slow.await_first()
 
-    for word in words(*range(1, 500)):
+    # Few enough for one batch of Zenoh's: a publisher drops messages if the link stalls.
+    for word in words(*range(1, 200)):
         writer.publish(word)
 
-    assert eventually(lambda: slow.subscription.dropped == 500 - depth)
-    assert slow.pending() == words(*range(500 - depth, 500))
+    assert eventually(lambda: slow.subscription.dropped == 200 - depth)
+    assert slow.pending() == words(*range(200 - depth, 200))
     writer.publish(String(data="next"))
     assert eventually(lambda: slow.pending() == [String(data="next")])
-    assert (slow.subscription.received, slow.subscription.dropped) == (depth + 1, 500 - depth)
+    assert (slow.subscription.received, slow.subscription.dropped) == (depth + 1, 200 - depth)
 
 
 def test_every_pending_message_wakes_the_subscriber_in_any_race(pair: Pair) -> None:
@@ -170,9 +171,14 @@ def test_every_pending_message_wakes_the_subscriber_in_any_race(pair: Pair) -> N
     thread.start()
     for word in words(*range(2000)):
         writer.publish(word)
-    writer.publish(String(data="last"))
 
-    assert ends.wait(LIMIT_S), "the last message is pending without a wake-up"
+    def publish_last() -> bool:
+        # Again and again, because a publisher drops messages if the link stalls. A message that is
+        # pending without a wake-up stays so: those that replace it do not wake the subscriber.
+        writer.publish(String(data="last"))
+        return ends.is_set()
+
+    assert eventually(publish_last), "the last message is pending without a wake-up"
     thread.join()
     received = [int(word) for word in texts[:-1] if word]
     assert received == sorted(received)
@@ -238,7 +244,7 @@ def test_closing_stops_all_threads() -> None:
         bus.close()
     network.close()
 
-    assert set(threading.enumerate()) <= before
+    assert eventually(lambda: set(threading.enumerate()) <= before)
 
 
 def test_received_message_is_immutable(pair: Pair) -> None:

@@ -151,10 +151,13 @@ def test_closing_stops_the_thread_and_fails_pending_requests(network: Network) -
     bus, client = network.bus(), network.bus()
     server = ControlServer(bus.session, 0, NAME, lambda call: None, lambda *_: None)
     client.wait_for_peers(LIMIT_S)
-    before = threading.active_count()
+    serving = [thread for thread in threading.enumerate() if thread.name == "cairn control"]
+    assert serving
 
     server.close()
 
-    assert threading.active_count() == before - 1
+    for thread in serving:
+        thread.join(LIMIT_S)
+        assert not thread.is_alive()
     with pytest.raises(ControlError):
         send_request(client, "ping")

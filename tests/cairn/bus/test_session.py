@@ -7,11 +7,15 @@ import pytest
 from cairn.bus.session import is_connected, open_client, open_router
 from cairn.testing.launching import free_port
 from tests.cairn.bus.network import eventually
+from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
 
 
-def test_router_that_comes_back_in_time_counts_as_connected() -> None:
+def test_router_that_comes_back_in_time_counts_as_connected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("cairn.bus.session.CONNECT_TIMEOUT_S", LIMIT_S)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     router = open_router(endpoint)
     with open_client([endpoint]) as session:
