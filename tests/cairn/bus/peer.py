@@ -2,20 +2,23 @@
 
 It waits for its peers, publishes one word on /robot/word, and prints "ready" with the peers that it
 did not reach. Then it publishes one word per line of its standard input, and prints "received WORD"
-for each word on /robot/answer.
+for each word on /robot/answer. Its links outlast any time for which a test stops it.
 """
 
 import sys
 import threading
 
 from cairn import RELIABLE
-from cairn.bus.session import open_peer
+from cairn.bus import session
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
 
+LIMIT_S = 120.0
+
 
 def main(endpoint: str, name: str) -> None:
-    bus = ZenohBus(open_peer([endpoint]))
+    session.LEASE_MS = 3_600_000
+    bus = ZenohBus(session.open_peer([endpoint]))
     node = bus.node(f"/robot/{name}", print_line)
     arrived = threading.Semaphore(0)
     answers = node.subscribe("/robot/answer", String, RELIABLE, arrived.release)
@@ -27,7 +30,7 @@ def main(endpoint: str, name: str) -> None:
             print_line(f"received {answer.data if answer is not None else answer}")
 
     threading.Thread(target=receive, daemon=True).start()
-    unreached = bus.wait_for_peers(10.0)
+    unreached = bus.wait_for_peers(LIMIT_S)
     words.publish(String(data=f"first of {name}"))
     print_line(f"ready {unreached}")
     for line in sys.stdin:

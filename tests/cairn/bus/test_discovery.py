@@ -13,6 +13,7 @@ import pytest
 
 from cairn import LATCHED, RELIABLE
 from cairn.bus.discovery import QueryableWatcher
+from cairn.bus.keys import session_key
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
@@ -88,7 +89,11 @@ def test_processes_that_join_at_the_same_time_receive_each_others_messages(
         assert heard == dict.fromkeys(range(count), everything)
 
 
-def test_latched_publishers_that_come_and_go_do_not_delay_discovery() -> None:
+def test_latched_publishers_that_come_and_go_do_not_delay_discovery(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A link that no longer works would otherwise be closed soon, and its other end not waited for.
+    monkeypatch.setattr("cairn.bus.session.LEASE_MS", 3_600_000)
     for _ in range(40):
         network = Network()
         coming, other = network.bus(), network.bus()
@@ -98,7 +103,7 @@ def test_latched_publishers_that_come_and_go_do_not_delay_discovery() -> None:
             latched.publish(String(data=word))
             latched.close()
 
-        assert other.wait_for_peers(2.0) == []
+        assert other.wait_for_peers(LIMIT_S) == []
         network.close()
 
 
@@ -141,13 +146,12 @@ def test_hanging_process_is_reported_and_does_not_delay_the_others(network: Netw
     with process(network, "hanging") as (peer, _, output):
         assert output.readline() == "ready []\n"
         assert other.reader.next().data == "first of hanging"
+        (hanging,) = other.bus.session.info.peers_zid()
         peer.send_signal(signal.SIGSTOP)
         joiner = Participant(network.bus(), "joiner")
 
-        unreached = joiner.bus.wait_for_peers(0.5)
-
-        assert [key.startswith("@cairn/session/") for key in unreached] == [True]
-        assert str(other.bus.session.info.zid()) not in unreached[0]
+        # On a busy machine, the others may not be reached in time at the first attempt.
+        assert eventually(lambda: joiner.bus.wait_for_peers(0.5) == [session_key(str(hanging))])
         joiner.publish("received nevertheless")
         assert other.reader.next().data == "received nevertheless"
 
