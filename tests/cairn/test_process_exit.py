@@ -34,7 +34,7 @@ def send():
 
 for work in (receive, send):
     threading.Thread(target=work, daemon=True).start()
-assert received.wait(20)
+assert received.wait(100)
 atexit.register(lambda: print("printed at exit"))
 print("printed first,", end=" ")
 end_process(3)

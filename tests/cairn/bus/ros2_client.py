@@ -49,6 +49,9 @@ class Client:
         publisher = self._publishers[topic]
         publisher.publish(**self._fields(publisher.msg_type, value))
 
+    def has_subscribers(self, topic: str) -> bool:
+        return bool(self._publishers[topic].pub.matching_status.matching)
+
     def receive(self, topic: str) -> Any:
         return _plain(self._received[topic].get(timeout=LIMIT_S))
 

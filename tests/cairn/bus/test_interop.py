@@ -152,7 +152,14 @@ def robot(network: Network, ros2: Ros2) -> Iterator[ThreadedComponent]:
 
 @pytest.fixture(scope="module")
 def known(network: Network, robot: ThreadedComponent, ros2: Ros2) -> Network:
-    """Wait until both know all declarations; the other client has no barrier, only its graph."""
+    """Wait until both know all declarations; the other client has no barrier.
+
+    That an endpoint is in the graph does not yet mean that messages reach it.
+    """
+    outputs = [getattr(robot.runtime.component, f"out_{topic}") for topic in MESSAGES]
+    assert eventually(lambda: all(output.has_subscribers for output in outputs))
+    for topic in MESSAGES:
+        assert eventually(lambda: ros2.request("has_subscribers", topic=f"/robot/{topic}"))  # noqa: B023
     topics = {f"/robot/{prefix}{topic}" for topic in MESSAGES for prefix in ("", "out_")}
     assert eventually(lambda: topics <= {name for name, _ in ros2.request("topics")})
     assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)

@@ -52,7 +52,7 @@ def test_closing_a_connection_ends_its_processes_and_no_others(
     first.client.close()
     driver.await_end()
     helper.await_end()
-    assert first.exits.get_nowait().code == -signal.SIGKILL
+    assert first.exits.get(timeout=LIMIT_S).code == -signal.SIGKILL
     assert first.losses.empty()
     with pytest.raises(CairnError, match="is closed"):
         first.spawn("run_until_killed")
@@ -109,7 +109,8 @@ def test_all_processes_end_with_a_killed_zygote(
     os.kill(zygote.process.pid, signal.SIGKILL)
     leaf.await_end()
     assert "zygote lost: " in str(owner.losses.get(timeout=LIMIT_S))
-    assert {owner.exits.get_nowait().pid, owner.exits.get_nowait().pid} == {driver.pid, middle.pid}
+    exits = [owner.exits.get(timeout=LIMIT_S) for _ in range(2)]
+    assert {exited.pid for exited in exits} == {driver.pid, middle.pid}
     with pytest.raises(ZygoteLost):
         owner.spawn("run_until_killed")
     zygote.close()

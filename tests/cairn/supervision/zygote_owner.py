@@ -7,6 +7,7 @@ from typing import Any
 from cairn.supervision.child import ZygoteLost
 from cairn.supervision.zygote import Exited
 from cairn.supervision.zygote_client import ChildProcess, ZygoteClient, ZygoteProcess
+from tests.patience import LIMIT_S
 
 from . import zygote_children
 from .reports import Report, Reports
@@ -31,6 +32,7 @@ class Owner:
             {"name": name, **self.facts, **argument},
             self.log,
             fresh=fresh,
+            timeout_s=LIMIT_S,
         )
         child.on_exit(self.exits.put)
         return child
