@@ -36,11 +36,9 @@ class ServiceManager:
         if not self._address:
             return
         if active and not self._ready:
-            self._ready = True
-            self._send("READY=1\nSTATUS=active")
+            self._ready = self._send("READY=1\nSTATUS=active")
         if self._ready and not active and not self._stopping:
-            self._stopping = True
-            self._send("STOPPING=1\nSTATUS=stopping")
+            self._stopping = self._send("STOPPING=1\nSTATUS=stopping")
         now = time.monotonic()
         # Not before it is ready: the first beat starts the watchdog, and a start may be slow.
         if (
@@ -52,12 +50,17 @@ class ServiceManager:
             self._last_beat_at = now
             self._send("WATCHDOG=1")
 
-    def _send(self, message: str) -> None:
+    def _send(self, message: str) -> bool:
+        """Send a message if the manager can take it now; return whether it has.
+
+        A manager that is busy or restarts gets it, or the next one, later: the robot must not wait.
+        """
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
             sender.setblocking(False)
-            # A manager that is busy or restarts gets the next message: the robot must not wait.
             with suppress(BlockingIOError, ConnectionRefusedError, FileNotFoundError):
                 sender.sendto(message.encode(), self._address)
+                return True
+        return False
 
 
 def service_manager(environment: MutableMapping[str, str]) -> ServiceManager:

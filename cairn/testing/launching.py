@@ -107,11 +107,11 @@ class Run:
 
     def pid_of(self, component: str) -> int:
         """Return the process id of a component, or of the `zygote`."""
-        found = []
-        for process in self._processes():
-            with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
-                if " ".join(process.cmdline()).startswith(f"cairn: {component}"):
-                    found.append(process.pid)
+        found = [
+            process.pid
+            for process in self._processes()
+            if " ".join(process.cmdline()).startswith(f"cairn: {component}")
+        ]
         assert len(found) == 1, f"{component} has the processes {found}; {self}"
         return found[0]
 

@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,22 @@ class Manager:
             before.append(message)
         return before
 
+    def fill(self) -> None:
+        """Send messages until the socket takes no more, as if the manager did not read."""
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.setblocking(False)
+            with suppress(BlockingIOError):
+                while True:
+                    sender.sendto(b"filler", self.address)
+
+    def empty(self) -> None:
+        """Read all messages that are pending."""
+        self.socket.setblocking(False)
+        with suppress(BlockingIOError):
+            while True:
+                self.socket.recv(4096)
+        self.socket.settimeout(LIMIT_S)
+
 
 @pytest.fixture
 def manager(tmp_path: Path) -> Iterator[Manager]:
@@ -40,11 +57,12 @@ def manager(tmp_path: Path) -> Iterator[Manager]:
 
 
 def test_start_progress_and_stop_are_notified(launch: Launching, manager: Manager) -> None:
-    environment = {"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "600000"}
+    # One watchdog message is due: more of them might fill the socket before the test reads on.
+    environment = {"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "600000000"}
     run = launch("components: {talker: {plugin: test_talker}}", environment=environment)
 
     manager.receive_until("READY=1")
-    assert run.lines, "it reports READY=1 before it has written anything"
+    assert "child active: talker" in run.log_of("root"), "it reports READY=1 before it is active"
     assert manager.receive_until("WATCHDOG=1") == []
     run.process.send_signal(signal.SIGTERM)
     manager.receive_until("STOPPING=1")
@@ -68,6 +86,22 @@ def test_watchdog_does_not_start_before_all_components_are_active(manager: Manag
 
     assert manager.receive_until("READY=1") == []
     assert manager.receive_until("WATCHDOG=1") == []
+
+
+def test_messages_to_a_busy_manager_are_sent_later(manager: Manager) -> None:
+    service = service_manager({"NOTIFY_SOCKET": manager.address})
+
+    for active, message in ((True, "READY=1"), (False, "STOPPING=1")):
+        manager.fill()
+        service.notify(active=active, healthy=True)
+        manager.empty()
+        service.notify(active=active, healthy=True)
+        service.notify(active=active, healthy=True)
+
+        assert manager.receive_until(message) == []
+    manager.socket.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        manager.socket.recv(4096)
 
 
 def test_variables_of_the_service_manager_are_not_inherited(manager: Manager) -> None:
