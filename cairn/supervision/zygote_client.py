@@ -24,7 +24,7 @@ from uuid import uuid4
 import psutil
 
 from cairn.errors import CairnError
-from cairn.supervision.child import ZygoteLost
+from cairn.supervision.child import ChildUnavailable, ZygoteLost
 from cairn.supervision.orphan_cleanup import MARK, kill_marked
 from cairn.supervision.zygote import (
     ANSWER,
@@ -191,7 +191,8 @@ class ZygoteClient:
     ) -> None:
         """Connect, and wait at most `timeout_s` seconds for the zygote's imports.
 
-        Raises `ZygoteLost` if no zygote listens there or it ends, `CairnError` at the time limit.
+        Raises `ZygoteLost` if no zygote listens there or it ends, `ChildUnavailable` at the time
+        limit.
         """
         self._path = socket_path
         self._on_lost = on_lost
@@ -227,9 +228,9 @@ class ZygoteClient:
         with a traceback in the log when it raises. With `fresh` it gets a new interpreter instead
         of a fork of the zygote; otherwise the zygote must have imported the modules in `needs`.
 
-        Raises `ZygoteLost`, or `CairnError` with the reason or at the time limit; if the process is
-        started after that, it is killed. Raises `TypeError` or `ValueError` for arguments of wrong
-        form.
+        Raises `ZygoteLost`, `CairnError` with the reason if the zygote refuses, `ChildUnavailable`
+        at the time limit; if the process is started after that, it is killed. Raises `TypeError` or
+        `ValueError` for arguments of wrong form.
         """
         number = next(self._numbers)
         log = os.fspath(log_file)
@@ -259,9 +260,12 @@ class ZygoteClient:
             return answer.result(timeout_s)
         except TimeoutError:
             with self._lock:
-                self._pending.pop(number, None)
-            raise CairnError(
-                f"the zygote on {self._path} did not {step} within {timeout_s:g} s"
+                unanswered = self._pending.pop(number, None) is not None
+            if not unanswered:  # the reader has just taken the answer
+                return answer.result()
+            raise ChildUnavailable(
+                f"the zygote on {self._path} did not {step} within {timeout_s:g} s; "
+                "reduce the load of this computer"
             ) from None
 
     def _send(self, request: Spawn | Signal) -> None:

@@ -5,14 +5,18 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cairn import CairnError
-from cairn.supervision.child import ZygoteLost
+from cairn.supervision import zygote_client
+from cairn.supervision.child import ChildUnavailable, ZygoteLost
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
+from tests.wording import words_in_order
 
 from . import zygote_children
 from .reports import Tree
@@ -146,7 +150,9 @@ def test_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
     owner: Owner, zygote: ZygoteProcess
 ) -> None:
     os.kill(zygote.process.pid, signal.SIGSTOP)
-    with pytest.raises(CairnError, match=r"did not start driver within 0\.05 s"):
+    with pytest.raises(
+        ChildUnavailable, match=words_in_order("did not start driver within 0.05 s", "load")
+    ):
         owner.client.spawn(
             "driver",
             f"{CHILDREN}:run_until_killed",
@@ -157,3 +163,22 @@ def test_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
     os.kill(zygote.process.pid, signal.SIGCONT)
     owner.spawn("write_output", text="").wait(LIMIT_S)
     # The late one may be killed before it could report: the fixture `tree` sees that it is gone.
+
+
+def test_process_whose_start_is_answered_just_at_the_time_limit_is_returned(
+    owner: Owner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class LateAnswer(Future[Any]):
+        """The wait times out when the reader has taken the answer."""
+
+        def result(self, timeout: float | None = None) -> Any:
+            answer = super().result(LIMIT_S)
+            if timeout is not None:
+                raise TimeoutError
+            return answer
+
+    monkeypatch.setattr(zygote_client, "Future", LateAnswer)
+    driver = owner.spawn("run_until_killed")
+    assert owner.reports.of("driver").pid == driver.pid
+    driver.kill()
+    assert owner.exits.get(timeout=LIMIT_S).pid == driver.pid
