@@ -73,7 +73,8 @@ class ProcessHandle:
         exited = process.wait(0)
         if exited is None:
             process.kill()
-            process.wait(_KILL_LIMIT_S)
+            if process.wait(_KILL_LIMIT_S) is None:
+                return  # with its time used up; `Child` must not start another one meanwhile
             raise ChildUnavailable(
                 f"it did not join the bus within {timeout_s:g} s; log: {self._log.file}"
             )

@@ -66,7 +66,8 @@ class SupervisorHost(Protocol):
 
         `on_exit` is called from any thread when the child has ended. Raises `CairnError` with the
         cause if the start fails, `ChildUnavailable` if the child is killed or the start exceeds
-        its limit; then nothing of it runs. Raises `ZygoteLost`, which is not the child's failure.
+        its limit; then nothing of it runs. A child that exceeds the limit and does not end even
+        when killed is returned. Raises `ZygoteLost`, which is not the child's failure.
         """
         ...
 
