@@ -3,8 +3,8 @@
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
+from concurrent.futures import FIRST_COMPLETED, Future
+from concurrent.futures import wait as wait_for
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +45,12 @@ class ComponentHost:
         self._name = launch.name
         self._bus = bus
         self._loop = ThreadLoop()
+        self._loop_end: Future[ExitReport] = Future()  # done after the answer to its last call
         self._clock = PauseAwareClock()
         self._closed = False
         self._children: tuple[ComponentHost, ...] = ()  # those in this process
         self._starting: ProcessHandle | None = None
+        self._starts_canceled = False
         self._zygote: ZygoteClient | None = None
         context = launch.context
         self.runtime = Runtime(
@@ -106,11 +108,14 @@ class ComponentHost:
         if self._zygote is None:
             self._zygote = ZygoteClient(Path(launch.context.zygote), self._log_lost_zygote)
         self._starting = handle = ProcessHandle(launch, self._bus.session)
+        if self._starts_canceled:  # since the supervisor checked it; `handle` was not known yet
+            raise CairnError("a stop was requested")
         handle.launch(self._zygote, on_exit)
         return handle
 
     def cancel_starts(self) -> None:
         """Have nothing started any more below, and cut short the start in progress; any thread."""
+        self._starts_canceled = True
         for child in self._children:
             child.request_stop()
         if self._starting is not None:
@@ -133,16 +138,17 @@ class ComponentHost:
         """Make a control request and return the answer.
 
         Raises `CairnError` if the component refuses, `ChildUnavailable` if it does not answer in
-        time.
+        time, or has ended and will not answer.
         """
-        try:
-            return self.send_request(verb).result(timeout_s)
-        except FutureTimeout:
-            status = self.runtime.status()
-            doing = f"; it is in {status.handler}" if status.handler else ""
-            raise ChildUnavailable(
-                f"{self._name} did not answer {verb} within {timeout_s:.1f} s{doing}"
-            ) from None
+        answer = self.send_request(verb)
+        done = wait_for((answer, self._loop_end), timeout_s, FIRST_COMPLETED).done
+        if answer in done:
+            return answer.result()
+        if self._loop_end in done:
+            raise ChildUnavailable(self._loop_end.result().reason)
+        status = self.runtime.status()
+        doing = f"; it is in {status.handler}" if status.handler else ""
+        raise ChildUnavailable(f"no answer within {timeout_s:.1f} s{doing}")
 
     def request_stop(self) -> None:
         """Have a supervisor start nothing any more; from any thread."""
@@ -193,6 +199,9 @@ class ComponentHost:
         except BaseException as error:  # sys.exit() included: its process must not stay silent
             self._note_exit(ExitReport(False, f"its loop failed: {type(error).__name__}: {error}"))
             self.runtime.log.exception("component loop failed")
+        finally:
+            no_report = ExitReport(False, "its loop ended without a report")
+            self._loop_end.set_result(self.exit_report or no_report)
 
     def _note_exit(self, report: ExitReport) -> None:
         self.exit_report = self.exit_report or report  # the first is the cause of the others

@@ -1,6 +1,7 @@
 """A component on a thread of this process, which answers requests and ends as a child does."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ChildSpec
 from cairn.placement.component_host import ComponentHost
 from cairn.runtime.launch_request import LaunchRequest, RunContext
+from cairn.supervision.child import ChildUnavailable
 from cairn.testing.launching import LIMIT_S, free_port
 from tests.wording import assert_words
 
@@ -26,6 +28,13 @@ class Brief(Component):
     @every(hz=100)
     def tick(self) -> None:
         self.finish("that was all")
+
+
+class Refusing(Component):
+    """Finishes while it is configured."""
+
+    def on_configure(self) -> None:
+        self.finish("nothing to do")
 
 
 class Broken(Component):
@@ -85,6 +94,49 @@ def test_component_that_finishes_has_a_normal_exit_report(bus: ZenohBus, endpoin
     host.close()
 
 
+def test_request_to_a_component_that_has_ended_raises_with_the_reason_of_its_end(
+    bus: ZenohBus, endpoint: str
+) -> None:
+    host = hosted(bus, endpoint, Refusing)
+    assert host.request("configure", LIMIT_S) == "finalized"
+
+    with pytest.raises(ChildUnavailable, match="nothing to do"):
+        host.request("activate", LIMIT_S)
+
+    host.close()
+
+
+def test_start_canceled_while_the_zygote_imports_starts_no_process(
+    bus: ZenohBus, endpoint: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    host = hosted(bus, endpoint, Idle)
+    spawned = []
+
+    class Importing:
+        """A zygote; the start is canceled while it imports."""
+
+        def __init__(self, *_: object) -> None:
+            host.cancel_starts()
+
+        def spawn(self, name: str, *_: object, **__: object) -> None:
+            spawned.append(name)
+
+        def close(self) -> None:
+            """Do nothing."""
+
+    monkeypatch.setattr("cairn.placement.component_host.ZygoteClient", Importing)
+    child = LaunchRequest(
+        name="child",
+        spec=ChildSpec(plugin=f"{__name__}:Idle"),
+        context=RunContext(endpoints=(endpoint,), log_folder=str(tmp_path)),
+    )
+    with pytest.raises(CairnError, match="a stop was requested"):
+        host.launch_child(child, lambda: None)
+
+    assert spawned == []
+    host.close()
+
+
 def test_failing_transition_raises_and_ends_the_component(bus: ZenohBus, endpoint: str) -> None:
     host = hosted(bus, endpoint, Broken)
 
@@ -109,7 +161,8 @@ def test_loop_that_fails_has_an_abnormal_exit_report(
         raise KeyError("a defect of ours")
 
     monkeypatch.setattr(host.runtime, "request", defect)
-    host.send_request("configure")
+    with pytest.raises(ChildUnavailable, match="a defect of ours"):
+        host.request("configure", LIMIT_S)
 
     assert host.ended.wait(LIMIT_S)
     assert host.exit_report is not None
