@@ -70,8 +70,7 @@ def test_thousand_faults_cause_no_wrong_scan() -> None:
 def test_scans_resume_after_faults_of_all_kinds(tmp_path: Path, tcp: bool) -> None:
     order = list(FAULTS) * 15
     np.random.default_rng(tcp).shuffle(order)
-    patience = {"reply_timeout_s": REPLY_TIMEOUT_S, "restarts": 1}
-    with emulated_driver(tmp_path, tcp=tcp, **patience) as setup:
+    with emulated_driver(tmp_path, tcp=tcp, reply_timeout_s=REPLY_TIMEOUT_S, restarts=1) as setup:
         setup.scans.wait(1)
         for fault in order:
             setup.emulator.inject(fault)
