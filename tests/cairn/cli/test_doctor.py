@@ -170,8 +170,8 @@ def test_file_that_may_not_be_read_is_a_fault(
 
 
 def test_network_device_is_checked_by_connecting(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
+    port = free_port()  # which no other process takes once it is released
+    with socket.create_server(("127.0.0.1", port)):
         reachable = run_doctor(tmp_path, f"host: 127.0.0.1, tcp_port: {port}")
     unreachable = run_doctor(tmp_path, f"host: 127.0.0.1, tcp_port: {port}")
 
