@@ -53,7 +53,7 @@ def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: R
     assert (listener["parent"], listener["placement"]) == ("mobile", "process")
     assert (listener["state"], listener["restarts"]) == ("active", 0)
     assert listener["memory_mib"] > 1
-    # A listener that gets no processor for half a second drops words; its supervisor's queue is long.
+    # A listener that gets no processor for half a second drops words: its queue is short.
     supervisor = await_status("/rover/mobile", lambda row: row["received"] > 0, rover.endpoint)
     assert supervisor["dropped"] == 0
     assert rows["/rover/root"]["pid"] == rover.process.pid
