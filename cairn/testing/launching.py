@@ -110,7 +110,7 @@ class Run:
         found = [
             process.pid
             for process in self._processes()
-            if " ".join(process.cmdline()).startswith(f"cairn: {component}")
+            if _title_of(process) == f"cairn: {component}"
         ]
         assert len(found) == 1, f"{component} has the processes {found}; {self}"
         return found[0]
@@ -127,8 +127,9 @@ class Run:
         names = []
         for process in left:
             with contextlib.suppress(psutil.NoSuchProcess):
-                names.append(f"{process.pid} {' '.join(process.cmdline())}")
+                title = _title_of(process)
                 process.kill()
+                names.append(f"{process.pid} {title}")
         assert not names, f"left running: {names}; {self}"
 
     def log_of(self, component: str) -> str:
@@ -245,8 +246,13 @@ def launching(folder: Path) -> Iterator[Launching]:
         for run in launch.runs:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 run.process.wait(LIMIT_S)
-        for run in launch.runs:
-            run.await_nothing_left()
+        errors = []
+        for run in launch.runs:  # all, also if the first has left something
+            try:
+                run.await_nothing_left()
+            except AssertionError as error:
+                errors.append(str(error))
+        assert not errors, "\n".join(errors)
 
 
 def names_of(file: Path, arguments: Sequence[str]) -> DeploymentNames:
@@ -264,14 +270,19 @@ def names_of(file: Path, arguments: Sequence[str]) -> DeploymentNames:
 def _problems_in(file: Path) -> list[tuple[float, list[str]]]:
     """Return the warnings, errors and crashes in a log file, each as time [s] and lines.
 
-    A line that begins no record belongs to the record before it.
+    A line that begins no record belongs to the record before it. A file that cannot be read is a
+    problem itself; an exception would end pytest instead of reporting the failed test.
     """
+    try:
+        text = file.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        return [(0.0, [f"{file} cannot be read: {error.strerror}"])]
     found: list[tuple[float, list[str]]] = []
     time_s, is_problem = 0.0, False
-    for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
-        start = _RECORD.match(line)
+    for line in text.splitlines():
+        start = _start_of_record(line)
         if start is not None:
-            time_s, is_problem = _time_of(start[1]), start[2] in _PROBLEMS
+            time_s, is_problem = start[0], start[1] in _PROBLEMS
         is_crash = not is_problem and line.startswith(_CRASHES)
         if is_crash or (start is not None and is_problem):
             is_problem = True
@@ -281,11 +292,28 @@ def _problems_in(file: Path) -> list[tuple[float, list[str]]]:
     return found
 
 
-def _time_of(text: str) -> float:
-    """Return the time of a log record [s since 1970]; the log of the root has it in seconds."""
-    if " " not in text:
-        return float(text)
-    return datetime.strptime(text, "%Y-%m-%d %H:%M:%S,%f").timestamp()
+def _start_of_record(line: str) -> tuple[float, str] | None:
+    """Return time [s since 1970] and level of the record that a line begins; None if it does not.
+
+    A component's log also contains what its libraries print, which may resemble a record.
+    """
+    start = _RECORD.match(line)
+    if start is None:
+        return None
+    time, level = start.groups()
+    try:
+        if " " not in time:
+            return float(time), level  # the log of the root has seconds
+        return datetime.strptime(time, "%Y-%m-%d %H:%M:%S,%f").timestamp(), level
+    except ValueError:
+        return None
+
+
+def _title_of(process: psutil.Process) -> str:
+    """Return the command line of a process, empty if it has ended."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return " ".join(process.cmdline()).rstrip()  # empty arguments pad a component's title
+    return ""
 
 
 def free_port() -> int:
