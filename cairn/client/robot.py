@@ -115,7 +115,7 @@ class Robot:
         self._codec = Codec()
         self._gid = secrets.token_bytes(16)
         self._published: Counter[str] = Counter()
-        self._subscriptions: list[Subscription[Any]] = []
+        self._subscriptions: set[Subscription[Any]] = set()
 
     def __enter__(self) -> Self:
         return self
@@ -125,7 +125,7 @@ class Robot:
 
     def close(self) -> None:
         """End all subscriptions and the connection."""
-        for subscription in self._subscriptions:
+        for subscription in tuple(self._subscriptions):
             subscription.close()
         self.connection.close()
 
@@ -218,9 +218,9 @@ class Robot:
         """
         full = self._full(topic)
         self._check_type(full, message)
-        subscription = Subscription(self.connection, full, message, callback, depth, timeout_s)
-        self._subscriptions.append(subscription)
-        return subscription
+        return Subscription(
+            self.connection, self._subscriptions, full, message, callback, depth, timeout_s
+        )
 
     def latest(self, topic: str, message: type[M], *, timeout_s: float = 5.0) -> M:
         """Return the newest latched message of a topic, or else the next one that is published."""
@@ -321,12 +321,10 @@ class Robot:
     ) -> Subscription[Log]:
         """Subscribe to log messages; those that components keep arrive first."""
         self._check_logger(component)
-        subscription = Subscription(
-            self.connection, ROSOUT, Log, None, 10_000, timeout_s,
+        return Subscription(
+            self.connection, self._subscriptions, ROSOUT, Log, None, 10_000, timeout_s,
             accept=lambda entry: self._is_of(entry, component),
         )  # fmt: skip
-        self._subscriptions.append(subscription)
-        return subscription
 
     def go(self, x: float, y: float, theta: float = 0.0) -> NavigationGoal:
         """Send the robot to a pose in frame map [m, m, rad]; this preempts an earlier goal."""
@@ -352,13 +350,13 @@ class Robot:
         return Navigator.find(self.connection, self._robot, self._notify)
 
     def _manage(self, verb: str, component: str) -> str:
-        supervisor = self._supervisor_of(component)
+        supervisor, child = self._supervisor_of(component)
         return str(
-            self.connection.request(supervisor, verb, {"name": component}, timeout_s=_START_LIMIT_S)
+            self.connection.request(supervisor, verb, {"name": child}, timeout_s=_START_LIMIT_S)
         )
 
-    def _supervisor_of(self, name: str) -> str:
-        """Return the full name of the supervisor that has a child of that name."""
+    def _supervisor_of(self, name: str) -> tuple[str, str]:
+        """Return the full name of the supervisor of a component, and the component's short name."""
         known: dict[str, str] = {}
         for node, status in self.connection.statuses().items():
             of_robot = node.split("/")[1]
@@ -366,13 +364,8 @@ class Robot:
                 continue
             for child in status.children:
                 known[f"/{of_robot}/{child}"] = node
-        owners = [node for full, node in known.items() if full.rpartition("/")[2] == name]
-        if len(owners) == 1:
-            return owners[0]
-        if owners:
-            raise CairnError(f"several robots have a component {name}; give --robot (robot=...)")
-        listed = ", ".join(sorted(known)) or "none"
-        raise CairnError(f"no supervisor has a component {name}; they have: {listed}")
+        full = resolve(known, name, self._robot)
+        return known[full], full.rpartition("/")[2]
 
     def _check_logger(self, component: str) -> None:
         writers = {
@@ -407,6 +400,7 @@ class Subscription(Generic[M]):
     def __init__(
         self,
         connection: Connection,
+        opened: set[Subscription[Any]],
         topic: str,
         message: type[M],
         callback: Callable[[M], None] | None,
@@ -429,6 +423,8 @@ class Subscription(Generic[M]):
         # A callback runs on a thread of its own, so that it may be slow; else nothing slow happens.
         handler = zenoh.handlers.Callback(self._receive, indirect=callback is not None)
         self._subscriber = connection.subscriber(self.key, handler, latched=True)
+        self._opened = opened
+        opened.add(self)
 
     def __enter__(self) -> Self:
         return self
@@ -445,15 +441,20 @@ class Subscription(Generic[M]):
         """Return the next message.
 
         Raises `NoMessageError` if none arrives within `timeout_s` [s] (by default, that of the
-        subscription), `InvalidMessage` if one arrives that is not valid.
+        subscription) or if the subscription is closed, `InvalidMessage` if one arrives that is not
+        valid.
         """
         limit_s = self.timeout_s if timeout_s is None else timeout_s
         deadline = time.monotonic() + limit_s
         while True:
             with self._changed:
                 while not self._payloads:
+                    if self._closed:
+                        raise NoMessageError(
+                            f"{self.topic}: the subscription is closed; call subscribe again"
+                        )
                     left_s = deadline - time.monotonic()
-                    if left_s <= 0 or self._closed:
+                    if left_s <= 0:
                         raise NoMessageError(f"{self.topic}: no message within {limit_s:g} s")
                     self._changed.wait(min(left_s, threading.TIMEOUT_MAX))
                 payload = self._payloads.popleft()
@@ -462,12 +463,14 @@ class Subscription(Generic[M]):
                 return message
 
     def close(self) -> None:
-        """Stop receiving; a reader that waits gets `NoMessageError`."""
-        if self._closed:
-            return
+        """Stop receiving and drop what was not read; a reader gets `NoMessageError`."""
         with self._changed:
+            if self._closed:
+                return
             self._closed = True
+            self._payloads.clear()
             self._changed.notify_all()
+        self._opened.discard(self)
         self._subscriber.undeclare()
 
     def _receive(self, sample: Any) -> None:
@@ -479,6 +482,8 @@ class Subscription(Generic[M]):
                 _log.exception("callback for %s failed", self.topic)
             return
         with self._changed:
+            if self._closed:
+                return
             self.dropped += len(self._payloads) == self._payloads.maxlen
             self._payloads.append(payload)
             self._changed.notify()

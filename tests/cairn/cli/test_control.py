@@ -53,7 +53,7 @@ def test_unknown_names_are_reported_with_the_known_ones(command: Command) -> Non
     assert ": /rover/beacon" in missing.err
     unknown = command("restart", "absent")
     assert unknown.code == 1
-    assert "no supervisor has a component absent" in unknown.err
+    assert "there is no absent on the bus" in unknown.err
     assert "beacon" in unknown.err
     lost = command("ps", "--robot", "tower")
     assert lost.code == 1

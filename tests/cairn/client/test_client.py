@@ -1,14 +1,20 @@
 """The client API, against a running deployment of small components."""
 
+import gc
 import itertools
 import queue
+import weakref
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 import cairn.client
 from cairn import CairnError
+from cairn.bus.codec import Codec
 from cairn.client import ControlError, NoMessageError, NoReplyError, Robot
+from cairn.client.connection import Connection
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.testing.launching import LIMIT_S, Run, free_port, launching
 from tests.wording import words_in_order
@@ -111,6 +117,45 @@ def test_silent_topic_ends_the_wait_with_the_limit(robot: Robot) -> None:
         messages.next(0.1)
 
 
+def test_closed_subscription_is_reported_as_closed(robot: Robot) -> None:
+    with robot.subscribe("words", Twist, timeout_s=LIMIT_S) as messages:
+        messages.next()
+
+    with pytest.raises(NoMessageError, match="/rover/words: the subscription is closed"):
+        messages.next()
+
+
+class OneMessage:
+    """A connection to a bus on which each subscriber receives one message."""
+
+    domain = 0
+
+    def endpoints(self) -> list[Any]:
+        return []
+
+    def subscriber(self, _key: str, handler: Any, *, latched: bool) -> Any:
+        data = Codec().encode(Twist(linear=Vector3(x=1.0)))
+        handler(SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda: data)))
+        return SimpleNamespace(undeclare=lambda: None)
+
+    def close(self) -> None: ...
+
+
+def test_closed_subscription_and_its_messages_are_released() -> None:
+    robot = Robot(cast("Connection", OneMessage()))
+    with robot.subscribe("/rover/words", Twist) as messages:
+        assert messages.next(LIMIT_S) == Twist(linear=Vector3(x=1.0))
+    with robot.subscribe("/rover/words", Twist) as unread:
+        pass
+
+    with pytest.raises(NoMessageError):  # not the message from before
+        unread.next(LIMIT_S)
+    closed = weakref.ref(messages)
+    del messages
+    gc.collect()
+    assert closed() is None
+
+
 def test_another_message_type_is_rejected_with_the_type_in_use(robot: Robot) -> None:
     with pytest.raises(CairnError, match="geometry_msgs/msg/Twist"):
         robot.subscribe("words", PoseStamped)
@@ -156,8 +201,13 @@ def test_component_is_restarted(robot: Robot) -> None:
 
     assert robot.restart("beacon") == "active"
     assert robot.components()["beacon"].pid != before
-    with pytest.raises(CairnError, match="no supervisor has a component tower"):
+    with pytest.raises(CairnError, match=r"no tower on the bus.*/rover/beacon"):
         robot.restart("tower")
+
+
+def test_full_name_unloads_and_loads_a_component(robot: Robot) -> None:
+    assert robot.unload("/rover/beacon") == "unloaded"
+    assert robot.load("/rover/beacon") == "active"
 
 
 def test_goal_without_a_supervisor_that_accepts_it_fails_with_the_remedy(robot: Robot) -> None:
