@@ -1,19 +1,24 @@
 """The zygote with real processes: which processes end together, so that nothing remains."""
 
 import os
+import queue
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
+import psutil
 import pytest
 
 from cairn import CairnError
 from cairn.supervision import zygote_client
 from cairn.supervision.child import ChildUnavailable, ZygoteLost
+from cairn.supervision.orphan_cleanup import kill_marked
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
@@ -144,6 +149,29 @@ def test_ending_the_zygote_leaves_no_process(
     zygote.close()
     tree.await_end()
     assert not zygote.socket_path.exists()
+
+
+def test_killed_processes_that_are_not_reaped_count_as_ended() -> None:
+    mark = uuid4().hex
+    program = (
+        "import os, subprocess, sys\n"
+        "environment = {**os.environ, 'CAIRN_TREE': sys.argv[1]}\n"
+        "print(subprocess.Popen(['sleep', 'infinity'], env=environment).pid, flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program, mark], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as parent:
+        assert parent.stdout is not None
+        child = psutil.Process(int(parent.stdout.readline()))
+        left: queue.Queue[list[int]] = queue.Queue()
+        threading.Thread(
+            target=lambda: left.put(kill_marked(mark, 2 * LIMIT_S)), daemon=True
+        ).start()
+
+        assert left.get(timeout=LIMIT_S) == []
+
+        assert child.status() == psutil.STATUS_ZOMBIE
 
 
 def test_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(
