@@ -6,11 +6,11 @@ had no release for years (sdnotify), and leave the watchdog's timing, most of th
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import time
 from collections.abc import MutableMapping
-from contextlib import suppress
 
 _BEATS = 3
 """Keep-alive messages within the watchdog's time: one may be late, and one may be lost."""
@@ -26,6 +26,7 @@ class ServiceManager:
         self._last_beat_at = 0.0
         self._ready = False
         self._stopping = False
+        self._failed = False
 
     def notify(self, *, active: bool, healthy: bool) -> None:
         """Report what has changed; to be called repeatedly as long as the deployment runs.
@@ -55,12 +56,19 @@ class ServiceManager:
 
         A manager that is busy or restarts gets it, or the next one, later: the robot must not wait.
         """
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
-            sender.setblocking(False)
-            with suppress(BlockingIOError, ConnectionRefusedError, FileNotFoundError):
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+                sender.setblocking(False)
                 sender.sendto(message.encode(), self._address)
                 return True
-        return False
+        except (BlockingIOError, ConnectionRefusedError, FileNotFoundError):
+            return False
+        except OSError as error:  # must not end the robot
+            if not self._failed:
+                reason = f"{self._address!r}: {error.strerror}; correct NOTIFY_SOCKET"
+                logging.getLogger("cairn").error("service manager not notified: %s", reason)
+            self._failed = True
+            return False
 
 
 def service_manager(environment: MutableMapping[str, str]) -> ServiceManager:

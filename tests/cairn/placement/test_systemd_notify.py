@@ -11,6 +11,7 @@ import pytest
 
 from cairn.placement.systemd_notify import service_manager
 from cairn.testing.launching import LIMIT_S, Launching
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
 
@@ -102,6 +103,21 @@ def test_messages_to_a_busy_manager_are_sent_later(manager: Manager) -> None:
     manager.socket.setblocking(False)
     with pytest.raises(BlockingIOError):
         manager.socket.recv(4096)
+
+
+def test_manager_that_rejects_messages_is_logged_once_and_does_not_end_the_robot(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    stream = socket.socket(socket.AF_UNIX)  # accepts connections, but no messages
+    stream.bind(str(tmp_path / "notify"))
+    service = service_manager({"NOTIFY_SOCKET": str(tmp_path / "notify")})
+
+    for _ in range(2):
+        service.notify(active=True, healthy=True)
+
+    stream.close()
+    [message] = caplog.messages
+    assert_words(message, "service manager not notified", str(tmp_path), "NOTIFY_SOCKET")
 
 
 def test_variables_of_the_service_manager_are_not_inherited(manager: Manager) -> None:
