@@ -1,8 +1,8 @@
 """Runs a deployment in real processes: the router, the zygote, and the root of the tree."""
 
 import os
+import shutil
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -20,12 +20,11 @@ from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
 from cairn.placement.systemd_notify import ServiceManager
-from cairn.process_exit import ExitReport
+from cairn.process_exit import ExitLog, ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
-_ZYGOTE_END_S = 0.2
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
 
 
@@ -48,7 +47,7 @@ def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
     All processes that it has started end with the context. Raises `CairnError` if the folder for
     its socket cannot be created.
     """
-    base = os.environ.get("XDG_RUNTIME_DIR")
+    base = os.environ.get("XDG_RUNTIME_DIR") or None  # an empty one would be the current folder
     try:
         folder = TemporaryDirectory(prefix="cairn-", dir=base, ignore_cleanup_errors=True)
     except OSError as error:
@@ -77,8 +76,9 @@ def run_processes(
 
     `make_view(bus, wake_up)` returns the view; `wake_up` has it refreshed soon. `service` is
     notified when all is active, and as long as the root runs. Nothing is left running, whatever
-    happens. Raises `CairnError` if the port is taken, if the robot runs already on this bus or on a
-    second signal; raises errors of the view after everything has been stopped.
+    happens; the zygote has ended, and its log is in `log_folder` if it has logged something.
+    Raises `CairnError` if the port is taken, if the robot runs already on this bus or on a second
+    signal; raises errors of the view after everything has been stopped.
     """
     connect = deployment.bus.connect
     if connect:
@@ -96,6 +96,7 @@ def run_processes(
             log_folder=str(log_folder),
         ),
     )
+    zygote_log = ExitLog(log_folder / "zygote.log")
     session = open_peer(connect) if connect else open_router(deployment.bus.listen)
     with closing(ZenohBus(session, deployment.domain)) as bus:
         root = ComponentHost(launch, bus)
@@ -124,15 +125,18 @@ def run_processes(
             monitor.finish()
         finally:
             root.close()
+            # At its death a zygote closes its connections first: it may not have ended yet.
+            zygote_ended_first = zygote.process.poll() is not None
+            zygote.close()
+            with suppress(OSError):  # it removes an empty log
+                shutil.copyfile(zygote.log_file, zygote_log.file)
     if monitor.failure is not None:
         raise monitor.failure
-    report = root.exit_report or ExitReport(False, "the root ended without a report")
-    with suppress(subprocess.TimeoutExpired):
-        # The root loses the connection to the zygote a moment before the zygote has ended.
-        zygote.process.wait(0 if report.normal else _ZYGOTE_END_S)
-        reason = "the zygote was killed, and with it every component; nothing is left running"
+    if zygote_ended_first or zygote.process.returncode != 0:
+        cause = zygote_log.report(zygote.process.pid, zygote.process.returncode).reason
+        reason = f"the zygote ended, and with it every component: {cause}; nothing is left running"
         return ExitReport(False, reason)
-    return report
+    return root.exit_report or ExitReport(False, "the root ended without a report")
 
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:

@@ -87,7 +87,10 @@ def test_killed_or_stopped_zygote_fails_the_deployment_and_leaves_no_process(
 
     assert run.await_end() == 1
     run.await_nothing_left()
-    run.await_line("cairn: deployment0.yaml failed: the zygote was killed, and with it every compo")
+    run.await_line(
+        "cairn: deployment0.yaml failed: the zygote ended, and with it every component: killed by "
+        rf"SIGKILL \(signal 9\) \(process \d+, log {run.logs}/zygote.log\)"
+    )
 
 
 @pytest.mark.parametrize("stopped", [(), ("beacon", "mobile", "reader", "base", "talker")])
