@@ -7,6 +7,7 @@ from cairn.testing.driver_contract import (
     StopContract,
     UnplugContract,
 )
+from tests.patience import LIMIT_S
 
 
 class BaseLifeContract(
@@ -14,6 +15,6 @@ class BaseLifeContract(
 ):
     """Its limits suit a computer with other work; the rest of the contract runs in real time."""
 
-    return_limit_s = 30.0
-    report_limit_s = 30.0
+    return_limit_s = LIMIT_S
+    report_limit_s = LIMIT_S
     cycles = 6

@@ -14,6 +14,7 @@ from cairn.vision.teaching import make_view
 from cairn.visual_map.object_models import add_views, remove_model
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, picture_of
+from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.images
 
@@ -140,7 +141,7 @@ def test_objects_taught_at_run_time_are_recognized(
 
 def await_log(it: Robot, caplog: pytest.LogCaptureFixture, text: str) -> None:
     """Advance time until the recognizer logs that it has reloaded the file."""
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + LIMIT_S
     caplog.clear()
     while text not in caplog.text:
         it.recognizer.run_for(1.0)

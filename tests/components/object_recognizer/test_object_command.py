@@ -14,6 +14,7 @@ from cairn.visual_map.object_models import read_models
 from cairn.visual_map.sqlite_file import connect, create
 from tests.commands import Answer, cairn
 from tests.components.object_recognizer.scenes import picture_of
+from tests.patience import LIMIT_S
 from tests.wording import assert_words
 
 pytestmark = [pytest.mark.processes, pytest.mark.images]
@@ -307,7 +308,10 @@ ROBOT = """
     """
 
 
-def test_object_in_front_of_running_robot_is_taught_and_recognized(folder: Path) -> None:
+def test_object_in_front_of_running_robot_is_taught_and_recognized(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(object_cli, "_TIMEOUT_S", LIMIT_S)
     path = folder / "robot.cairn"
     create(path, "a test").close()
     with launching(folder) as launch:

@@ -44,7 +44,10 @@ class _Device(FakeDevice):
 
 
 class _Stream:
-    """An image of noise at each whole period, so that two cameras are synchronized."""
+    """An image of noise at each whole period, so that two cameras are synchronized.
+
+    If it is read late, only the newest image is left, as in a camera.
+    """
 
     def __init__(self, device: _Device, _buffers: int) -> None:
         self._path = device.path
@@ -61,6 +64,7 @@ class _Stream:
         """Do nothing: there are no buffers."""
 
     def newest(self, timeout_s: float) -> list[FilledBuffer]:
+        self._number = max(self._number, int(time.monotonic() / _PERIOD_S))
         captured_s = self._number * _PERIOD_S
         wait_s = captured_s - time.monotonic()
         self._never.wait(max(0.0, min(wait_s, timeout_s)))
