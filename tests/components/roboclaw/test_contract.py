@@ -16,8 +16,10 @@ from cairn.schemas.sensor_msgs import BatteryState
 from cairn.testing.base_contract import BaseContract, SafetyContract
 from cairn.testing.driver_contract import Contract
 from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.timing import undisturbed
 from tests.components.base_life import BaseLifeContract
 from tests.components.roboclaw.emulated_base import DEPLOYMENT, EmulatedBase, emulated_base
+from tests.patience import LIMIT_S
 
 FORWARD = Twist(linear=Vector3(x=0.5))
 LEFT = Twist(angular=Vector3(z=2.0))
@@ -48,22 +50,26 @@ class TestRoboclawBase(EmulatedRoboclaw, SafetyContract):
     top_speed = 0.8
     turn = 1.0
     stop_limit_s = 2.5  # the controller's own time limit is 1 s
+    return_limit_s = LIMIT_S
 
     def test_square_by_odometry_is_the_true_square(
         self, robot: RunningDeployment, output: Reading[Odometry], device: EmulatedBase
     ) -> None:
-        assert device.await_stand(2.0)
-        true_start = device.true_pose()
-        (first,) = output.await_count(1, after=output.count)
-        start = _pose(first)
-        for _ in range(4):
-            with robot.publishing("cmd_vel", FORWARD):
-                _await_distance(output, 0.2)
-            with robot.publishing("cmd_vel", LEFT):
-                _await_turn(output, math.pi / 2)
-        assert device.await_stand(2.0)
-        true_way = relative(true_start, device.true_pose())
+        def drive_square() -> tuple[Pose, Pose]:
+            """Return where it begins by odometry, and the true way."""
+            assert device.await_stand(LIMIT_S)
+            true_start = device.true_pose()
+            (first,) = output.await_count(1, after=output.count)
+            for _ in range(4):
+                with robot.publishing("cmd_vel", FORWARD):
+                    _await_distance(output, 0.2)
+                with robot.publishing("cmd_vel", LEFT):
+                    _await_turn(output, math.pi / 2)
+            assert device.await_stand(LIMIT_S)
+            return _pose(first), relative(true_start, device.true_pose())
+
         # A busy computer reads the encoders rarely, and takes the path between for an arc.
+        start, true_way = undisturbed(drive_square)
         output.await_that(
             lambda arrivals: any(
                 not apart(relative(start, _pose(one)), true_way, 0.02, 0.03) for one in arrivals
@@ -80,9 +86,11 @@ class TestRoboclawBase(EmulatedRoboclaw, SafetyContract):
             commands.enter_context(robot.publishing("cmd_vel", FORWARD))
             assert device.await_that(lambda: device.speed() > 0.4)
             with robot.suspended("base"):
+                for _ in range(2):  # after the second call it has read all packets
+                    device.call(lambda: None)
                 hung = time.monotonic()
-                assert device.await_stand(3.0)
-                assert device.device.timeouts == before + 1
+                assert device.await_stand(LIMIT_S)
+                assert device.device.timeouts > before
                 # No packets arrive: the controller drives on until its timeout, no longer.
                 assert device.fastest_since(hung + DEVICE_TIMEOUT_S + COASTING_S) < 0.05
                 commands.close()
@@ -93,14 +101,20 @@ class TestRoboclawBase(EmulatedRoboclaw, SafetyContract):
     def test_driver_stops_the_wheels_before_the_controller_does(
         self, robot: RunningDeployment, device: EmulatedBase
     ) -> None:
-        before = device.device.timeouts
-        _drive(robot, device)
-        assert device.await_stand(2.0), "commands have ceased"
-        _drive(robot, device)
-        robot.request("base", "deactivate")
+        def drive_and_stop() -> tuple[bool, int]:
+            """Return whether the wheels turn, and how often the controller has stopped them."""
+            before = device.device.timeouts
+            _drive(robot, device)
+            assert device.await_stand(LIMIT_S), "commands have ceased"
+            _drive(robot, device)
+            robot.request("base", "deactivate")
+            stopped = device.turns(), device.device.timeouts - before
+            robot.request("base", "activate")
+            return stopped
 
-        assert not device.turns(), "deactivation did not wait for the wheels"
-        assert device.device.timeouts == before
+        turns, timeouts = undisturbed(drive_and_stop)
+        assert not turns, "deactivation did not wait for the wheels"
+        assert timeouts == 0
 
     def test_battery_and_health_are_published(self, robot: RunningDeployment) -> None:
         with (
