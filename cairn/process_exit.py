@@ -48,10 +48,23 @@ class ExitLog:
 
     def __init__(self, file: Path) -> None:
         self.file = file
+        self._start = self.size()
+
+    def size(self) -> int:
+        """Return the size of the log [bytes], 0 if it does not exist yet."""
         try:
-            self._start = file.stat().st_size
-        except OSError:  # the log does not exist yet
-            self._start = 0
+            return self.file.stat().st_size
+        except OSError:
+            return 0
+
+    def has_since(self, size: int, text: bytes) -> bool:
+        """Return whether the log contains `text` after its first `size` bytes."""
+        try:
+            with self.file.open("rb") as file:
+                file.seek(size)
+                return text in file.read()
+        except OSError:
+            return False
 
     def report(self, pid: int, code: int) -> ExitReport:
         """Return the report on a process that ended with this exit code, -N by signal N."""

@@ -1,10 +1,13 @@
 """Launches a component in a process of its own, and makes requests to it over the bus."""
 
 import queue
+import re
 import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
@@ -24,7 +27,9 @@ ENTRY = "cairn.placement.component_process:main"
 """What every component's process runs."""
 TRACEBACK_SIGNAL = signal.SIGUSR1
 """A component's process that receives it logs the stacks of all of its threads."""
-_TRACEBACK_LIMIT_S = 0.3  # for the zygote to send that signal, and the process to log
+_TRACEBACK_LIMIT_S = 5.0  # only a process that cannot log at all needs so long
+_TRACEBACK_POLL_S = 0.01
+_TRACEBACK = b"(most recent call first)"
 _KILL_LIMIT_S = 5.0
 _EXIT_AFTER_ERROR_S = 0.2  # a component that refuses a request ends soon after
 _LEAVING_LIMIT_S = 5.0  # between leaving the bus and the end of the process, in either order
@@ -122,9 +127,17 @@ class ProcessHandle:
     def kill(self) -> None:
         """Kill its process group, after its process has logged the stacks of its threads."""
         if self._process is not None:
+            before, size = _threads_of(self._process.pid), self._log.size()
             self._process.signal(TRACEBACK_SIGNAL)
-            if self._process.wait(_TRACEBACK_LIMIT_S) is None:
-                self._process.kill()
+            deadline = time.monotonic() + _TRACEBACK_LIMIT_S
+            while self._process.wait(_TRACEBACK_POLL_S) is None and time.monotonic() < deadline:
+                now = _threads_of(self._process.pid)
+                if now.stopped:
+                    break
+                # The kernel blocks the signal in the thread that handles it.
+                if now.blocking <= before.blocking and self._log.has_since(size, _TRACEBACK):
+                    break
+            self._process.kill()
 
     def wait(self, timeout_s: float) -> ExitReport | None:
         """Wait for its end; see `ChildHandle`."""
@@ -140,3 +153,23 @@ class ProcessHandle:
             answer.put(None)
         except Exception as error:
             answer.put(error)
+
+
+@dataclass(frozen=True)
+class _Threads:
+    """The threads of a process: whether a signal stops it, and which block `TRACEBACK_SIGNAL`."""
+
+    stopped: bool
+    blocking: frozenset[str]
+
+
+def _threads_of(pid: int) -> _Threads:
+    stopped, blocking = False, set()
+    for thread in Path(f"/proc/{pid}/task").glob("*/status"):
+        with suppress(OSError):  # it has just ended
+            status = thread.read_text(encoding="utf-8", errors="replace")
+            fields = dict(re.findall(r"^(\w+):\s+(\S+)", status, re.MULTILINE))
+            stopped |= fields["State"] in "Tt"
+            if int(fields["SigBlk"], 16) >> (TRACEBACK_SIGNAL - 1) & 1:
+                blocking.add(thread.parent.name)
+    return _Threads(stopped, frozenset(blocking))

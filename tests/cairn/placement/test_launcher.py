@@ -1,5 +1,8 @@
-"""A component's process that cannot be killed: an injected zygote, on a virtual clock."""
+"""Processes of components that cannot be killed, or log their stacks late: an injected zygote."""
 
+import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,11 +12,11 @@ import zenoh
 
 from cairn.bus.session import open_router
 from cairn.deployment.model import ChildSpec
-from cairn.placement.launcher import ProcessHandle
+from cairn.placement.launcher import TRACEBACK_SIGNAL, ProcessHandle
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.supervision.child import ChildHandle
 from cairn.supervision.supervisor import ChildGroup, Escalate
-from cairn.supervision.zygote import Exited
+from cairn.supervision.zygote import Exited, Signal
 from cairn.supervision.zygote_client import ChildProcess
 from cairn.testing.launching import free_port
 from tests.cairn.supervision.scripted_children import World
@@ -75,3 +78,42 @@ def test_process_that_neither_joins_the_bus_nor_can_be_killed_is_not_started_twi
         supervisor.start_all()
 
     assert world.spawned == 1
+
+
+class BusyProcess(ChildProcess):
+    """Logs its stacks a while after it is asked to; `killed_with` is its log when it is killed."""
+
+    def __init__(self, log: Path) -> None:
+        super().__init__(os.getpid(), self._receive)
+        self.killed_with = ""
+        self._log = log
+
+    def spawn(self, *_: Any, **__: Any) -> ChildProcess:
+        return self
+
+    def _receive(self, request: Signal) -> None:
+        if request.signal == TRACEBACK_SIGNAL:
+            self._log.write_text("a warning\n")
+            threading.Timer(1.0, self._log_stacks).start()
+        elif request.signal == signal.SIGKILL:
+            self.killed_with = self._log.read_text() if self._log.exists() else ""
+
+    def _log_stacks(self) -> None:
+        self._log.write_text("Thread 0x1 (most recent call first):\n  in tick\n")
+
+
+def test_hung_process_is_killed_when_its_stacks_are_logged(
+    session: zenoh.Session, tmp_path: Path
+) -> None:
+    launch = LaunchRequest(
+        name="base",
+        spec=ChildSpec(plugin=f"{__name__}:Unused", interpreter="fresh", start_timeout_s=0.05),
+        context=RunContext(log_folder=str(tmp_path)),
+    )
+    process = BusyProcess(tmp_path / "base.log")
+    handle = ProcessHandle(launch, session)
+    handle.launch(process, lambda: None)  # type: ignore[arg-type]  # only `spawn` is called
+
+    handle.kill()
+
+    assert "in tick" in process.killed_with
