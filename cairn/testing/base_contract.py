@@ -29,7 +29,7 @@ from cairn.testing.driver_contract import (
 )
 from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
 from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
-from cairn.testing.timing import undisturbed
+from cairn.testing.timing import in_time, undisturbed
 
 _WHEELS_NOT_OBSERVED = (
     "the wheels cannot be observed: the fixture `device` has no methods turns and await_stand"
@@ -167,18 +167,18 @@ class SafetyContract(DriveContract):
         if not isinstance(device, Wheeled):
             pytest.skip(_WHEELS_NOT_OBSERVED)
         self._await_stand(driving, driving.count)
-        assert device.await_stand(self.stop_limit_s), (
-            "odometry reports no speed, but the wheels turn"
-        )
+        assert self._stand_in_time(device), "odometry reports no speed, but the wheels turn"
 
     def test_deactivated_base_stops(
         self, robot: RunningDeployment, driving: Reading[Odometry], device: object
     ) -> None:
         """A deactivated base stops. After reactivation it stands until the next command."""
         robot.request(self.component, "deactivate")
-        stood = not isinstance(device, Wheeled) or device.await_stand(self.stop_limit_s)
-        before = driving.count
-        robot.request(self.component, "activate")
+        try:
+            stood = not isinstance(device, Wheeled) or self._stand_in_time(device)
+        finally:
+            before = driving.count
+            robot.request(self.component, "activate")
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was deactivated"
         self._await_stand(driving, before)
 
@@ -189,8 +189,9 @@ class SafetyContract(DriveContract):
         if not isinstance(device, Wheeled):
             pytest.skip(_WHEELS_NOT_OBSERVED)
         with robot.suspended(self.component):
-            stood = device.await_stand(self.stop_limit_s)
+            stood = self._stand_in_time(device)
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} hung"
+        robot.await_active(self.component)
         self.await_working(driving, driving.count)
 
     def test_wheels_stop_when_the_driver_is_killed(
@@ -199,9 +200,10 @@ class SafetyContract(DriveContract):
         """The device stops the wheels when the driver's process is killed."""
         if not isinstance(device, Wheeled):
             pytest.skip(_WHEELS_NOT_OBSERVED)
-        robot.kill(self.component)
-        stood = device.await_stand(self.stop_limit_s)
+        pid = robot.kill(self.component)
+        stood = self._stand_in_time(device)
         assert stood, f"wheels turn {self.stop_limit_s:g} s after {self.component} was killed"
+        robot.await_active(self.component, other_than=pid)
         self.await_working(driving, driving.count)
 
     def test_nan_commands_are_rejected(
@@ -247,6 +249,9 @@ class SafetyContract(DriveContract):
         )
         rest = self.sample(output, 3, after=output.count)
         assert all(map(self._is_still, rest)), "the base stood, but moves again without a command"
+
+    def _stand_in_time(self, device: Wheeled) -> bool:
+        return in_time(lambda: device.await_stand(self.stop_limit_s))
 
     def _is_still(self, odom: Arrival[Odometry]) -> bool:
         return odometry.is_still(odom.message, self.still, self.still)

@@ -17,6 +17,7 @@ from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.testing.device import Unpluggable
 from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
+from cairn.testing.timing import falls_silent
 
 _WARM_UP = 2  # cycles; after them, everything that is allocated only once has been allocated
 _MORE = 2  # threads or files that may appear by chance
@@ -109,6 +110,11 @@ class Contract:
         return reading.await_count(count, after=after, limit_s=limit_s)
 
     @classmethod
+    def silence_s(cls) -> float:
+        """Return how long a driver that publishes nothing is observed [s]: five periods or more."""
+        return max(0.5, 5.0 / cls.rate_hz)
+
+    @classmethod
     def await_working(cls, output: Reading[Any], after: int) -> None:
         """Wait until the driver publishes two more messages."""
         output.await_count(2, after=after, limit_s=cls.return_limit_s + 2.0 / cls.rate_hz)
@@ -144,8 +150,7 @@ class LifeCycleContract(Contract):
         """An inactive driver publishes nothing; reactivated, it publishes again."""
         self.await_working(output, 0)
         robot.request(self.component, "deactivate")
-        output.stays_silent(0.2)  # for messages still in transit
-        silent = output.stays_silent(max(0.5, 5.0 / self.rate_hz))
+        silent = falls_silent(output, self.silence_s())
         before = output.count
         robot.request(self.component, "activate")
 
@@ -184,14 +189,8 @@ class LifeCycleContract(Contract):
         self, robot: RunningDeployment, output: Reading[Any]
     ) -> None:
         """After a kill, the restarted driver works, whatever state the device was left in."""
-        pid = robot.status(self.component).pid
-        robot.kill(self.component)
-        robot.await_status(
-            self.component,
-            lambda status: status.pid != pid and status.state == "active",
-            "active in another process",
-            limit_s=20.0,
-        )
+        pid = robot.kill(self.component)
+        robot.await_active(self.component, other_than=pid)
         self.await_working(output, output.count)
 
     @classmethod
@@ -322,9 +321,8 @@ class UnplugContract(Contract):
                 self._await_warning(robot, mark)
             else:
                 self._await_diagnosis(robot, diagnosed.topic)
-            silent = output.stays_silent(max(0.5, 5.0 / self.rate_hz))
-            robot.await_state(self.component, "active")
-            now = robot.status(self.component)
+            silent = falls_silent(output, self.silence_s())
+            now = robot.await_active(self.component)
         finally:
             plug.plug_in()
         assert now.pid == before.pid, (
@@ -341,7 +339,7 @@ class UnplugContract(Contract):
         self.await_working(output, 0)
         plug.unplug()
         try:
-            output.await_silence(3.0 / self.rate_hz, self.return_limit_s)
+            output.await_silence(self.silence_s(), self.return_limit_s)
         finally:
             plug.plug_in()
         self.await_working(output, output.count)

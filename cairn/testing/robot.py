@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -222,6 +222,26 @@ class RunningDeployment:
         """Wait until a component reports this state of its life cycle."""
         self.await_status(component, lambda status: status.state == state, state, limit_s)
 
+    def await_active(
+        self, component: str, *, other_than: int = 0, limit_s: float = LIMIT_S
+    ) -> ComponentStatus:
+        """Wait until a component reports, from now on, that it is active; return its status.
+
+        An earlier status does not count: it may be that of a process that has ended. With
+        `other_than`, neither does a status of the process with that id.
+        """
+        called = time.time_ns()
+        return self.await_status(
+            component,
+            lambda status: (
+                status.state == "active"
+                and status.pid != other_than
+                and to_ns(status.header.stamp) > called
+            ),
+            "active" if not other_than else "active in another process",
+            limit_s,
+        )
+
     def request(
         self, component: str, verb: str, limit_s: float = _REQUEST_S, **arguments: Any
     ) -> Any:
@@ -271,9 +291,11 @@ class RunningDeployment:
         """Have the supervisor start a component that is not loaded; it is active afterwards."""
         self._request_of_supervisor("load", component, limit_s)
 
-    def kill(self, component: str, number: signal.Signals = signal.SIGKILL) -> None:
-        """Send a signal to a component's process."""
-        os.kill(self.run.pid_of(component), number)
+    def kill(self, component: str, number: signal.Signals = signal.SIGKILL) -> int:
+        """Send a signal to a component's process; return the id of the process."""
+        pid = self.run.pid_of(component)
+        os.kill(pid, number)
+        return pid
 
     @contextmanager
     def suspended(self, component: str) -> Iterator[None]:
@@ -283,8 +305,9 @@ class RunningDeployment:
         try:
             yield
         finally:
-            if pid in self.run.pids():  # otherwise its supervisor has killed it meanwhile
-                os.kill(pid, signal.SIGCONT)
+            if pid in self.run.pids():
+                with suppress(ProcessLookupError):  # its supervisor may kill it at any moment
+                    os.kill(pid, signal.SIGCONT)
 
     def _request_of_supervisor(self, verb: str, component: str, limit_s: float) -> None:
         supervisor = self.status(component).parent

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import pairwise
 from statistics import median
 from typing import Any, TypeVar
@@ -16,13 +17,16 @@ from typing import Any, TypeVar
 import pytest
 
 from cairn.clock import to_ns
-from cairn.testing.robot import Arrival
+from cairn.testing.robot import Arrival, Reading
 
 _SECOND = 1_000_000_000
 _NAP_S = 0.005
 _TRIES = 3
 _MOST = 0.1
 """Maximum share of a sample's time in which the computer may pause."""
+IN_TRANSIT_S = 0.2
+"""Messages in transit arrive within this time of each other, unless the computer pauses [s]."""
+_TRANSIT_LIMIT_S = 2.0
 
 T = TypeVar("T")
 
@@ -139,8 +143,43 @@ def undisturbed(take: Callable[[], T]) -> T:
             taken = take()
         if pauses.share <= _MOST:
             return taken
-    pytest.skip(
-        f"this computer is too busy for tests in real time: it paused during each of {_TRIES} "
-        f"samples, in the last one for {pauses.share:.0%} of the time, at most "
-        f"{pauses.longest_s:.2f} s at once; run the test on an idle computer"
+    pytest.skip(_too_busy(pauses, f"each of {_TRIES} samples, in the last one"))
+
+
+def in_time(check: Callable[[], bool]) -> bool:
+    """Return whether `check` holds, which waits for an event up to its own limit.
+
+    If it does not hold, and the computer paused for more than a tenth of the time, the test is
+    skipped: then the limit proves nothing about a driver.
+    """
+    with Pauses() as pauses:
+        holds = check()
+    if not holds and pauses.share > _MOST:
+        pytest.skip(_too_busy(pauses, "the wait for an event"))
+    return holds
+
+
+def falls_silent(reading: Reading[Any], seconds: float) -> bool:
+    """Return whether no message arrives for `seconds` [s], after those that are in transit.
+
+    A message that arrives later counts only if the computer did not pause meanwhile, which may
+    have delayed it; otherwise the wait is repeated, up to three times in all.
+    """
+    for _ in range(_TRIES):
+        with Pauses() as pauses:
+            with suppress(AssertionError):
+                reading.await_silence(IN_TRANSIT_S, _TRANSIT_LIMIT_S)
+            silent = reading.stays_silent(seconds)
+        if silent:
+            return True
+        if pauses.longest_s < IN_TRANSIT_S / 2:
+            return False
+    return False
+
+
+def _too_busy(pauses: Pauses, when: str) -> str:
+    return (
+        f"this computer is too busy for tests in real time: it paused during {when} for "
+        f"{pauses.share:.0%} of the time, at most {pauses.longest_s:.2f} s at once; run the test "
+        "on an idle computer"
     )

@@ -63,7 +63,7 @@ TESTS = """
         port = "words"
         message = String
         rate_hz = 20.0
-        return_limit_s = 1.0
+        return_limit_s = 60.0
 
         def test_words(self, output):
             self.sample(output, 3)
@@ -84,6 +84,7 @@ TESTS = """
 
     class TestBroken(Published):
         sets = ("fails=true",)
+        return_limit_s = 1.0
     """
 
 

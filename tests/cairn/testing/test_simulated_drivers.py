@@ -97,6 +97,7 @@ class TestDrive(SafetyContract):
 
 
 class Life(StopContract, LifeCycleContract, ParametersContract):
+    return_limit_s = 30.0  # these run beside other tests
     cycles = 6
 
 

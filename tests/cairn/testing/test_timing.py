@@ -1,4 +1,4 @@
-"""Samples during pauses of the computer are repeated; if all have pauses, the test is skipped."""
+"""What a test in real time concludes while the computer pauses, and of messages in transit."""
 
 import os
 import select
@@ -6,21 +6,25 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partialmethod
+from typing import Any
 
 import pytest
+
+from cairn.testing.timing import Pauses, falls_silent, in_time
 
 pytestmark = pytest.mark.processes
 
 
-# Samples for 0.3 s; prints the start of each sample, and the result.
+# Prints the start of each sample, samples until a line is written to it, and prints the result.
 _SAMPLER = """
-import threading
+import sys
 import pytest
 from cairn.testing.timing import undisturbed
 
 def take():
     print("sampling", flush=True)
-    threading.Event().wait(0.3)
+    sys.stdin.readline()
     return "good"
 
 try:
@@ -34,14 +38,17 @@ except pytest.skip.Exception as reason:
 def sampler() -> Iterator["subprocess.Popen[str]"]:
     """A process that takes samples."""
     command = [sys.executable, "-c", _SAMPLER]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
         yield process
         process.kill()
 
 
 def test_sample_with_a_pause_is_repeated(sampler: "subprocess.Popen[str]") -> None:
     assert line(sampler) == "sampling"
-    pause(sampler, 0.5)
+    pause(sampler, 1.0)
+    end_sample(sampler)
 
     assert line(sampler) == "sampling"
 
@@ -51,7 +58,8 @@ def test_computer_that_always_pauses_skips_the_test_with_the_reason(
 ) -> None:
     for _ in range(3):
         assert line(sampler) == "sampling"
-        pause(sampler, 0.5)
+        pause(sampler, 1.0)
+        end_sample(sampler)
 
     reason = line(sampler)
 
@@ -72,3 +80,56 @@ def pause(process: "subprocess.Popen[str]", seconds: float) -> None:
     os.kill(process.pid, signal.SIGSTOP)
     select.select([], [], [], seconds)
     os.kill(process.pid, signal.SIGCONT)
+
+
+def end_sample(process: "subprocess.Popen[str]") -> None:
+    assert process.stdin is not None
+    print(file=process.stdin, flush=True)
+
+
+class ScriptedReading:
+    """Is silent or not in each window of time, as given; messages in transit arrive before."""
+
+    def __init__(self, *silent: bool) -> None:
+        self._silent = iter(silent)
+
+    def await_silence(self, seconds: float, limit_s: float) -> None: ...
+
+    def stays_silent(self, seconds: float) -> bool:
+        return next(self._silent)
+
+
+@pytest.mark.parametrize(
+    ("silent", "lost_s", "falls"),
+    [
+        ([True], 0.0, True),
+        ([False], 0.0, False),
+        ([False, True], 1.0, True),  # the message was delayed
+        ([False, False, False], 1.0, False),
+    ],
+)
+def test_message_that_a_pause_may_have_delayed_does_not_break_the_silence(
+    monkeypatch: pytest.MonkeyPatch, silent: list[bool], lost_s: float, falls: bool
+) -> None:
+    monkeypatch.setattr(Pauses, "_nap", partialmethod(lose, lost_s))
+    reading: Any = ScriptedReading(*silent)
+
+    assert falls_silent(reading, 0.5) is falls
+
+
+def test_late_event_counts_only_if_the_computer_did_not_pause(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for lost_s, reason in ((0.0, ""), (1e6, "this computer is too busy")):
+        monkeypatch.setattr(Pauses, "_nap", partialmethod(lose, lost_s))
+        assert in_time(lambda: True)
+        if reason:
+            with pytest.raises(pytest.skip.Exception, match=reason):
+                in_time(lambda: False)
+        else:
+            assert not in_time(lambda: False)
+
+
+def lose(pauses: Pauses, lost_s: float) -> None:
+    """Stand in for the measurement of pauses."""
+    pauses.lost_s = pauses.longest_s = lost_s

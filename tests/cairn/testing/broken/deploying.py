@@ -18,11 +18,15 @@ def name_of(driver: type[Component]) -> str:
 
 
 def bench_of(
-    folder: Path, drivers: Sequence[type[Component]], alone: Collection[type[Component]]
+    folder: Path,
+    drivers: Sequence[type[Component]],
+    alone: Collection[type[Component]],
+    hanging: Collection[type[Component]],
 ) -> Bench:
-    """All drivers in one deployment, some in processes of their own.
+    """All drivers in one deployment, those `alone` in processes of their own.
 
-    The topics of each are below its name, and the device of a driver that has one is a file.
+    The topics of each are below its name, and the device of a driver that has one is a file. Those
+    `hanging` when they are stopped are killed soon.
     """
     components: dict[str, Any] = {}
     commanded = []
@@ -37,7 +41,7 @@ def bench_of(
             "placement": "process" if driver in alone else "in_process",
             "parameters": device,
             "topics": topics,
-            "stop_timeout_s": 0.5,
+            "stop_timeout_s": 0.5 if driver in hanging else 5.0,
         }
     document = {
         "components": components,

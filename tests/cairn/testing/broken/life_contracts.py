@@ -1,5 +1,6 @@
 """Drivers that misbehave when started, stopped, unplugged, configured, or driven too fast."""
 
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from cairn.testing.driver_contract import (
 from cairn.testing.robot import Bench
 from tests.cairn.testing.broken import bases, scanners
 from tests.cairn.testing.broken.deploying import bench_of, contracts, name_of
+from tests.patience import LIMIT_S
 
 SCANNERS = (
     scanners.NeverSilent,
@@ -30,6 +32,7 @@ SCANNERS = (
     scanners.NeverReturns,
 )
 ALONE = (scanners.Leaks, scanners.HangsAtItsEnd, scanners.DiesUnplugged)
+HANGING = (scanners.HangsAtItsEnd,)
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,15 @@ class Plug:
     file: Path
 
     def unplug(self) -> None:
+        """Wait until the driver has noticed it: one that has not would work when it is back."""
         self.file.unlink(missing_ok=True)
+        deadline = time.monotonic() + LIMIT_S
+        while not scanners.loss_of(self.file).exists():
+            assert time.monotonic() < deadline, f"no driver notices that {self.file} is gone"
+            time.sleep(0.005)
 
     def plug_in(self) -> None:
+        scanners.loss_of(self.file).unlink(missing_ok=True)
         self.file.touch()
 
 
@@ -54,7 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def bench(folder: Path) -> Iterator[Bench]:
     for driver in SCANNERS:
         Plug(folder / name_of(driver)).plug_in()
-    with bench_of(folder, (*SCANNERS, bases.Unlimited), ALONE) as bench:
+    with bench_of(folder, (*SCANNERS, bases.Unlimited), ALONE, HANGING) as bench:
         yield bench
 
 
@@ -67,16 +76,21 @@ class Scanner(StopContract, UnplugContract, LifeCycleContract, ParametersContrac
     port = "scan"
     message = LaserScan
     rate_hz = scanners.RATE_HZ
-    cycles = 6
-    return_limit_s = 4.0
-    report_limit_s = 3.0
+    return_limit_s = 30.0
+    report_limit_s = 30.0
 
 
 class Base(SafetyContract):
     rate_hz = bases.RATE_HZ
     top_speed = bases.TOP_SPEED
-    drive_s = 0.6
+    drive_s = 2.0  # more than a pause of the driver, which would make up for it at its old speed
 
 
-globals().update(contracts(Scanner, SCANNERS))
-globals().update(contracts(Base, (bases.Unlimited,)))
+# Each fails one test by a time limit, which is therefore short.
+LIMITS = {
+    scanners.SilentUnplugged: {"report_limit_s": 3.0},
+    scanners.NeverReturns: {"return_limit_s": 4.0},
+}
+for scanner in SCANNERS:
+    globals().update(contracts(Scanner, (scanner,), **LIMITS.get(scanner, {})))
+globals().update(contracts(Base, (bases.Unlimited,), return_limit_s=30.0))

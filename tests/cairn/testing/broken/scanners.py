@@ -27,6 +27,11 @@ RATE_HZ = 20.0
 SURROUNDINGS = {math.radians(90.0): 1.0, 0.0: 2.0, math.radians(-90.0): 3.0}
 
 
+def loss_of(device: Path) -> Path:
+    """Return the file that a driver creates when it notices that its device is gone."""
+    return device.with_suffix(".lost")
+
+
 class CorrectScannerConfig(Config):
     device: Path = Field(description="File that exists while the device is plugged in.")
 
@@ -47,6 +52,7 @@ class CorrectScanner(Component):
     def measure(self) -> None:
         plugged_in = self.config.device.exists()
         if self._plugged_in and not plugged_in:
+            loss_of(self.config.device).touch()
             self.on_unplugged()
         self._plugged_in = plugged_in
         for _ in self.turns.completed(self.clock.now()):
