@@ -32,7 +32,8 @@ def _cameras() -> Iterator[None]:
 
 @pytest.fixture
 def driver() -> Iterator[Driver]:
-    with Driver(device=LEFT, **SMALL, silence_s=0.5) as driver:
+    """A driver for which no pause of the emulated machine is a silent camera."""
+    with Driver(device=LEFT, **SMALL, silence_s=60.0) as driver:
         driver.await_images(2)
         yield driver
 
@@ -73,15 +74,18 @@ def test_stream_that_does_not_start_is_started_again(request_: str) -> None:
         driver.await_images(3)
 
 
-def test_silent_stream_is_restarted(driver: Driver) -> None:
-    Knobs(LEFT).turn("percentage_of_dropped_buffers", 100)
-    try:
-        values = driver.await_values(lambda values: int(values["restarts"]) > 1)
-        assert values["level"] == str(ERROR)
-    finally:
-        Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
+def test_silent_stream_is_restarted() -> None:
+    with Driver(device=LEFT, **SMALL, silence_s=0.5) as driver:
+        driver.await_images(2)
+        Knobs(LEFT).turn("percentage_of_dropped_buffers", 100)
+        try:
+            before = int(driver.values()["restarts"])
+            values = driver.await_values(lambda values: int(values["restarts"]) > before + 1)
+            assert values["level"] == str(ERROR)
+        finally:
+            Knobs(LEFT).turn("percentage_of_dropped_buffers", 0)
 
-    driver.await_images(3)
+        driver.await_images(3)
 
 
 def test_lost_frames_are_counted(driver: Driver) -> None:
@@ -162,8 +166,15 @@ def test_left_images_are_published_while_the_right_camera_is_away() -> None:
         driver.await_one("right_image")
 
         with disconnected(RIGHT):
-            values = driver.await_values(lambda values: values["level"] == str(ERROR), index=1)
-            assert "disappeared" in values["message"] or "no such camera" in values["message"]
+            driver.await_values(
+                lambda values: (
+                    values["level"] == str(ERROR)
+                    and (
+                        "disappeared" in values["message"] or "no such camera" in values["message"]
+                    )
+                ),
+                index=1,
+            )
             driver.take("right_image")
             driver.await_images(5)
             assert driver.take("right_image") == []
