@@ -53,7 +53,7 @@ def test_example_of_a_users_own_emulator_works(
     with Emulator(thermometer.Thermometer(), end):
         link = TcpLink("127.0.0.1", end.port)
         link.write(b"T")
-        assert link.read(5.0) == b"21.5\n"
+        assert link.read(LIMIT_S) == b"21.5\n"
         link.close()
     run = "import typer, my_robot.thermometer as it; typer.run(it.thermometer)"
     done = subprocess.run(

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from tests.commands import await_status
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -94,6 +95,8 @@ def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
     at = ("--connect", endpoint)
     with running(user, tmp_path, f"bus.listen={endpoint}") as turtle:
         wait_for(turtle, "child active: wanderer")
+        # The wanderer is the first of them to be active, the root the last one.
+        await_status("/turtle/root", lambda row: row["state"] == "active", endpoint)
         rows = {row["component"]: row for row in json.loads(user.cairn("ps", "--json", *at))}
         state = json.loads(user.cairn("topic", "echo", "base_state", "--count=1", "--json", *at))
         refusal = user.cairn("param", "set", "wanderer", "distance=1000000", *at, status=1)

@@ -6,6 +6,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
 from cairn.testing.launching import Run
 from tests.commands import cairn
+from tests.patience import LIMIT_S
 
 
 def set_fault(run: Run, fault: str, component: str = "base") -> None:
@@ -21,7 +22,7 @@ def send_goal(run: Run, x: float, y: float) -> None:
     try:
         node = bus.node("/operator", _fail)
         publisher = node.advertise("/robot/goal_pose", PoseStamped, RELIABLE)
-        assert bus.wait_for_peers(10.0) == []
+        assert bus.wait_for_peers(LIMIT_S) == []
         publisher.publish(PoseStamped(pose=Pose(position=Point(x=x, y=y))))
     finally:
         bus.close()

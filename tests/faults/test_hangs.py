@@ -24,7 +24,7 @@ def test_hung_components_are_killed_with_their_stacks_logged_and_restarted(
       sleeping: {plugin: test_faulty, hang_timeout_s: 0.5, topics: {velocity: v1}}
       holding: {plugin: test_faulty, hang_timeout_s: 0.5, topics: {velocity: v2}}
       stopped: {plugin: test_faulty, hang_timeout_s: 0.5, topics: {velocity: v3}}
-      listener: {plugin: test_listener, hang_timeout_s: 0.5}
+      listener: {plugin: test_listener, hang_timeout_s: 2}
     """
     )
     active = run.await_line("child active: listener")
@@ -40,7 +40,7 @@ def test_hung_components_are_killed_with_their_stacks_logged_and_restarted(
         ("stopped", "in a process that was stopped by a signal such as SIGSTOP"),
     ):
         hung = run.await_line(
-            rf"ERROR   robot.root: child hung: {component}: hung for \d\.\d s {where}; killed",
+            rf"ERROR   robot.root: child hung: {component}: hung for \d+\.\d s {where}; killed",
             after=active,
         )
         run.await_line(f"child active: {component}", after=hung)
@@ -56,11 +56,12 @@ def test_machine_pause_does_not_trigger_hang_detection(launch: Launching) -> Non
       mobile:
         plugin: supervisor
         children:
-          talker: {plugin: test_talker, hang_timeout_s: 0.5}
-          base: {plugin: test_faulty, placement: in_process, hang_timeout_s: 0.5}
-      listener: {plugin: test_listener, hang_timeout_s: 0.5}
+          talker: {plugin: test_talker, hang_timeout_s: 2}
+          base: {plugin: test_faulty, placement: in_process, hang_timeout_s: 2}
+      listener: {plugin: test_listener, hang_timeout_s: 2}
     """
     )
+    # A pause counts as one second of the handler in progress: each limit is longer.
     received = run.await_line("received 10,")
     processes = sorted(run.pids())
 
@@ -116,7 +117,7 @@ def test_component_that_hangs_while_stopping_is_killed_in_time(
           base:
             plugin: test_faulty
             parameters: {fault: sleep, where: on_shutdown}
-            stop_timeout_s: 0.5
+            stop_timeout_s: 4  # deactivation, which does not hang, takes a part of it
       talker: {plugin: test_talker}
     """
     )
@@ -125,11 +126,11 @@ def test_component_that_hangs_while_stopping_is_killed_in_time(
     assert run.stop() == 1
 
     run.await_line(
-        "WARNING robot.mobile: child stop failed: base: shutdown: no answer within 0.[45] s"
+        r"WARNING robot.mobile: child stop failed: base: shutdown: no answer within \d\.\d s"
     )
     run.await_line("WARNING robot.mobile: child stopped: base: killed by SIGKILL")
     run.await_line("robot.mobile: child stopped: beacon: shut down")
-    run.await_line("failed: .*base: shutdown: no answer within 0.[45] s")
+    run.await_line(r"failed: .*base: shutdown: no answer within \d\.\d s")
 
 
 @pytest.mark.parametrize("supervisor", ["  ", "mobile"])

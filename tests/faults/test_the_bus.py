@@ -13,6 +13,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.testing.launching import Launching
 from tests.commands import await_status
+from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
 
@@ -74,7 +75,7 @@ def test_invalid_messages_of_a_foreign_node_are_rejected_and_counted(launch: Lau
     nan = good.replace(struct.pack("<d", 42.0), struct.pack("<d", math.nan))
     bus = ZenohBus(open_peer([run.endpoint]))
     try:
-        assert bus.wait_for_peers(10.0) == []
+        assert bus.wait_for_peers(LIMIT_S) == []
         for payload in (nan, good[:20], good):
             bus.session.put(key, payload)
     finally:

@@ -26,9 +26,10 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
         yield robot
 
 
-def far_goal(robot: ObservedRobot) -> tuple[str, str]:
-    """Return a goal on the other side of the room from the robot."""
-    return ("6.6", "1.8") if robot.pose[0] < 4.0 else ("1.4", "1.2")
+def far_goals(robot: ObservedRobot) -> list[str]:
+    """Return goals on the other side of the room and back, twice: no test ends so late."""
+    goals = ["6.6,1.8", "1.4,1.2"]
+    return 2 * (goals if robot.pose[0] < 4.0 else goals[::-1])
 
 
 def test_locate_is_rejected_without_a_localizer(robot: ObservedRobot) -> None:
@@ -94,7 +95,7 @@ def test_json_output_is_the_result_alone(robot: ObservedRobot) -> None:
 
 
 def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
-    going = robot.go(*far_goal(robot))
+    going = robot.go(*far_goals(robot))
     going.await_output("driving")
     robot.await_moved(0.3)
 
@@ -109,7 +110,7 @@ def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
 
 
 def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
-    going = robot.go(*far_goal(robot))
+    going = robot.go(*far_goals(robot))
     going.await_output("driving")
     robot.await_moved(0.3)
 
@@ -121,10 +122,10 @@ def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
 
 
 def test_closed_terminal_cancels_its_mission(robot: ObservedRobot) -> None:
-    x, y = far_goal(robot)
+    goals = far_goals(robot)
     child, terminal = pty.fork()
     if child == 0:
-        os.execv(CAIRN, [CAIRN, "go", x, y, "--connect", robot.run.endpoint])
+        os.execv(CAIRN, [CAIRN, "go", *goals, "--connect", robot.run.endpoint])
     printed = b""
     while b"driving" not in printed:
         printed += os.read(terminal, 4096)
@@ -139,7 +140,7 @@ def test_closed_terminal_cancels_its_mission(robot: ObservedRobot) -> None:
 def test_closed_output_cancels_the_mission(robot: ObservedRobot) -> None:
     lines = len(robot.run.lines)
     going = subprocess.Popen(
-        [CAIRN, "go", *far_goal(robot), "--connect", robot.run.endpoint],
+        [CAIRN, "go", *far_goals(robot), "--connect", robot.run.endpoint],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -166,7 +167,7 @@ def test_json_output_has_the_reason_of_a_rejected_goal(
 
 
 def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> None:
-    going = robot.go("6.6,1.8", "1.4,1.2", "6.6,1.8", "1.4,1.2")  # the whole wait is not enough
+    going = robot.go(*far_goals(robot))
     going.await_output("driving")
     os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
 
@@ -181,9 +182,10 @@ def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> No
 
 
 def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) -> None:
-    first = robot.go(*far_goal(robot))
+    first = robot.go(*far_goals(robot))
     first.await_output("driving")
-    answer = cairn("go", "4.0", "5.0", "--no-wait", "--json", connect=robot.run.endpoint)
+    other = ["4.0,5.0", *far_goals(robot)]
+    answer = cairn("go", *other, "--no-wait", "--json", connect=robot.run.endpoint)
     mission = answer.json["mission_id"]
 
     assert first.await_end() == 1
@@ -196,18 +198,20 @@ def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) 
 
 
 def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> None:
-    going = robot.go(*far_goal(robot))
+    going = robot.go(*far_goals(robot))
     going.await_output("driving")
+    supervisor = robot.run.pid_of("mobile_supervisor")
+    os.kill(supervisor, signal.SIGSTOP)  # it would save its mission again
     (Path(robot.run.report) / "mission.json").unlink()
 
-    robot.kill("mobile_supervisor")
+    os.kill(supervisor, signal.SIGKILL)
 
     assert going.await_end() == 1
     assert_words(going.lines[-1], "lost", "supervisor was restarted")
 
 
 def test_end_of_the_deployment_is_reported(robot: ObservedRobot) -> None:
-    going = robot.go(*far_goal(robot))
+    going = robot.go(*far_goals(robot))
     going.await_output("mission ")
 
     robot.run.stop()

@@ -86,7 +86,7 @@ def test_failed_mission_in_processes_exits_with_1(tmp_path: Path, launch: Launch
     run = Run([str(SIM), *sets], tmp_path / "report", endpoint, {}, None)
     launch.runs.append(run)
 
-    assert run.await_end(60.0) == 1
+    assert run.await_end() == 1
 
     run.await_line("cairn: sim.yaml failed: mobile_supervisor has finished: the mission failed: ")
     assert "killed by" not in str(run)

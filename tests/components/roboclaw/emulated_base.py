@@ -2,7 +2,6 @@
 
 import math
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,23 +45,23 @@ _METERS = 2.0 * math.pi * RADIUS / COUNTS
 _STANDSTILL_SPEED = 0.01  # [m/s]
 
 
-class ObservedBase(ABC):
-    """The controller, and what its wheels do, in real or in virtual time."""
+class EmulatedBase:
+    """The controller on a pseudo-terminal: a device as `cairn.testing.device` describes it."""
 
-    def __init__(self) -> None:
+    def __init__(self, path: Path) -> None:
+        self.path = path
         self.device = EmulatedRoboclaw(full_speed=30_000.0, first_counts=(2**32 - 500, 300))
+        self.emulator = Emulator(self.device, PtyEnd(path))
 
-    @abstractmethod
-    def call(self, function: Callable[[], object]) -> None:
-        """Call a function between the controller's steps."""
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        return {"port": str(self.path)}
 
-    @abstractmethod
-    def monotonic(self) -> float:
-        """Return the time [s]."""
+    def unplug(self) -> None:
+        self.emulator.unplug()
 
-    @abstractmethod
-    def pause(self) -> None:
-        """Let some time pass."""
+    def plug_in(self) -> None:
+        self.emulator.plug_in()
 
     def turns(self) -> bool:
         return self.speed() > _STANDSTILL_SPEED
@@ -72,11 +71,11 @@ class ObservedBase(ABC):
 
     def await_that(self, condition: Callable[[], bool], limit_s: float = LIMIT_S) -> bool:
         """Wait for a condition; return whether it held within the limit [s]."""
-        deadline = self.monotonic() + limit_s
+        deadline = time.monotonic() + limit_s
         while not condition():
-            if self.monotonic() > deadline:
+            if time.monotonic() > deadline:
                 return False
-            self.pause()
+            time.sleep(0.005)
         return True
 
     def speed(self) -> float:
@@ -84,16 +83,16 @@ class ObservedBase(ABC):
         speeds: list[float] = []
 
         def read() -> None:
-            self.device.advance(self.monotonic())
+            self.device.advance(time.monotonic())
             speeds.extend(abs(motor.speed) for motor in self.device.controller.motors)
 
-        self.call(read)
+        self.emulator.call(read)
         return max(speeds) * _METERS
 
     def motions(self) -> list[TrueMotion]:
         """Return the motion of the wheels so far."""
         steps: list[TrueMotion] = []
-        self.call(lambda: steps.extend(self.device.motions))
+        self.emulator.call(lambda: steps.extend(self.device.motions))
         return steps
 
     def fastest_since(self, time_s: float) -> float:
@@ -113,34 +112,6 @@ class ObservedBase(ABC):
             pose = compose(compose(compose(pose, half), (distance, 0.0, 0.0)), half)
             left, right = now_left, now_right
         return pose
-
-
-class EmulatedBase(ObservedBase):
-    """The controller on a pseudo-terminal: a device as `cairn.testing.device` describes it."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.path = path
-        self.emulator = Emulator(self.device, PtyEnd(path))
-
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        return {"port": str(self.path)}
-
-    def unplug(self) -> None:
-        self.emulator.unplug()
-
-    def plug_in(self) -> None:
-        self.emulator.plug_in()
-
-    def call(self, function: Callable[[], object]) -> None:
-        self.emulator.call(function)
-
-    def monotonic(self) -> float:
-        return time.monotonic()
-
-    def pause(self) -> None:
-        time.sleep(0.005)
 
 
 @contextmanager
