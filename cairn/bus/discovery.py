@@ -80,7 +80,7 @@ class DiscoveryBarrier:
 
     def _has_left(self, zid: str, deadline: float) -> bool:
         # A process that shuts down stops answering before its link is closed.
-        return zid not in self._links.peers(_remaining(deadline))
+        return self._links.has_left(zid, _remaining(deadline))
 
     def _answer(self, own_key: str) -> None:
         channel = self._queryable.handler
@@ -113,12 +113,16 @@ class PeerLinks:
 
         Those are the ones linked already and the peers in the description of a router.
         """
-        found = self._linked()
-        for router in self._session.info.routers_zid():
-            for reply in self._session.get(router_key(str(router)), timeout=timeout_s):
-                if reply.ok is not None:
-                    found |= _peers_of_router(reply.ok.payload.to_bytes())
-        return found - {self._zid}
+        peers, _ = self._peers(timeout_s)
+        return peers
+
+    def has_left(self, zid: str, timeout_s: float) -> bool:
+        """Return whether a process is not linked, and no router knows it any more.
+
+        That is not certain, so False, if a router does not answer within the timeout.
+        """
+        peers, complete = self._peers(timeout_s)
+        return complete and zid not in peers
 
     def wait_for_link(self, zid: str, deadline: float) -> bool:
         """Wait for the link to a process, until `deadline` (monotonic) [s].
@@ -127,7 +131,7 @@ class PeerLinks:
         """
         while zid not in self._linked():
             remaining = deadline - time.monotonic()
-            if remaining <= 0 or zid not in self.peers(remaining):
+            if remaining <= 0 or self.has_left(zid, remaining):
                 return False
             with self._changed:
                 self._changed.wait_for(lambda: zid in self._linked(), min(remaining, _LINK_POLL_S))
@@ -144,6 +148,17 @@ class PeerLinks:
             with QueryableWatcher(self._session, router_key(str(router))) as watcher:
                 watcher.wait(_ROUTER_TIMEOUT_S)
         self.peers(_ROUTER_TIMEOUT_S)
+
+    def _peers(self, timeout_s: float) -> tuple[set[str], bool]:
+        """Return the peers, and whether every router has answered."""
+        found, complete = self._linked(), True
+        for router in self._session.info.routers_zid():
+            for reply in self._session.get(router_key(str(router)), timeout=timeout_s):
+                if reply.ok is None:
+                    complete = False
+                else:
+                    found |= _peers_of_router(reply.ok.payload.to_bytes())
+        return found - {self._zid}, complete
 
     def _linked(self) -> set[str]:
         info = self._session.info

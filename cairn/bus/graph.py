@@ -7,22 +7,30 @@ from typing import Any
 import zenoh
 
 from cairn.bus import keys
+from cairn.errors import CairnError
 
 _MAX_PENDING = 10_000
 """Changes of the graph that wait to be processed."""
 
 
 def read_graph(
-    session: zenoh.Session, domain: int, timeout_s: float = 2.0
+    session: zenoh.Session, domain: int, timeout_s: float = 10.0
 ) -> list[keys.NodeEntity | keys.EndpointEntity]:
     """Return all nodes and endpoints alive in a domain, sorted by their tokens.
 
     For the session of a client (`open_client`): to a peer, zenoh 1.10 may declare the reply
-    complete before all of it has arrived. Peers follow the graph with `GraphWatcher`.
+    complete before all of it has arrived. Peers follow the graph with `GraphWatcher`. Raises
+    `CairnError` if the router has not answered by the timeout [s].
     """
-    replies = session.liveliness().get(keys.tokens_pattern(domain), timeout=timeout_s)
-    tokens = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
-    return list(_parsed(tokens))
+    tokens = []
+    for reply in session.liveliness().get(keys.tokens_pattern(domain), timeout=timeout_s):
+        if reply.ok is None:
+            raise CairnError(
+                f"the router did not list the components within {timeout_s:g} s: its process hangs "
+                "or is stopped; end that `cairn up`, and start it again"
+            )
+        tokens.append(str(reply.ok.key_expr))
+    return list(_parsed(sorted(tokens)))
 
 
 class GraphWatcher:

@@ -15,6 +15,9 @@ from cairn.errors import CairnError
 CONNECT_TIMEOUT_S = 2.0
 """A router on the same machine answers in milliseconds."""
 
+_JOIN_TIMEOUT_S = 10.0
+"""A new process waits so long for its router, which may get no processor while many start."""
+
 CAIRN_ID_PREFIX = "ca1c0de5"
 """Prefix of the session ids of components and routers, which answer discovery queries."""
 
@@ -36,7 +39,7 @@ def open_peer(connect: Sequence[str]) -> zenoh.Session:
     """
     listen = ["tcp/127.0.0.1:0"]
     session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
-    if not is_connected(session):
+    if not _has_router(session, _JOIN_TIMEOUT_S):
         session.close()
         raise CairnError(_no_router(connect))
     return session
@@ -70,11 +73,15 @@ def is_connected(session: zenoh.Session) -> bool:
 
     Zenoh restores a lost link by itself if the router still runs.
     """
+    return _has_router(session, CONNECT_TIMEOUT_S)
+
+
+def _has_router(session: zenoh.Session, timeout_s: float) -> bool:
     changed = threading.Event()
     callback: Any = zenoh.handlers.Callback(lambda _: changed.set(), indirect=False)
     listener = session.info.declare_transport_events_listener(callback, history=True)
     try:
-        deadline = time.monotonic() + CONNECT_TIMEOUT_S
+        deadline = time.monotonic() + timeout_s
         while not list(session.info.routers_zid()):
             if not changed.wait(max(0.0, deadline - time.monotonic())):
                 return False

@@ -28,7 +28,7 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.rosgraph_msgs import Clock
 
-_FINISH_LIMIT_S = 1.0
+_FINISH_LIMIT_S = 10.0  # what this process publishes comes back in milliseconds
 _LINES = 12
 _PERIOD_S = 0.25
 _STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim"}

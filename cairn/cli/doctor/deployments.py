@@ -6,6 +6,7 @@ import getpass
 import os
 import re
 import socket
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -27,6 +28,8 @@ from cairn.supervision.orphan_cleanup import MARK
 _TOPIC = "deployments"
 _ROUTER_LIMIT_S = 1.0
 _DEVICE_LIMIT_S = 2.0
+_ENDING_LIMIT_S = 5.0
+"""The processes of a deployment that is ending are gone within this time."""
 
 
 def running(endpoint: str, domain: int) -> Iterator[Finding]:
@@ -118,19 +121,28 @@ def _listener(endpoint: str) -> str:
 
 
 def _leftovers() -> Finding:
-    """Find processes whose zygote has ended: it should have terminated them."""
+    """Find processes that outlive their zygote: it should have terminated them."""
+    deadline = time.monotonic() + _ENDING_LIMIT_S
+    left = _without_zygote()
+    while left and (left_s := deadline - time.monotonic()) > 0:
+        psutil.wait_procs(left, timeout=left_s)
+        left = _without_zygote()
+    if not left:
+        return Finding(_TOPIC, "leftovers", "ok", "no process of an earlier run")
+    pids = " ".join(str(process.pid) for process in left)
+    found = f"{len(left)} processes have outlived their deployment"
+    return Finding(_TOPIC, "leftovers", "fail", found, f"kill -9 {pids}")
+
+
+def _without_zygote() -> list[psutil.Process]:
+    """Return the processes of deployments whose zygote has ended, perhaps a moment ago."""
     trees: dict[str, list[psutil.Process]] = {}
     for process in psutil.process_iter():
         with suppress(psutil.Error):
             mark = process.environ().get(MARK)
             if mark and process.status() != psutil.STATUS_ZOMBIE:
                 trees.setdefault(mark, []).append(process)
-    left = [one for tree in trees.values() if not any(map(_is_zygote, tree)) for one in tree]
-    if not left:
-        return Finding(_TOPIC, "leftovers", "ok", "no process of an earlier run")
-    pids = " ".join(str(process.pid) for process in left)
-    found = f"{len(left)} processes have outlived their deployment"
-    return Finding(_TOPIC, "leftovers", "fail", found, f"kill -9 {pids}")
+    return [one for tree in trees.values() if not any(map(_is_zygote, tree)) for one in tree]
 
 
 def _is_zygote(process: psutil.Process) -> bool:

@@ -1,9 +1,11 @@
 """Buses for the tests: real sessions on loopback or one in memory, and a reader that waits."""
 
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from cairn import Qos
@@ -43,6 +45,31 @@ class Network:
     def close(self) -> None:
         """Close all buses, then the router."""
         self._stack.close()
+
+
+@contextmanager
+def router_process() -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """A router in a process of its own, which a test may stop: its endpoint and the process."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    program = [sys.executable, "-c", _ROUTER, endpoint]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as router:
+        assert router.stdout is not None
+        try:
+            assert router.stdout.readline() == "ready\n"
+            yield endpoint, router
+        finally:
+            router.kill()
+
+
+_ROUTER = """
+import signal, sys
+from cairn.bus import session
+
+session.LEASE_MS = 3_600_000  # its links outlast any time for which it is stopped
+router = session.open_router(sys.argv[1])
+print("ready", flush=True)
+signal.pause()
+"""
 
 
 class Reader:

@@ -12,12 +12,12 @@ from typing import IO
 import pytest
 
 from cairn import LATCHED, RELIABLE
-from cairn.bus.discovery import QueryableWatcher
+from cairn.bus.discovery import PeerLinks, QueryableWatcher
 from cairn.bus.keys import session_key
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
-from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.cairn.bus.network import Network, Reader, eventually, node, router_process
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -154,6 +154,16 @@ def test_hanging_process_is_reported_and_does_not_delay_the_others(network: Netw
         assert eventually(lambda: joiner.bus.wait_for_peers(0.5) == [session_key(str(hanging))])
         joiner.publish("received nevertheless")
         assert other.reader.next().data == "received nevertheless"
+
+
+def test_router_that_does_not_answer_in_time_does_not_mean_that_a_process_has_left() -> None:
+    with router_process() as (endpoint, router), open_peer([endpoint]) as session:
+        links = PeerLinks(session)
+        assert links.has_left("0123", LIMIT_S)
+        router.send_signal(signal.SIGSTOP)
+
+        assert not links.has_left("0123", 0.2)
+        links.close()
 
 
 def test_process_that_leaves_before_answering_is_not_waited_for(network: Network) -> None:

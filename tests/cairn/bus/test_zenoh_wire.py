@@ -1,5 +1,6 @@
 """A bus declares and sends in rmw_zenoh's format, as seen by a bare Zenoh session."""
 
+import signal
 import time
 from collections.abc import Callable
 from typing import Any
@@ -7,15 +8,16 @@ from typing import Any
 import pytest
 import zenoh
 
-from cairn import LATCHED, SENSOR, Qos
+from cairn import LATCHED, SENSOR, CairnError, Qos
 from cairn.bus.codec import Codec
+from cairn.bus.graph import read_graph
 from cairn.bus.keys import Attachment, EndpointEntity, NodeEntity, gid, token_key
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import String
-from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.cairn.bus.network import Network, Reader, eventually, node, router_process
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -114,6 +116,15 @@ def test_graph_lists_nodes_alive_and_omits_closed_ones(network: Network) -> None
 
 def _names(network: Network) -> list[str]:
     return [one.name for one in network.graph() if isinstance(one, NodeEntity)]
+
+
+def test_router_that_does_not_list_the_graph_in_time_is_an_error() -> None:
+    with router_process() as (endpoint, router), open_client([endpoint]) as command:
+        assert read_graph(command, 0, LIMIT_S) == []
+        router.send_signal(signal.SIGSTOP)
+
+        with pytest.raises(CairnError, match="the router did not list the components within"):
+            read_graph(command, 0, 0.2)
 
 
 def test_domains_are_isolated(network: Network) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from cairn.testing.launching import Run, launching
-from tests.commands import Answer, cairn
+from tests.commands import Answer, await_status, cairn
 
 Command = Callable[..., Answer]
 
@@ -29,6 +29,7 @@ def rover(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         run = launch(ROVER, robot="rover")
         run.await_line("child active: talker")
         run.await_line("received 1,")
+        await_status("/rover/root", lambda row: row["state"] == "active", run.endpoint)
         yield run
         assert run.stop() == 0
 

@@ -13,14 +13,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer
 from cairn.cli.doctor.devices import cameras
+from cairn.supervision.orphan_cleanup import MARK
 from cairn.testing.launching import free_port
 from tests.cairn.cli.conftest import Command
 from tests.commands import Answer, cairn
+from tests.patience import LIMIT_S
 from tests.wording import assert_words
 
 ROBOT = """
@@ -70,6 +73,27 @@ def test_running_robot_is_reported_by_name(command: Command) -> None:
 
     assert [row["found"] for row in answer.json if "robot rover runs" in row["found"]]
     assert row_of(answer, "leftovers")["state"] == "ok"
+
+
+@pytest.mark.parametrize(("limit_s", "state"), [(LIMIT_S, "ok"), (0.0, "fail")])
+def test_process_is_a_leftover_only_if_it_stays_after_its_deployment(
+    limit_s: float, state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.cli.doctor.deployments._ENDING_LIMIT_S", limit_s)
+    command = ["sleep", "60"]
+    with subprocess.Popen(command, env={**os.environ, MARK: "test"}) as process:
+        wait = psutil.wait_procs
+
+        def end_and_wait(left: list[psutil.Process], timeout: float) -> None:
+            process.kill()
+            wait(left, timeout)
+
+        monkeypatch.setattr(psutil, "wait_procs", end_and_wait)
+        answer = cairn("doctor", "--json", connect=f"tcp/127.0.0.1:{free_port()}")
+        process.kill()
+
+    assert row_of(answer, "leftovers")["state"] == state
+    assert (str(process.pid) in row_of(answer, "leftovers")["remedy"]) == (state == "fail")
 
 
 def test_port_used_by_another_program_is_a_fault() -> None:
@@ -170,8 +194,8 @@ def test_file_that_may_not_be_read_is_a_fault(
 
 
 def test_network_device_is_checked_by_connecting(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
+    port = free_port()  # which no other process takes once it is released
+    with socket.create_server(("127.0.0.1", port)):
         reachable = run_doctor(tmp_path, f"host: 127.0.0.1, tcp_port: {port}")
     unreachable = run_doctor(tmp_path, f"host: 127.0.0.1, tcp_port: {port}")
 

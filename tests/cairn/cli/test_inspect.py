@@ -1,17 +1,20 @@
 """Commands that inspect a running deployment: ps, graph, topic, logs."""
 
 import json
+import re
 import subprocess
+import time
 
 import pytest
 import zenoh
 
 from cairn.bus import keys
-from cairn.bus.session import open_peer
+from cairn.bus.discovery import QueryableWatcher
+from cairn.bus.session import open_client, open_peer
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
-from tests.commands import await_status
+from tests.commands import Answer, await_status
 
 from .conftest import Command
 
@@ -48,8 +51,11 @@ def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: R
     assert listener["pid"] == rover.pid_of("listener")
     assert listener["plugin"] == "test_listener"
     assert (listener["parent"], listener["placement"]) == ("mobile", "process")
-    assert (listener["state"], listener["restarts"], listener["dropped"]) == ("active", 0, 0)
+    assert (listener["state"], listener["restarts"]) == ("active", 0)
     assert listener["memory_mib"] > 1
+    # A listener that gets no processor for half a second drops words: its queue is short.
+    supervisor = await_status("/rover/mobile", lambda row: row["received"] > 0, rover.endpoint)
+    assert supervisor["dropped"] == 0
     assert rows["/rover/root"]["pid"] == rover.process.pid
 
 
@@ -97,14 +103,23 @@ def test_topic_echo_of_a_silent_topic_times_out(command: Command) -> None:
 
 
 def test_topic_hz_measures_the_rate(command: Command) -> None:
-    result = command("topic", "hz", "words", "--seconds", "1", "--json").json
+    def measure(seconds: str, *arguments: str) -> Answer:
+        """Measure until the machine was not too busy for two messages."""
+        while True:
+            answer = command("topic", "hz", "words", "--seconds", seconds, *arguments)
+            if answer.code == 0 and not re.search(r"messages\W+[01]\b", answer.out):
+                return answer
+            assert time.monotonic() < deadline, answer
+
+    deadline = time.monotonic() + LIMIT_S
+    result = measure("1", "--json").json
 
     assert result["topic"] == "/rover/words"
     assert result["messages"] >= 2
     assert result["hz"] > 0
     assert result["bytes"] == 52
     assert result["lost"] == 0
-    assert "longest ms" in command("topic", "hz", "words", "--seconds", "0.5").out
+    assert "longest ms" in measure("0.5").out
 
 
 def test_logs_prints_the_last_messages(command: Command) -> None:
@@ -113,7 +128,7 @@ def test_logs_prints_the_last_messages(command: Command) -> None:
 
     assert "INFO    rover.root: child active: talker\n" in everything
     assert json.loads(one[0])["name"] == "rover.listener"
-    assert json.loads(one[0])["message"] == "received 1, the last was 1"
+    assert json.loads(one[0])["message"].startswith("received 1, the last was ")
 
 
 def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: Run) -> None:
@@ -122,7 +137,10 @@ def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: 
     with (
         open_peer([rover.endpoint]) as session,
         session.declare_queryable(kept, unanswered.append),
+        open_client([rover.endpoint]) as other,
+        QueryableWatcher(other, kept) as watcher,
     ):
+        assert watcher.wait(LIMIT_S)
         printed = command("logs")
         for query in unanswered:
             query.drop()
@@ -142,11 +160,18 @@ def test_logs_follow_continues_until_ctrl_c(rover: Run) -> None:
     ) as follower:
         assert follower.stdout is not None
         assert follower.stderr is not None
-        seen = len(rover.lines)
-        now = rover.lines[rover.await_line("received", after=seen) - 1]
+        printed = rover.await_line(r"received \d", after=len(rover.lines))
+        now = count_in(rover.lines[printed - 1])
         for line in follower.stdout:
-            if line > now and "received" in line:
+            if count_in(line) > now:
                 break
         follower.send_signal(2)
         assert follower.wait(LIMIT_S) == 130
         assert follower.stderr.read() == ""
+
+
+def count_in(line: str) -> int:
+    """Return how many words the listener has received when it logged this line."""
+    received = re.search(r"received (\d+),", line)
+    assert received is not None, line
+    return int(received[1])

@@ -77,6 +77,13 @@ def read_count(link: Link, count: int) -> bytes:
     return data
 
 
+def read_until_quiet(link: Link) -> None:
+    """Discard what is received until nothing is for a while."""
+    deadline = time.monotonic() + LIMIT_S
+    while data := link.read(0.1):
+        assert time.monotonic() < deadline, f"the line is not quiet, but has {data[-200:]!r}"
+
+
 def request(link: Link, line: bytes) -> bytes:
     """Send a line; return all bytes received until the device repeats it."""
     link.write(line + b"\n")

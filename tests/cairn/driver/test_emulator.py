@@ -14,7 +14,13 @@ from cairn.driver.emulator import Emulator, FrameFault
 from cairn.driver.emulator_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
 from cairn.driver.errors import LinkLost
 from cairn.driver.serial_and_tcp import Link, SerialLink, TcpLink
-from tests.cairn.driver.parrot import Parrot, read_count, read_until, request
+from tests.cairn.driver.parrot import (
+    Parrot,
+    read_count,
+    read_until,
+    read_until_quiet,
+    request,
+)
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -71,6 +77,15 @@ def _await(happened: Callable[[], bool]) -> None:
     while not happened():
         assert time.monotonic() < deadline
         os.sched_yield()
+
+
+def _settle(emulator: Emulator) -> None:
+    """Wait until the emulator has read everything that was written before.
+
+    It reads after it has executed calls: at the second call it has read what came before the first.
+    """
+    for _ in range(2):
+        emulator.call(lambda: None)
 
 
 @pytest.mark.parametrize("kind", ["pty", "tcp", "serial"])
@@ -130,14 +145,18 @@ def test_unplugged_device_vanishes_and_returns_restarted(kind: str, tmp_path: Pa
 
 
 def test_device_unplugged_for_a_time_returns_by_itself(tmp_path: Path) -> None:
-    end = PtyEnd(tmp_path / "line")
-    with Emulator(Parrot(), end) as emulator:
+    parrot = Parrot()
+    with Emulator(parrot, PtyEnd(tmp_path / "line")) as emulator:
+        lost = SerialLink(str(tmp_path / "line"), 9600)
         emulator.unplug(0.05)
-        assert not emulator.plugged_in
+        with pytest.raises(LinkLost):
+            read_count(lost, 1)
+        lost.close()
         _await((tmp_path / "line").is_symlink)
         link = SerialLink(str(tmp_path / "line"), 9600)
         request(link, b"hello")
         link.close()
+    assert parrot.power_ons == 2
 
 
 def test_hanging_device_neither_sends_nor_receives(tmp_path: Path) -> None:
@@ -147,9 +166,12 @@ def test_hanging_device_neither_sends_nor_receives(tmp_path: Path) -> None:
         link = SerialLink(str(tmp_path / "line"), 9600)
         request(link, b"count")
         emulator.hang()
-        link.discard()
+        number = emulator.call(lambda: parrot.number)
+        read_until_quiet(link)  # what was on the line already
         link.write(b"lost\n")
+        _settle(emulator)
         assert link.read(0.1) == b""
+        assert emulator.call(lambda: parrot.number) == number
         emulator.hang(0)
         request(link, b"hello")
         assert b"lost" not in parrot.received
@@ -200,9 +222,10 @@ def test_same_seed_damages_the_same_share_of_frames(tmp_path: Path) -> None:
 def test_wrong_line_speed_garbles_both_directions(tmp_path: Path) -> None:
     parrot = Parrot(speed=19200)
     end = PtyEnd(tmp_path / "line")
-    with Emulator(parrot, end):
+    with Emulator(parrot, end) as emulator:
         link = SerialLink(str(tmp_path / "line"), 9600)
         link.write(b"deaf\n")
+        _settle(emulator)
         assert link.read(0.1) == b""
         link.set_baud(19200)
         request(link, b"count")
@@ -273,11 +296,11 @@ def test_real_port_that_vanishes_is_opened_again_when_it_returns(tmp_path: Path)
     host, port = os.openpty()
     path.symlink_to(os.ttyname(port))
     with Emulator(parrot, SerialEnd(str(path), 9600)) as emulator:
+        path.unlink()  # first: another process may get a pseudo-terminal of the same number
         os.close(host)
         os.close(port)
         _await(lambda: not emulator.plugged_in)
         host, port = os.openpty()
-        path.unlink()
         path.symlink_to(os.ttyname(port))
         _await(lambda: emulator.plugged_in)
         link = _Descriptor(host)

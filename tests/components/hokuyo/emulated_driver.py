@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from cairn import RELIABLE, every
 from cairn.bus.lockstep_bus import LockstepBus
@@ -25,6 +26,12 @@ from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.patience import LIMIT_S
 
 _ALL = RELIABLE.with_depth(1_000_000)
+_NEVER_S = 60.0
+"""Silence that no test reaches, however busy the machine: the longest one allowed [s]."""
+
+REPLY_TIMEOUT_S = 0.5
+"""The driver's own time limit for a reply [s], for sensors that leave some commands unanswered."""
+
 _LIMITS = {"URG": (20, 5600), "UTM": (23, 60000), "UST": (20, 30000)}
 _SHORT_MOST = 4094
 _CODES = {1: math.inf, 2: -math.inf}  # of UTM and UST: nothing hit, too near
@@ -118,18 +125,24 @@ def emulated_driver(
     emulated: dict[str, Any] | None = None,
     line: dict[str, Any] | None = None,
     activate: bool = True,
+    reply_timeout_s: float = LIMIT_S,
     **parameters: Any,
 ) -> Iterator[EmulatedDriver]:
     """Run the driver with a sensor of the model: on a pseudo-terminal, over TCP, or on a cable.
 
-    A cable is the device's end of it, and the port that the driver opens.
+    A cable is the device's end of it, and the port that the driver opens. The driver awaits each
+    reply for `reply_timeout_s`, and takes no silence for a fault unless the test sets `silence_s`:
+    a busy computer must not make it connect again. A test whose sensor leaves commands unanswered
+    needs `REPLY_TIMEOUT_S`, and `restarts=1`, with which a late reply does not fail configuration.
     """
+    parameters = {"silence_s": _NEVER_S, **parameters}
     sent: list[SentScan] = []
     device = EmulatedScip(model, on_scan=sent.append, **(emulated or {}))
     end, port = cable or (PtyEnd(folder / "scanner"), str(folder / "scanner"))
     if tcp:
         end = TcpEnd(0)
-    with Emulator(device, end, **(line or {})) as emulator:
+    with pytest.MonkeyPatch.context() as patch, Emulator(device, end, **(line or {})) as emulator:
+        patch.setattr("cairn.components.hokuyo.client._REPLY_TIMEOUT_S", reply_timeout_s)
         where: dict[str, Any] = {"port": port}
         if isinstance(end, TcpEnd):
             where = {"host": "127.0.0.1", "tcp_port": end.port}

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
+from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +14,12 @@ import pytest
 
 from cairn import CairnError
 from cairn.components.hokuyo.config import HokuyoConfig
+from cairn.components.hokuyo.emulator_sensor import SentScan
 from cairn.components.hokuyo.sensor import connect
-from cairn.driver.emulator import Emulator
-from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import DeviceError
 from cairn.driver.serial_and_tcp import SerialLink
-from tests.cairn.driver.parrot import Parrot
 from tests.components.hokuyo.emulated_driver import (
+    REPLY_TIMEOUT_S,
     EmulatedDriver,
     Received,
     assert_were_sent,
@@ -55,12 +57,15 @@ def test_every_scan_is_equal_to_what_was_sent(
     parameters: dict[str, Any],
     emulated: dict[str, Any],
 ) -> None:
+    has_clock = emulated.get("knows_scip2", True)  # else it sends its last scan whenever asked
+    short = bool(parameters.get("short_distances")) or not has_clock
+    echo = parameters.get("echo", "first")
     with emulated_driver(tmp_path, model, tcp=tcp, emulated=emulated, **parameters) as setup:
         scans = setup.scans.wait(SCANS)
         multi = setup.multi.wait(SCANS) if parameters.get("multi_echo") else []
-    short = bool(parameters.get("short_distances")) or not emulated.get("knows_scip2", True)
-    echo = parameters.get("echo", "first")
-    sent = assert_were_sent(scans, setup.sent, model, echo=echo, short=short)
+        sent = assert_were_sent(scans, setup.sent, model, echo=echo, short=short)
+        if has_clock:
+            await_stamps_by_turns(setup, model, echo=echo, short=short)
 
     for one in sent:
         assert (one.intensities is not None) == bool(parameters.get("intensity"))
@@ -72,12 +77,26 @@ def test_every_scan_is_equal_to_what_was_sent(
         for echoes, expected in zip(scan.ranges, report, strict=True):
             assert echoes.echoes.tolist() == pytest.approx(expected, abs=1e-5, nan_ok=True)
         assert len(scan.intensities) == (len(report) if parameters.get("intensity") else 0)
-    if not emulated.get("knows_scip2", True):
-        return  # it has no clock, and sends its last scan whenever it is asked
-    stamps = [_seconds(scan) for scan in scans]
-    turns = np.diff([one.turn for one in sent])
-    off = np.abs(np.diff(stamps) - turns * _turn_s(model))
-    assert np.median(off) <= 0.004, f"{stamps} are not {turns} turns apart"
+
+
+def await_stamps_by_turns(setup: EmulatedDriver, model: str, *, echo: str, short: bool) -> None:
+    """Wait for scans whose stamps are as far apart as their turns.
+
+    As long as each scan arrives earlier after its turn than all before, stamps approach the truth.
+    """
+    deadline, after = time.monotonic() + LIMIT_S, 0
+    while True:
+        scans = setup.scans.wait(SCANS, after=after)
+        sent = assert_were_sent(scans, setup.sent, model, echo=echo, short=short)
+        off = np.abs(np.diff([_seconds(scan) for scan in scans]) - _times_between(sent, model))
+        if np.median(off) <= 0.004:
+            return
+        assert time.monotonic() < deadline, f"stamps are off by {off} s from turns"
+        after += SCANS
+
+
+def _times_between(sent: Sequence[SentScan], model: str) -> Any:
+    return np.diff([one.turn for one in sent]) * _turn_s(model)
 
 
 def _turn_s(model: str) -> float:
@@ -165,8 +184,9 @@ def test_options_that_a_sensor_lacks_are_dropped_and_reported(tmp_path: Path) ->
 @pytest.mark.parametrize("baud", [19200, 500000])
 def test_line_speed_is_found_and_changed(tmp_path: Path, baud: int) -> None:
     with emulated_driver(
-        tmp_path, URG, emulated={"rs232_baud": baud}, baud=115200, cluster=9
-    ) as setup:
+        tmp_path, URG, emulated={"rs232_baud": baud}, baud=115200, cluster=9,
+        reply_timeout_s=REPLY_TIMEOUT_S, restarts=1,
+    ) as setup:  # fmt: skip
         setup.scans.wait(2)
         assert setup.device.baud() == 115200
 
@@ -196,29 +216,73 @@ def test_missing_sensor_is_an_error_with_its_address(tmp_path: Path) -> None:
 
 
 def test_silent_device_is_an_error(tmp_path: Path) -> None:
-    with emulated_driver(tmp_path, activate=False, tcp=True) as setup:
+    with emulated_driver(
+        tmp_path, activate=False, tcp=True, reply_timeout_s=REPLY_TIMEOUT_S
+    ) as setup:
         setup.emulator.hang()
         with pytest.raises(CairnError, match=words_in_order("SCIP sensor")):
             setup.component.request("configure")
 
 
-def test_bytes_of_another_device_are_in_the_error(tmp_path: Path) -> None:
-    config = HokuyoConfig(port=str(tmp_path / "parrot"))
-    with (
-        Emulator(Parrot(), PtyEnd(tmp_path / "parrot")),
-        pytest.raises(DeviceError, match=r"parrot: nothing .* .* is not SCIP: b'.*QT"),
-    ):
-        connect(config, bauds=(115200,))
+class EchoLine:
+    """A line to a device that repeats what it receives; time passes while nothing is received."""
+
+    name = "parrot"
+    paced = False
+
+    def __init__(self) -> None:
+        self._now = 0.0
+        self._received = b""
+
+    def monotonic(self) -> float:
+        return self._now
+
+    def monotonic_ns(self) -> int:
+        return round(1e9 * self._now)
+
+    def read(self, timeout_s: float) -> bytes:
+        received, self._received = self._received, b""
+        if not received:
+            self._now += timeout_s
+        return received
+
+    def write(self, data: bytes) -> None:
+        self._received += data
+
+    def set_baud(self, baud: int) -> None:
+        pass
+
+    def discard(self) -> None:
+        self._received = b""
+
+    def close(self) -> None:
+        pass
+
+
+def test_bytes_of_another_device_are_in_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = EchoLine()
+    monkeypatch.setattr("cairn.components.hokuyo.sensor.SerialLink", lambda *_: line)
+    monkeypatch.setattr("cairn.components.hokuyo.client.time", line)
+
+    with pytest.raises(DeviceError, match=r"parrot: nothing .* .* is not SCIP: b'.*QT"):
+        connect(HokuyoConfig(port="/dev/parrot"), bauds=(115200,))
 
 
 def test_slow_line_is_not_treated_as_silent(tmp_path: Path) -> None:
     slow: dict[str, Any] = {"emulated": {"rs232_baud": 19200}, "line": {"paced": True}}
     with emulated_driver(tmp_path, URG, baud=19200, cluster=4, silence_s=0.05, **slow) as setup:
-        setup.scans.wait(2)  # each takes 0.28 s on the line
-        health = setup.health(lambda status: True)
+        # Each takes 0.28 s on the line. The sensor is started again if the computer pauses.
+        setup.diagnostics.wait_for(lambda messages: scans_without_restart(messages) >= 3)
 
-    values = {value.key: value.value for value in health.values}
-    assert values["restarts after silence"] == "0"
+
+def scans_without_restart(messages: Sequence[Any]) -> int:
+    """Return how many scans arrived between two restarts of the sensor, at most."""
+    scans = defaultdict[tuple[str, str], list[int]](list)
+    for message in messages:
+        values = {value.key: value.value for value in message.status[0].values}
+        run = values["connections"], values["restarts after silence"]
+        scans[run].append(int(values["scans"]))
+    return max((max(counts) - min(counts) for counts in scans.values()), default=0)
 
 
 def test_angles_without_rays_fail_configuration(tmp_path: Path) -> None:

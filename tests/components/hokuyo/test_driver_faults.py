@@ -20,6 +20,7 @@ from cairn.driver.diagnostics import ERROR, OK, WARN
 from cairn.driver.emulator import Emulator, FrameFault, FrameFaults
 from cairn.driver.emulator_lines import PtyEnd
 from tests.components.hokuyo.emulated_driver import (
+    REPLY_TIMEOUT_S,
     EmulatedDriver,
     assert_were_sent,
     emulated_driver,
@@ -69,7 +70,7 @@ def test_thousand_faults_cause_no_wrong_scan() -> None:
 def test_scans_resume_after_faults_of_all_kinds(tmp_path: Path, tcp: bool) -> None:
     order = list(FAULTS) * 15
     np.random.default_rng(tcp).shuffle(order)
-    with emulated_driver(tmp_path, tcp=tcp) as setup:
+    with emulated_driver(tmp_path, tcp=tcp, reply_timeout_s=REPLY_TIMEOUT_S, restarts=1) as setup:
         setup.scans.wait(1)
         for fault in order:
             setup.emulator.inject(fault)
@@ -97,19 +98,29 @@ def test_damaged_scan_is_dropped_and_counted(tmp_path: Path, fault: FrameFault) 
 
 
 def test_silent_sensor_gets_the_command_to_start_again(tmp_path: Path) -> None:
+    reports: list[Any] = []
     with emulated_driver(tmp_path, silence_s=0.2) as setup:
         setup.scans.wait(2)
-        setup.emulator.call(
-            lambda: setup.device.receive(b"QT\n", 0.0)
-        )  # as if it had stopped by itself
-        setup.scans.wait(3, after=len(setup.scans))
-        report = setup.health(lambda status: "stopped sending" in status.message, after=0)
+        # If the computer pauses as well, a report of an error may take this one's place.
+        for _ in range(20):
+            setup.emulator.call(
+                lambda: setup.device.receive(b"QT\n", 0.0)
+            )  # as if it had stopped by itself
+            setup.scans.wait(3, after=len(setup.scans))
+            setup.health(lambda status: True)
+            reports = [one.status[0] for one in setup.diagnostics.all()]
+            if any("stopped sending" in report.message for report in reports):
+                break
 
-    assert report.level == WARN
+    levels = {report.level for report in reports if "stopped sending" in report.message}
+    assert levels == {WARN}
 
 
 def test_scans_resume_after_a_hang(tmp_path: Path) -> None:
-    with emulated_driver(tmp_path, silence_s=0.1, rate_tolerance=_ANY_RATE) as setup:
+    with emulated_driver(
+        tmp_path, silence_s=0.1, rate_tolerance=_ANY_RATE,
+        reply_timeout_s=REPLY_TIMEOUT_S, restarts=1,
+    ) as setup:  # fmt: skip
         setup.scans.wait(2)
         setup.emulator.hang()
         report = setup.health(lambda status: status.level == ERROR)
@@ -161,7 +172,11 @@ def test_statuses_in_a_stream_are_counted_but_not_as_damage(tmp_path: Path, stat
     assert values(report)["damaged replies"] == "0"
 
 
-def test_reported_defect_is_an_error_with_its_status(tmp_path: Path) -> None:
+def test_reported_defect_is_an_error_with_its_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The next attempt to connect has another error: the sensor refuses to work.
+    monkeypatch.setattr("cairn.driver.device_thread.RETRY_S", LIMIT_S)
     with emulated_driver(tmp_path) as setup:
         setup.scans.wait(2)
         setup.emulator.call(lambda: setup.device.send_status("55"))
@@ -237,7 +252,10 @@ class SilentDevice:
         return None
 
 
-def test_driver_stops_while_it_searches_for_a_sensor(tmp_path: Path) -> None:
+def test_driver_stops_while_it_searches_for_a_sensor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.components.hokuyo.client._REPLY_TIMEOUT_S", 2.0 * LIMIT_S)
     port = tmp_path / "scanner"
     device = SilentDevice()
     with Emulator(device, PtyEnd(port)) as emulator:
@@ -248,7 +266,7 @@ def test_driver_stops_while_it_searches_for_a_sensor(tmp_path: Path) -> None:
             emulator.plug_in()
             setup.component.request("activate")
             assert device.is_searched.wait(LIMIT_S)
-            setup.component.request("deactivate")  # all speeds would take longer than this may
+            setup.component.request("deactivate")  # a speed takes longer than this may
             setup.component.request("cleanup")
         finally:
             setup.component.close()
@@ -257,7 +275,7 @@ def test_driver_stops_while_it_searches_for_a_sensor(tmp_path: Path) -> None:
 def test_sensor_that_does_not_stop_is_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with emulated_driver(tmp_path) as setup:
+    with emulated_driver(tmp_path, reply_timeout_s=REPLY_TIMEOUT_S, restarts=1) as setup:
         setup.scans.wait(2)
         setup.emulator.hang()
         setup.component.request("deactivate")

@@ -11,12 +11,28 @@ import numpy as np
 import pytest
 from serial.tools import list_ports
 
+from cairn.components.hokuyo import probe_cli
+from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.emulator import EmulatedScip
 from cairn.components.hokuyo.probe_cli import draw_scan
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd, TcpEnd
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.commands import cairn
+from tests.patience import LIMIT_S
+
+
+@pytest.fixture
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Await replies and scans however long a busy computer takes."""
+    monkeypatch.setattr("cairn.components.hokuyo.client._REPLY_TIMEOUT_S", LIMIT_S)
+    monkeypatch.setattr(probe_cli, "_FIRST_SCAN_S", LIMIT_S)
+    config = probe_cli._config
+
+    def patient_config(device: str, baud: int, intensity: bool) -> HokuyoConfig:
+        return config(device, baud, intensity).model_copy(update={"silence_s": LIMIT_S})
+
+    monkeypatch.setattr(probe_cli, "_config", patient_config)
 
 
 @pytest.fixture
@@ -25,6 +41,7 @@ def port(tmp_path: Path) -> Iterator[str]:
         yield str(tmp_path / "scanner")
 
 
+@pytest.mark.usefixtures("patience")
 def test_model_and_rate_are_printed(port: str) -> None:
     answer = cairn("driver", "probe", "hokuyo", port, "--seconds", "0.5")
 
@@ -33,6 +50,7 @@ def test_model_and_rate_are_printed(port: str) -> None:
     assert "nominal: 40.00" in answer.out
 
 
+@pytest.mark.usefixtures("patience")
 def test_probe_prints_json_over_tcp() -> None:
     end = TcpEnd(0)
     with Emulator(EmulatedScip("UTM-30LX-EW"), end):

@@ -2,6 +2,7 @@
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,23 +46,23 @@ _METERS = 2.0 * math.pi * RADIUS / COUNTS
 _STANDSTILL_SPEED = 0.01  # [m/s]
 
 
-class EmulatedBase:
-    """The controller on a pseudo-terminal: a device as `cairn.testing.device` describes it."""
+class ObservedBase(ABC):
+    """The controller, and what its wheels do, in real or in virtual time."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self) -> None:
         self.device = EmulatedRoboclaw(full_speed=30_000.0, first_counts=(2**32 - 500, 300))
-        self.emulator = Emulator(self.device, PtyEnd(path))
 
-    @property
-    def settings(self) -> Mapping[str, Any]:
-        return {"port": str(self.path)}
+    @abstractmethod
+    def call(self, function: Callable[[], object]) -> None:
+        """Call a function between the controller's steps."""
 
-    def unplug(self) -> None:
-        self.emulator.unplug()
+    @abstractmethod
+    def monotonic(self) -> float:
+        """Return the time [s]."""
 
-    def plug_in(self) -> None:
-        self.emulator.plug_in()
+    @abstractmethod
+    def pause(self) -> None:
+        """Let some time pass."""
 
     def turns(self) -> bool:
         return self.speed() > _STANDSTILL_SPEED
@@ -71,11 +72,11 @@ class EmulatedBase:
 
     def await_that(self, condition: Callable[[], bool], limit_s: float = LIMIT_S) -> bool:
         """Wait for a condition; return whether it held within the limit [s]."""
-        deadline = time.monotonic() + limit_s
+        deadline = self.monotonic() + limit_s
         while not condition():
-            if time.monotonic() > deadline:
+            if self.monotonic() > deadline:
                 return False
-            time.sleep(0.005)
+            self.pause()
         return True
 
     def speed(self) -> float:
@@ -83,16 +84,16 @@ class EmulatedBase:
         speeds: list[float] = []
 
         def read() -> None:
-            self.device.advance(time.monotonic())
+            self.device.advance(self.monotonic())
             speeds.extend(abs(motor.speed) for motor in self.device.controller.motors)
 
-        self.emulator.call(read)
+        self.call(read)
         return max(speeds) * _METERS
 
     def motions(self) -> list[TrueMotion]:
         """Return the motion of the wheels so far."""
         steps: list[TrueMotion] = []
-        self.emulator.call(lambda: steps.extend(self.device.motions))
+        self.call(lambda: steps.extend(self.device.motions))
         return steps
 
     def fastest_since(self, time_s: float) -> float:
@@ -112,6 +113,34 @@ class EmulatedBase:
             pose = compose(compose(compose(pose, half), (distance, 0.0, 0.0)), half)
             left, right = now_left, now_right
         return pose
+
+
+class EmulatedBase(ObservedBase):
+    """The controller on a pseudo-terminal: a device as `cairn.testing.device` describes it."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+        self.emulator = Emulator(self.device, PtyEnd(path))
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        return {"port": str(self.path)}
+
+    def unplug(self) -> None:
+        self.emulator.unplug()
+
+    def plug_in(self) -> None:
+        self.emulator.plug_in()
+
+    def call(self, function: Callable[[], object]) -> None:
+        self.emulator.call(function)
+
+    def monotonic(self) -> float:
+        return time.monotonic()
+
+    def pause(self) -> None:
+        time.sleep(0.005)
 
 
 @contextmanager

@@ -87,7 +87,7 @@ class TestRoboclawBase(EmulatedRoboclaw, SafetyContract):
             assert device.await_that(lambda: device.speed() > 0.4)
             with robot.suspended("base"):
                 for _ in range(2):  # after the second call it has read all packets
-                    device.emulator.call(lambda: None)
+                    device.call(lambda: None)
                 hung = time.monotonic()
                 assert device.await_stand(LIMIT_S)
                 assert device.device.timeouts > before

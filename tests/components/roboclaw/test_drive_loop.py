@@ -1,10 +1,6 @@
-"""The drive loop with an emulated controller: what stops the wheels, and why."""
+"""The drive loop with an emulated controller, in virtual time: what stops the wheels, and why."""
 
-import logging
-import threading
-import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
@@ -14,16 +10,19 @@ from cairn.components.roboclaw.drive_loop import DriveLoop
 from cairn.components.roboclaw.health import ControllerHealth
 from cairn.components.roboclaw.odometry import WheelStep
 from cairn.driver.command_timeout import LatestCommand
-from cairn.driver.device_thread import DeviceThread
+from cairn.driver.device_thread import RETRY_S
 from cairn.driver.errors import DeviceError, LinkLost
-from tests.components.roboclaw.emulated_base import PARAMETERS, EmulatedBase, emulated_base
+from tests.components.roboclaw.emulated_base import PARAMETERS
+from tests.components.roboclaw.virtual_base import TakingTurns, VirtualBase, VirtualEvent
 from tests.wording import words_in_order
+
+_COMMAND_PERIOD_S = 0.02
 
 
 class LoopRun:
-    """A drive loop on a thread of its own, with a thread that repeats the command."""
+    """A drive loop that takes turns with the test, and commands that are repeated meanwhile."""
 
-    def __init__(self, base: EmulatedBase, **parameters: object) -> None:
+    def __init__(self, base: VirtualBase, **parameters: object) -> None:
         values = {
             "acceleration": 4.0,
             "turn_acceleration": 20.0,
@@ -31,7 +30,7 @@ class LoopRun:
             "device_timeout_s": 1.0,
             **parameters,
         }
-        config = RoboclawBaseConfig.model_validate({**PARAMETERS, "port": str(base.path), **values})
+        config = RoboclawBaseConfig.model_validate({**PARAMETERS, "port": "/dev/none", **values})
         self.base = base
         self.health = ControllerHealth()
         self.steps: list[WheelStep] = []
@@ -40,19 +39,19 @@ class LoopRun:
         self.ready: list[ControllerHandshake] = []
         self._command = LatestCommand(config.command_timeout_s)
         self._target = (0.0, 0.0)
-        self._stopping = threading.Event()
-        self._commander = threading.Thread(target=self._repeat_command, daemon=True)
         self._loop = DriveLoop(
             config.drive_settings(),
-            lambda: open_line(config.port, config.baud),
+            base.open,
             self._command,
             self.health,
             on_ready=self.ready.append,
             on_step=self._note,
         )
-        self._thread = self._new_thread()
         self._hold_up_s = 0.0
         self.held_up = False
+        base.on_sleep = self._yield
+        base.on_pause = self._pause
+        self.restart()
 
     def hold_up(self, seconds: float) -> None:
         """Pause the loop, as on a busy computer."""
@@ -64,7 +63,7 @@ class LoopRun:
     def drive(self, forward: float = 0.3) -> None:
         """Command a speed, and wait until the wheels turn."""
         self.command(forward)
-        assert self.base.await_that(lambda: self.base.speed() > 0.7 * abs(forward))
+        self.await_that(lambda: self.base.speed() > 0.7 * abs(forward))
 
     def await_that(self, condition: Callable[[], bool]) -> None:
         assert self.base.await_that(condition), (
@@ -72,49 +71,58 @@ class LoopRun:
         )
 
     def stop(self) -> None:
-        self._thread.stop()
+        self._stopping.set()
+        assert self.base.await_that(lambda: self._thread.ended), "the loop does not stop"
 
     def restart(self) -> None:
-        self._thread = self._new_thread()
-        self._thread.start()
+        self._stopping = VirtualEvent(self.base)
+        self._thread = TakingTurns(self._run)
 
-    def _new_thread(self) -> DeviceThread:
-        return DeviceThread(
-            "run",
-            self._loop.serve,
-            log=logging.getLogger("run"),
-            on_device_error=self.device_errors.append,
-            on_failure=self.failures.append,
-        )
+    def _run(self) -> None:
+        """Do what `DeviceThread` does."""
+        while not self._stopping.is_set():
+            try:
+                self._loop.serve(self._stopping)
+            except DeviceError as error:
+                self.device_errors.append(error)
+            except Exception as error:
+                self.failures.append(error)
+                return
+            self._stopping.wait(RETRY_S)
+
+    def _yield(self) -> None:
+        self._thread.yield_turn()
+        self._repeat_command()
+
+    def _pause(self) -> None:
+        if self._thread.ended:
+            self.base.pass_time(_COMMAND_PERIOD_S)
+        self._thread.take_turn()
 
     def _note(self, step: WheelStep) -> None:
         self.steps.append(step)
-        if self._hold_up_s:
-            time.sleep(self._hold_up_s)
-            self.held_up, self._hold_up_s = True, 0.0
+        while self._hold_up_s > 0.0:
+            self.base.pass_time(_COMMAND_PERIOD_S)
+            self._repeat_command()
+            self._hold_up_s -= _COMMAND_PERIOD_S
+            self.held_up = True
 
     def _repeat_command(self) -> None:
-        while not self._stopping.wait(0.02):
-            self._command.set(time.monotonic(), *self._target)
+        self._command.set(self.base.monotonic(), *self._target)
 
     def __enter__(self) -> "LoopRun":
-        self._thread.start()
-        self._commander.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._thread.stop()
-        self._stopping.set()
-        self._commander.join()
+        self.stop()
 
 
 @pytest.fixture
-def base(tmp_path: Path) -> Iterator[EmulatedBase]:
-    with emulated_base(tmp_path) as base:
-        yield base
+def base(monkeypatch: pytest.MonkeyPatch) -> VirtualBase:
+    return VirtualBase(monkeypatch)
 
 
-def test_stopped_loop_leaves_the_wheels_at_rest(base: EmulatedBase) -> None:
+def test_stopped_loop_leaves_the_wheels_at_rest(base: VirtualBase) -> None:
     with LoopRun(base) as run:
         run.drive()
         run.stop()
@@ -123,7 +131,7 @@ def test_stopped_loop_leaves_the_wheels_at_rest(base: EmulatedBase) -> None:
         assert base.device.timeouts == 0  # the driver stopped them
 
 
-def test_blocked_wheel_switches_the_motors_off(base: EmulatedBase) -> None:
+def test_blocked_wheel_switches_the_motors_off(base: VirtualBase) -> None:
     with LoopRun(base) as run:
         run.drive()
         base.device.controller.set_fault(1, "stalled")
@@ -138,7 +146,7 @@ def test_blocked_wheel_switches_the_motors_off(base: EmulatedBase) -> None:
 
 
 def test_reversed_encoder_is_detected_before_the_wheel_is_fast(
-    base: EmulatedBase,
+    base: VirtualBase,
 ) -> None:
     base.device.controller.set_fault(2, "encoder_reversed")
     with LoopRun(base) as run:
@@ -151,7 +159,7 @@ def test_reversed_encoder_is_detected_before_the_wheel_is_fast(
 
 
 def test_unplugged_encoder_does_not_make_the_wheel_run_away(
-    base: EmulatedBase,
+    base: VirtualBase,
 ) -> None:
     with LoopRun(base) as run:
         run.drive(0.2)
@@ -163,7 +171,7 @@ def test_unplugged_encoder_does_not_make_the_wheel_run_away(
         assert base.fastest_since(0.0) < 0.4
 
 
-def test_released_emergency_stop_does_not_start_the_base(base: EmulatedBase) -> None:
+def test_released_emergency_stop_does_not_start_the_base(base: VirtualBase) -> None:
     with LoopRun(base) as run:
         run.drive()
         base.device.controller.emergency_stop = True
@@ -174,7 +182,7 @@ def test_released_emergency_stop_does_not_start_the_base(base: EmulatedBase) -> 
         assert_waits_for_rest(run)
 
 
-def test_high_current_while_stopping_is_a_named_warning(base: EmulatedBase) -> None:
+def test_high_current_while_stopping_is_a_named_warning(base: VirtualBase) -> None:
     with LoopRun(base, stall_s=5.0) as run:
         run.drive()
         base.device.controller.set_fault(2, "overcurrent")
@@ -183,10 +191,10 @@ def test_high_current_while_stopping_is_a_named_warning(base: EmulatedBase) -> N
         run.await_that(lambda: run.health.currents[1] < -10.0)
 
 
-def test_controller_that_lost_power_is_set_up_again(base: EmulatedBase) -> None:
+def test_controller_that_lost_power_is_set_up_again(base: VirtualBase) -> None:
     with LoopRun(base) as run:
         run.drive()
-        base.emulator.call(base.device.controller.power_cycle)
+        base.device.controller.power_cycle()
         run.await_that(lambda: len(run.ready) == 2)
 
         assert not run.ready[1].kept_power
@@ -197,7 +205,7 @@ def test_controller_that_lost_power_is_set_up_again(base: EmulatedBase) -> None:
 
 
 def test_power_loss_is_detected_by_the_counters_if_settings_were_saved(
-    base: EmulatedBase,
+    base: VirtualBase,
 ) -> None:
     with LoopRun(base) as run:
         run.drive(0.5)
@@ -205,7 +213,7 @@ def test_power_loss_is_detected_by_the_counters_if_settings_were_saved(
         before = distance(run)
         base.unplug()
         assert base.await_stand(3.0)
-        base.emulator.call(base.device.controller.power_cycle)
+        base.device.controller.power_cycle()
         base.device.controller.timeout_s = 1.0  # as saved
         base.plug_in()
         run.await_that(lambda: len(run.ready) == 2)
@@ -228,7 +236,7 @@ def assert_waits_for_rest(run: LoopRun) -> None:
     assert run.health.wheel_fault is None
 
 
-def test_wheels_that_slow_down_after_a_delay_do_not_count_as_runaways(base: EmulatedBase) -> None:
+def test_wheels_that_slow_down_after_a_delay_do_not_count_as_runaways(base: VirtualBase) -> None:
     with LoopRun(base, acceleration=0.8, turn_acceleration=0.5, speed=0.8) as run:
         run.drive(0.8)
         run.hold_up(0.6)  # too short for the controller to stop the wheels
@@ -240,7 +248,7 @@ def test_wheels_that_slow_down_after_a_delay_do_not_count_as_runaways(base: Emul
         assert run.health.wheel_fault is None
 
 
-def test_distance_while_unplugged_is_found_in_the_counters(base: EmulatedBase) -> None:
+def test_distance_while_unplugged_is_found_in_the_counters(base: VirtualBase) -> None:
     with LoopRun(base) as run:
         run.drive(0.5)
         base.unplug()
@@ -257,7 +265,7 @@ def test_distance_while_unplugged_is_found_in_the_counters(base: EmulatedBase) -
         assert distance(run) > 0.05
 
 
-def test_distance_while_stopping_is_not_lost(base: EmulatedBase) -> None:
+def test_distance_while_stopping_is_not_lost(base: VirtualBase) -> None:
     with LoopRun(base, acceleration=1.0) as run:
         run.drive(0.5)
         run.stop()
@@ -281,16 +289,16 @@ def distance(run: LoopRun) -> float:
     ],
 )
 def test_unusable_controller_is_rejected(
-    base: EmulatedBase,
+    base: VirtualBase,
     parameters: dict[str, object],
     loops: tuple[int, int, int, int],
     message: str,
 ) -> None:
     base.device.controller.loops[0] = loops
-    config = RoboclawBaseConfig.model_validate({**PARAMETERS, "port": str(base.path), **parameters})
+    config = RoboclawBaseConfig.model_validate({**PARAMETERS, "port": "/dev/none", **parameters})
     loop = DriveLoop(
         config.drive_settings(),
-        lambda: open_line(config.port, config.baud),
+        base.open,
         LatestCommand(0.3),
         ControllerHealth(),
         on_ready=lambda _: None,
@@ -301,7 +309,7 @@ def test_unusable_controller_is_rejected(
         loop.check_device()
 
 
-def test_battery_limits_are_set_and_effective(base: EmulatedBase) -> None:
+def test_battery_limits_are_set_and_effective(base: VirtualBase) -> None:
     with LoopRun(base, battery_min_v=11.0, battery_max_v=16.8) as run:
         run.drive()
         assert base.device.controller.main_limits == (11.0, 16.8)

@@ -1,23 +1,27 @@
 """`cairn driver probe base`: the facts that it shows, and its advice on wiring."""
 
 import re
-from collections.abc import Iterator
-from pathlib import Path
+from functools import partial
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from cairn import CairnError
+from cairn.components.roboclaw import probe_cli
 from cairn.components.roboclaw.probe_cli import Direction, MotorTrial, Wheel, wiring_advice
 from cairn.components.roboclaw.probe_cli import base as probe
-from tests.components.roboclaw.emulated_base import EmulatedBase, emulated_base
+from tests.components.roboclaw.virtual_base import VirtualBase
+
+PORT = "/dev/roboclaw"
 
 
 @pytest.fixture
-def base(tmp_path: Path) -> Iterator[EmulatedBase]:
-    with emulated_base(tmp_path) as base:
-        yield base
+def base(monkeypatch: pytest.MonkeyPatch) -> VirtualBase:
+    base = VirtualBase(monkeypatch)
+    monkeypatch.setattr(probe_cli, "open_line", base.open)
+    monkeypatch.setattr(probe_cli, "turn_motor", partial(probe_cli.turn_motor, pause=base.sleep))
+    return base
 
 
 def run(*words: str, answers: str = "") -> str:
@@ -28,10 +32,10 @@ def run(*words: str, answers: str = "") -> str:
     return str(result.output)
 
 
-def test_version_status_and_counters_are_shown(base: EmulatedBase) -> None:
+def test_version_status_and_counters_are_shown(base: VirtualBase) -> None:
     base.device.controller.emergency_stop = True
 
-    output = run(str(base.path), "--seconds", "0.1")
+    output = run(PORT, "--seconds", "0.1")
 
     assert "USB Roboclaw 2x7a v4.2.8" in output
     assert "errors             emergency stop" in output
@@ -40,19 +44,19 @@ def test_version_status_and_counters_are_shown(base: EmulatedBase) -> None:
     assert "M1  4294966796 (+0/s)   M2         300 (+0/s)" in output
 
 
-def test_turning_the_wheels_yields_parameters(base: EmulatedBase) -> None:
-    output = run(str(base.path), "--turn-wheels", answers="y\nr\nf\nl\nb\n")
+def test_turning_the_wheels_yields_parameters(base: VirtualBase) -> None:
+    output = run(PORT, "--turn-wheels", answers="y\nr\nf\nl\nb\n")
 
     assert "M1 +" in output
     assert "left: m2\n  left_inverted: true\n  right_inverted: false" in output
     assert base.await_stand(2.0)
 
 
-def test_nothing_turns_without_confirmation(base: EmulatedBase) -> None:
+def test_nothing_turns_without_confirmation(base: VirtualBase) -> None:
     app = typer.Typer()
     app.command()(probe)
 
-    result = CliRunner().invoke(app, [str(base.path), "--turn-wheels"], input="n\n")
+    result = CliRunner().invoke(app, [PORT, "--turn-wheels"], input="n\n")
 
     assert result.exit_code == 1
     assert all(motor.turned == 0.0 for motor in base.device.controller.motors)

@@ -21,6 +21,7 @@ from cairn.driver.errors import DeviceError, LinkLost
 from tests.patience import LIMIT_S
 
 WIDTH, HEIGHT, RATE = 64, 48, 25.0
+_POLL_S = 0.01
 LEFT, RIGHT = "/dev/left", "/dev/right"
 ONE: Mapping[str, Any] = {"device": LEFT, "width": WIDTH, "height": HEIGHT, "format": "GREY"}
 """Parameters of a driver for the left camera alone; `TWO`: for both."""
@@ -73,6 +74,13 @@ class FakeCamera:
         self.events.put(block)
         assert blocked.wait(LIMIT_S), "the camera is not read"
         return released
+
+    def await_closed_stream(self) -> None:
+        """Wait until its stream is closed."""
+        deadline = time.monotonic() + LIMIT_S
+        while self.streams[-1:] != ["close"]:
+            assert time.monotonic() < deadline, f"its stream is not closed: {self.streams}"
+            time.sleep(_POLL_S)
 
     def unplug(self) -> None:
         """Unplug it."""

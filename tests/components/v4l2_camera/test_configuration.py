@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -143,8 +144,9 @@ def test_late_cameras_must_fit_their_calibrations(
             camera.size = (160, 120)
         both[1].send(1)  # until it streams, left images are published alone
         driver.await_values(lambda values: values["images"] == "1", index=1)
+        taken = time.monotonic_ns()
         for camera in both:
-            camera.send(2)
+            camera.send(2, captured=taken)
         info = driver.await_one("right_info")
 
     assert info.p[3] == pytest.approx(-150 * BASELINE_M)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import pytest
 
 from cairn import CairnError
+from cairn.components.v4l2_camera import probe_cli
 from cairn.components.v4l2_camera.probe_cli import probe
 from tests.commands import cairn
 from tests.components.v4l2_camera.fake_cameras import (
@@ -18,28 +17,33 @@ from tests.components.v4l2_camera.fake_cameras import (
     LEFT,
     RIGHT,
     WIDTH,
-    FakeCamera,
     FakeCameras,
 )
+from tests.patience import LIMIT_S
+
+IMAGES = 5
+"""Images that each camera sends."""
+
+
+class ImageClock:
+    """The time of a probe, which is over once it has received a number of images."""
+
+    def __init__(self, images: int) -> None:
+        self._left = images + 1  # it also reads the time before the first one
+
+    def monotonic(self) -> float:
+        self._left -= 1
+        return 0.0 if self._left >= 0 else LIMIT_S
 
 
 @pytest.fixture
-def pair(cameras: FakeCameras) -> Iterator[list[FakeCamera]]:
-    """Two cameras that stream."""
-    both = [cameras.add(path) for path in (LEFT, RIGHT)]
-    over = threading.Event()
-
-    def stream() -> None:
-        while not over.wait(0.04):
-            now = time.monotonic_ns()
-            for camera in both:
-                camera.send(99, captured=now)
-
-    thread = threading.Thread(target=stream)
-    thread.start()
-    yield both
-    over.set()
-    thread.join()
+def pair(cameras: FakeCameras, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two cameras whose images the probe receives, however long that takes."""
+    now = time.monotonic_ns()
+    for camera in [cameras.add(path) for path in (LEFT, RIGHT)]:
+        for number in range(IMAGES):
+            camera.send(99, captured=now - 40_000_000 * (IMAGES - number))
+    monkeypatch.setattr(probe_cli, "time", ImageClock(2 * IMAGES))
 
 
 @pytest.mark.usefixtures("pair")
@@ -48,7 +52,7 @@ def test_probe_of_a_pair_saves_its_images(
 ) -> None:
     out = tmp_path / "it.png"
 
-    probe(LEFT, right=RIGHT, seconds=0.5, width=WIDTH, height=HEIGHT, format_="GREY", out=out)
+    probe(LEFT, right=RIGHT, seconds=LIMIT_S, width=WIDTH, height=HEIGHT, format_="GREY", out=out)
 
     values = capsys.readouterr().out
     assert "/dev/left: Fake usb-1\n  GREY 64 x 48, " in values

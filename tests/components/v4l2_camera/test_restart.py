@@ -60,13 +60,13 @@ def test_restarted_driver_publishes_left_images_until_the_right_camera_is_there(
     right = cameras.add(RIGHT)
     left.plugged, right.plugged = True, False
     with Driver(restarts=1, **TWO, rate=20) as driver:
-        left.send(3)
+        taken = time.monotonic_ns()  # of the pair; the others are too old to be paired with it
+        left.send(3, captured=taken - 3_000_000_000)
         assert level(driver.await_one("left_image")) == 3
 
         right.plug_in()
-        right.send(1)  # until it streams, left images are published alone
+        right.send(1, captured=taken - 2_000_000_000)  # before, left images are published alone
         driver.await_values(lambda values: values["images"] == "1", index=1)
-        taken = time.monotonic_ns()
         left.send(4, captured=taken)
         right.send(5, captured=taken + 19_000_000)  # of 25 images per second, not of 20
         assert level(driver.await_one("right_image")) == 5
