@@ -1,5 +1,9 @@
-"""The base class of all errors that Cairn raises."""
+"""The base class of all errors that Cairn raises, and the one that makes a supervisor fail."""
 
 
 class CairnError(Exception):
     """An error whose message says what is wrong, with the value, and what to do about it."""
+
+
+class Escalate(CairnError):  # noqa: N818 - what the owner has to do
+    """A supervisor has given up and stopped all children: it must fail itself."""

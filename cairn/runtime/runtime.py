@@ -15,7 +15,7 @@ import numpy as np
 from cairn.bus.bus import Bus, Node, full_name
 from cairn.bus.qos import LATCHED
 from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
-from cairn.errors import CairnError
+from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
@@ -297,7 +297,9 @@ class Runtime:
                 self.transition(Transition.SHUTDOWN)
 
     def _fail(self, failure: "_Failure", *, last: bool = False) -> bool:
-        self._reason = f"{failure.where}: {self._describe_error(failure.error)}"
+        # The cause of an escalation is a child, not the handler that noticed it.
+        where = "" if isinstance(failure.error, Escalate) else f"{failure.where}: "
+        self._reason = f"{where}{self._describe_error(failure.error)}"
         self.log.error("%s", self._reason, exc_info=failure.error)
         self._finishing = None
         self._ports.unsubscribe()

@@ -24,6 +24,7 @@ _TERMINATE_LIMIT_S = 2.0  # from terminating a child that has not stopped in tim
 _KILL_LIMIT_S = 5.0  # for the kernel to end a killed process and its group
 _SILENCE_S = 3.0
 """A process may be silent for so long beyond its limit for one handler: it may get no processor."""
+_UNKILLABLE = "does not end even when killed"
 
 
 class ZygoteLost(CairnError):  # noqa: N818 - an event as much as an error
@@ -139,7 +140,6 @@ class Child:
         Raises `ZygoteLost`.
         """
         if self._unkillable is not None and self._unkillable.wait(0) is None:
-            self.reason = "does not end even when killed"
             return "unkillable"
         deadline = self._host.now() + self.spec.start_limit_s
         self.incarnation += 1
@@ -205,8 +205,9 @@ class Child:
             where, hung_s = _where_silent(status), silent_s
         else:
             return None
+        self.reason = f"hung for {hung_s:.1f} s in {where}; killed"
         self._force_end(self.handle, self.handle.kill)
-        report = ExitReport(False, f"hung for {hung_s:.1f} s in {where}; killed")
+        report = ExitReport(False, self.reason)
         self._note_exit(logging.ERROR, "hung", report)
         return report
 
@@ -226,6 +227,7 @@ class Child:
                     self._stop_step(handle, verb, deadline)
             report = handle.wait(max(0.0, deadline - self._host.now()))
         if report is None:
+            self.reason = self.stop_failure
             report = self._force_end(handle, handle.terminate, handle.kill)
         if report.normal:
             self._note_exit(logging.INFO, "stopped", report)
@@ -256,22 +258,25 @@ class Child:
             self._note_stop_failure(self._without_name(error))
 
     def _force_end(self, handle: ChildHandle, *steps: Callable[[], None]) -> ExitReport:
-        """Take steps of growing force, the last one killing, until the child has ended."""
+        """Take steps of growing force, the last one killing, until the child has ended.
+
+        If it does not end, that is added to `reason`, the cause.
+        """
         for step in steps:
             limit_s = _KILL_LIMIT_S if step is steps[-1] else _TERMINATE_LIMIT_S
             self._host.report_progress(f"ending {self.name} by force")
             try:
                 step()
             except Exception as error:  # the next step must be taken all the same
-                self._note_stop_failure(str(error))
+                self._note_stop_failure(self._without_name(error))
                 limit_s = 0.0
             report = handle.wait(limit_s)
             if report is not None:
                 return report
         self._unkillable = handle
-        reason = "did not end even when killed"
-        self._note_stop_failure(reason)
-        return ExitReport(False, reason)
+        self._note_stop_failure(_UNKILLABLE)
+        self.reason = f"{self.reason}; {_UNKILLABLE}" if self.reason else _UNKILLABLE
+        return ExitReport(False, self.reason)
 
     def _note_exit(self, level: int, event: str, report: ExitReport) -> None:
         self.handle, self.state, self.reason = None, "ended", report.reason

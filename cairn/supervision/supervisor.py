@@ -26,7 +26,7 @@ from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
 
 from cairn.bus.qos import LATCHED
-from cairn.errors import CairnError
+from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
@@ -34,10 +34,6 @@ from cairn.runtime.ports import In, every, on
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.supervision.child import Child, ChildStatus, StartResult, SupervisorHost
 from cairn.supervision.restart_policy import Decision, RestartPolicy
-
-
-class Escalate(CairnError):  # noqa: N818 - what the owner has to do
-    """A supervisor has given up and stopped all children: it must fail itself."""
 
 
 class StartFailed(CairnError):  # noqa: N818 - reads as what happened
@@ -197,7 +193,11 @@ class ChildGroup:
                 return
             result = self._start(child)
             if result == "unkillable":
-                self._give_up(f"given up: {child.name} {child.reason}")
+                in_process = child.spec.placement == "in_process"
+                remedy = (
+                    "give it `placement: process`" if in_process else "check its device, or reboot"
+                )
+                self._give_up(f"given up: {child.name}: {child.reason}; {remedy}")
             if result in ("refused", "unavailable"):
                 now, refused = self._host.now(), result == "refused"
                 decision = self._policy.start_failed(

@@ -97,7 +97,8 @@ def test_hang_in_the_supervisors_process_restarts_that_process(launch: Launching
 
     run.await_line("child hung: base: .* in tick", after=active)
     failed = run.await_line(
-        "root: child failed: mobile: .*base does not end even when killed", after=active
+        "root: child failed: mobile: given up: base: hung for .* does not end even when killed",
+        after=active,
     )
     run.await_line("child active: mobile", after=failed)
     assert run.pid_of("mobile") != mobile

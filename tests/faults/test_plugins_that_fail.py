@@ -35,9 +35,7 @@ def test_plugin_that_raises_at_its_first_start_ends_the_deployment_at_once(
     assert len(failures) == 1
     assert "ValueError: broken on purpose" in failures[0]
     run.await_line("child stopped: beacon: shut down")
-    run.await_line(
-        "cairn: deployment0.yaml failed: on_activate: base: .*broken on purpose.*; logs: "
-    )
+    run.await_line("cairn: deployment0.yaml failed: base: .*broken on purpose.*; logs: ")
     assert "Traceback" in run.log_of("base")
 
 

@@ -1,7 +1,9 @@
 """A component on a thread of this process, which answers requests and ends as a child does."""
 
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -35,6 +37,17 @@ class Refusing(Component):
 
     def on_configure(self) -> None:
         self.finish("nothing to do")
+
+
+class Slow(Component):
+    """Is configured only when a test allows it."""
+
+    entered: ClassVar[threading.Event]
+    allowed: ClassVar[threading.Event]
+
+    def on_configure(self) -> None:
+        self.entered.set()
+        assert self.allowed.wait(LIMIT_S)
 
 
 class Broken(Component):
@@ -103,6 +116,25 @@ def test_request_to_a_component_that_has_ended_raises_with_the_reason_of_its_end
     with pytest.raises(ChildUnavailable, match="nothing to do"):
         host.request("activate", LIMIT_S)
 
+    host.close()
+
+
+def test_request_that_is_not_answered_in_time_names_the_handler_but_not_the_component(
+    bus: ZenohBus, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for event in ("entered", "allowed"):
+        monkeypatch.setattr(Slow, event, threading.Event(), raising=False)
+    host = hosted(bus, endpoint, Slow)
+    configured = host.send_request("configure")
+    assert Slow.entered.wait(LIMIT_S)
+
+    # The supervisor that logs it begins with the name itself.
+    with pytest.raises(ChildUnavailable, match=r"^no answer within 0.0 s; it is in on_configure$"):
+        host.request("activate", 0.0)
+
+    Slow.allowed.set()
+    assert configured.result(LIMIT_S) == "inactive"
+    host.request("shutdown", LIMIT_S)
     host.close()
 
 

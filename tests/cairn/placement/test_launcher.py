@@ -12,14 +12,16 @@ import zenoh
 
 from cairn.bus.session import open_router
 from cairn.deployment.model import ChildSpec
+from cairn.errors import Escalate
 from cairn.placement.launcher import TRACEBACK_SIGNAL, ProcessHandle
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.supervision.child import ChildHandle
-from cairn.supervision.supervisor import ChildGroup, Escalate
+from cairn.supervision.supervisor import ChildGroup
 from cairn.supervision.zygote import Exited, Signal
 from cairn.supervision.zygote_client import ChildProcess
 from cairn.testing.launching import free_port
 from tests.cairn.supervision.scripted_children import World
+from tests.wording import words_in_order
 
 pytestmark = pytest.mark.processes
 
@@ -74,7 +76,7 @@ def test_process_that_neither_joins_the_bus_nor_can_be_killed_is_not_started_twi
     )
     supervisor = ChildGroup(launch, world, world.log.logger, on_exit=lambda: None)
 
-    with pytest.raises(Escalate, match="base does not end even when killed"):
+    with pytest.raises(Escalate, match=words_in_order("base", "not active", "killed", "device")):
         supervisor.start_all()
 
     assert world.spawned == 1

@@ -4,9 +4,10 @@ import pytest
 
 from cairn import CairnError
 from cairn.deployment.model import ChildSpec, Supervision
+from cairn.errors import Escalate
 from cairn.process_exit import ExitReport
 from cairn.supervision.child import ZygoteLost
-from cairn.supervision.supervisor import Escalate, StartFailed, UnknownChild
+from cairn.supervision.supervisor import StartFailed, UnknownChild
 from tests.wording import assert_words, words_in_order
 
 from .scripted_children import (
@@ -261,25 +262,48 @@ def test_child_that_cannot_be_killed_does_not_keep_the_others_from_stopping(worl
     supervisor.start_all()
     supervisor.stop_all()
     assert world.running() == ["scanner"]
-    assert "WARNING child stop failed: scanner: did not end even when killed" in world.log.lines
+    assert "WARNING child stop failed: scanner: does not end even when killed" in world.log.lines
 
 
 def test_child_that_cannot_be_killed_escalates_instead_of_running_twice(
     world: World,
 ) -> None:
-    world.script("scanner", {"kill": fails("it is placed in its supervisor's process")})
-    supervisor = world.supervisor("base", "scanner")
+    world.script("scanner", {"kill": fails("scanner: it is placed in its supervisor's process")})
+    scanner = ChildSpec(plugin="test", placement="in_process")
+    supervisor = world.supervisor("base", scanner=scanner)
     supervisor.start_all()
     supervisor.receive(heartbeat("scanner", handler="read_scan", handler_s=6.0))
     supervisor.kill_hung()
-    with pytest.raises(Escalate, match=words_in_order("scanner", "killed")):
+    assert (
+        "WARNING child stop failed: scanner: it is placed in its supervisor's process"
+        in world.log.lines
+    )
+    cause = ("scanner: hung for 6.0 s in read_scan", "does not end even when killed")
+    with pytest.raises(Escalate, match=words_in_order(*cause, "placement: process")):
         supervisor.reconcile()
     assert world.running() == ["scanner"]
-    with pytest.raises(StartFailed, match="does not end even when killed"):
-        supervisor.load("scanner")
+    for _ in range(2):
+        with pytest.raises(StartFailed, match=words_in_order(*cause)):
+            supervisor.load("scanner")
+    assert supervisor.status()[1].reason.count("does not end") == 1
     world.children["scanner"].end = CRASH
     supervisor.load("scanner")
     assert world.children["scanner"].incarnation == 2
+
+
+def test_child_that_does_not_end_after_a_failed_stop_escalates_with_the_cause(
+    world: World,
+) -> None:
+    world.script(
+        "base", {"shutdown": does_not_answer, **dict.fromkeys(("terminate", "kill"), is_ignored)}
+    )
+    supervisor = world.supervisor("base")
+    supervisor.start_all()
+    with pytest.raises(
+        Escalate,
+        match=words_in_order("base: shutdown: ", "did not answer", "not end even", "device"),
+    ):
+        supervisor.restart("base")
 
 
 def test_lost_launcher_is_reported_and_counts_as_no_restart(world: World) -> None:
