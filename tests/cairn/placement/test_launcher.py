@@ -29,13 +29,18 @@ pytestmark = pytest.mark.processes
 class UnkillableProcess(ChildProcess):
     """Does not join the bus, and does not end, as if it were in uninterruptible sleep."""
 
-    def __init__(self, world: "UnkillableWorld") -> None:
-        super().__init__(1234, lambda _: None)
+    def __init__(self, world: "UnkillableWorld", log: Path) -> None:
+        super().__init__(0, lambda _: self._log_stacks())
         self._world = world
+        self._log = log
 
     def wait(self, timeout_s: float) -> Exited | None:
         self._world.now_s += timeout_s
         return None
+
+    def _log_stacks(self) -> None:
+        with self._log.open("a") as log:
+            log.write("Thread 0x1 (most recent call first):\n")
 
 
 class UnkillableWorld(World):
@@ -53,9 +58,9 @@ class UnkillableWorld(World):
         handle.launch(self, on_exit)  # type: ignore[arg-type]  # only `spawn` is called
         return handle
 
-    def spawn(self, *_: Any, **__: Any) -> ChildProcess:
+    def spawn(self, name: str, entry: str, argument: Any, log: Path, **_: Any) -> ChildProcess:
         self.spawned += 1
-        return UnkillableProcess(self)
+        return UnkillableProcess(self, log)
 
 
 @pytest.fixture
