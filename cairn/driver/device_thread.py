@@ -36,7 +36,7 @@ class DeviceThread:
     least ten times a second, and closes the device however it ends. It passes measurements to the
     component by `Component.post`. A `DeviceError` is logged (rate-limited), passed to
     `on_device_error`, and the device is opened again. Any other exception is a bug in the driver:
-    it is passed to `on_failure`, which fails the component.
+    it is passed to `on_failure`, which fails the component. So is `sys.exit`, as a `CairnError`.
     """
 
     def __init__(
@@ -80,6 +80,10 @@ class DeviceThread:
             except DeviceError as error:
                 self._warnings.warn("device", str(error))
                 self._on_device_error(error)
+            except SystemExit as error:  # without a handler it would end the thread silently
+                text = f"the device thread called sys.exit({error.code}); raise DeviceError instead"
+                self._on_failure(CairnError(f"{self._thread.name}: {text}"))
+                return
             except Exception as error:
                 self._on_failure(error)
                 return

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 
 import pytest
@@ -16,7 +17,7 @@ from cairn.driver.device_thread import RETRY_S, DeviceFeed, DeviceThread
 from cairn.driver.errors import DeviceError
 from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.patience import LIMIT_S
-from tests.wording import words_in_order
+from tests.wording import assert_words, words_in_order
 
 LOG = logging.getLogger("test_device_thread")
 
@@ -69,21 +70,35 @@ def test_failed_device_is_opened_again_after_a_pause() -> None:
 
 
 def test_bug_in_the_driver_is_not_retried() -> None:
-    failed, failures = threading.Event(), list[Exception]()
-
     def serve(_: threading.Event) -> None:
         raise KeyError("a bug")
 
-    def fail(error: Exception) -> None:
-        failures.append(error)
-        failed.set()
+    assert [type(failure) for failure in failures_of(serve)] == [KeyError]
 
-    thread = DeviceThread("driver", serve, log=LOG, on_device_error=_unexpected, on_failure=fail)
+
+def test_vendor_library_that_calls_sys_exit_fails_the_driver() -> None:
+    def serve(_: threading.Event) -> None:
+        sys.exit(3)
+
+    (failure,) = failures_of(serve)
+    assert_words(str(failure), "driver", "sys.exit(3)", "DeviceError")
+
+
+def failures_of(serve: Callable[[threading.Event], None]) -> list[Exception]:
+    """Return the failures that a device thread has reported by its end."""
+    serving, failures = threading.Event(), list[Exception]()
+
+    def observed(stopping: threading.Event) -> None:
+        serving.set()
+        serve(stopping)
+
+    thread = DeviceThread(
+        "driver", observed, log=LOG, on_device_error=_unexpected, on_failure=failures.append
+    )
     thread.start()
-    assert failed.wait(LIMIT_S)
+    assert serving.wait(LIMIT_S)
     thread.stop()
-
-    assert [type(failure) for failure in failures] == [KeyError]
+    return failures
 
 
 def test_thread_that_does_not_stop_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
