@@ -347,9 +347,13 @@ class DeploymentHarness(Lockstep):
         super().run_to(time)
 
     def run_until(self, condition: Callable[[], bool], limit_s: float = 300.0) -> None:
-        """Let virtual time advance until `condition()` holds; see `Lockstep.run_until`."""
+        """Let virtual time advance until `condition()` holds; see `Lockstep.run_until`.
+
+        Raises `AssertionError` at once if the deployment ends before that.
+        """
         self.start()
-        super().run_until(condition, limit_s)
+        super().run_until(lambda: condition() or self.end is not None, limit_s)
+        assert condition(), f"the condition does not hold at the deployment's end; {self}"
 
     def publish(
         self, topic: str, *messages: Any, qos: Qos = RELIABLE, handled: bool = True
@@ -395,6 +399,11 @@ class DeploymentHarness(Lockstep):
         """Shut down all components cleanly, unless the deployment has ended."""
         if self._started:
             self.run.shutdown()
+
+    def __str__(self) -> str:
+        """Describe the moment, and how the deployment ended if it has."""
+        ended = "" if self.end is None else f"; the deployment has ended: {self.end.reason}"
+        return super().__str__() + ended
 
     def __enter__(self) -> DeploymentHarness:
         """Return itself; nothing is started yet."""

@@ -23,7 +23,7 @@ from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import Vector3
 from cairn.schemas.std_msgs import String
 from cairn.testing.lockstep import ComponentHarness, DeploymentHarness, Lockstep
-from tests.wording import words_in_order
+from tests.wording import assert_words, words_in_order
 
 
 class SumConfig(Config):
@@ -198,6 +198,17 @@ def test_suspended_component_publishes_nothing_and_the_others_continue(deploymen
 
         assert middle.messages == []
         assert len(total.messages) == 10
+
+
+def test_condition_that_does_not_hold_by_the_end_of_the_deployment_fails_with_its_reason(
+    deployment: Path,
+) -> None:
+    with DeploymentHarness(deployment) as harness:
+        harness.publish("word", String(data="enough"))
+        with pytest.raises(AssertionError) as failure:
+            harness.run_until(lambda: False)
+
+    assert_words(str(failure.value), "virtual time is 0.", "ended", "enough")
 
 
 def test_deployment_that_ends_by_itself_is_run_to_its_end(deployment: Path) -> None:
