@@ -16,7 +16,6 @@ import pytest
 from cairn.clock import SECOND
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
-from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing import odometry_contract as odometry
 from cairn.testing import timing as timed
 from cairn.testing.device import Wheeled
@@ -28,8 +27,8 @@ from cairn.testing.driver_contract import (
     UnplugContract,
 )
 from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
-from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
-from cairn.testing.timing import in_time, undisturbed
+from cairn.testing.robot import Arrival, Reading, RunningDeployment
+from cairn.testing.timing import in_time
 
 _WHEELS_NOT_OBSERVED = (
     "the wheels cannot be observed: the fixture `device` has no methods turns and await_stand"
@@ -57,41 +56,31 @@ class DriveContract(OdometryContract):
     top_speed: ClassVar[float | None] = None
     """Maximum speed that the driver allows, whatever the command [m/s]; None: not tested."""
 
-    @pytest.fixture(scope="class")
     @classmethod
-    def drive(cls, bench: Bench) -> Drive:
-        """Drive ahead, turn left and stop; the tests of the class share this drive."""
-        robot = bench.robot(cls.component)
-        return undisturbed(lambda: cls._driven(robot))
-
-    @classmethod
-    def _driven(cls, robot: RunningDeployment) -> Drive:
-        tf = cls.port_of(robot, "tf")
-        transforms = None if tf is None else robot.read(tf.topic, TFMessage)
+    def record_drive(cls, robot: RunningDeployment) -> Drive:
+        """Drive ahead, turn left and stop; return the odometry."""
         command = cls.topic(robot, "cmd_vel")
         span = max(2, math.ceil(cls.drive_s * cls.rate_hz))
-        with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
-            cls.sample(odom, max(10, span // 2))
-            started = odom.count
-            with robot.publishing(command, cls.ahead()):
-                cls.sample(odom, span, after=odom.count)
-                turned = odom.count
-            with robot.publishing(command, cls.leftwards()):
-                cls.sample(odom, span, after=odom.count)
-                ceased = odom.count
-            end = max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz))
-            cls.sample(odom, end, after=odom.count)
-        arrivals = odom.arrivals
-        parts = (
-            arrivals[:started],
-            arrivals[started:turned],
-            arrivals[turned:ceased],
-            arrivals[ceased:],
-        )
-        if transforms is None:
-            return Drive(*parts, None)
-        with transforms:
-            return Drive(*parts, transforms.messages)
+        with cls.transforms_of(robot) as transforms:
+            with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
+                cls.sample(odom, max(10, span // 2))
+                started = odom.count
+                with robot.publishing(command, cls.ahead()):
+                    cls.sample(odom, span, after=odom.count)
+                    turned = odom.count
+                with robot.publishing(command, cls.leftwards()):
+                    cls.sample(odom, span, after=odom.count)
+                    ceased = odom.count
+                end = max(2, math.ceil((cls.stop_limit_s + 0.5) * cls.rate_hz))
+                cls.sample(odom, end, after=odom.count)
+            arrivals = odom.arrivals
+            return Drive(
+                before=arrivals[:started],
+                ahead=arrivals[started:turned],
+                left=arrivals[turned:ceased],
+                after=arrivals[ceased:],
+                transforms=None if transforms is None else transforms.messages,
+            )
 
     @pytest.fixture
     def driving(self, robot: RunningDeployment, output: Reading[Odometry]) -> Reading[Odometry]:

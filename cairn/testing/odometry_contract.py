@@ -7,7 +7,8 @@ seconds.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -21,7 +22,7 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing import timing as timed
 from cairn.testing.driver_contract import Contract
-from cairn.testing.robot import Arrival, Bench
+from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 from cairn.testing.timing import undisturbed
 
 Odoms = Sequence[Arrival[Odometry]]
@@ -84,16 +85,29 @@ class OdometryContract(Contract):
     @pytest.fixture(scope="class")
     @classmethod
     def drive(cls, bench: Bench) -> Drive:
-        """Return a sample of odometry without commands, which the tests of the class share."""
+        """Return the odometry of a drive, which the tests of the class share."""
         robot = bench.robot(cls.component)
+        return undisturbed(lambda: cls.record_drive(robot))
+
+    @classmethod
+    def record_drive(cls, robot: RunningDeployment) -> Drive:
+        """Return a sample of odometry without commands."""
+        with cls.transforms_of(robot) as transforms:
+            with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
+                before = cls.sample(odom, cls.sample_count, after=odom.count)
+            messages = None if transforms is None else transforms.messages
+            return Drive(before, (), (), (), messages)
+
+    @classmethod
+    @contextmanager
+    def transforms_of(cls, robot: RunningDeployment) -> Iterator[Reading[TFMessage] | None]:
+        """Collect the messages on tf within the context; None if the driver has no such port."""
         tf = cls.port_of(robot, "tf")
-        transforms = None if tf is None else robot.read(tf.topic, TFMessage)
-        with robot.read(cls.topic(robot, cls.port), Odometry) as odom:
-            before = undisturbed(lambda: cls.sample(odom, cls.sample_count, after=odom.count))
-        if transforms is None:
-            return Drive(before, (), (), (), None)
-        with transforms:
-            return Drive(before, (), (), (), transforms.messages)
+        if tf is None:
+            yield None
+        else:
+            with robot.read(tf.topic, TFMessage) as transforms:
+                yield transforms
 
     def test_rate_is_nominal(self, drive: Drive) -> None:
         """Odometry arrives at the nominal rate, on which subscribers rely."""

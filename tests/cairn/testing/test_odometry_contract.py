@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Self, cast
 
 import pytest
 
 from cairn.clock import SECOND, from_ns
+from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.geometry_msgs import (
     Pose,
     PoseWithCovariance,
@@ -18,7 +21,14 @@ from cairn.schemas.geometry_msgs import (
 )
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
-from cairn.testing.odometry_contract import check_covariance, check_twist_agrees, traveled
+from cairn.testing.base_contract import DriveContract
+from cairn.testing.odometry_contract import (
+    OdometryContract,
+    check_covariance,
+    check_twist_agrees,
+    traveled,
+)
+from cairn.testing.robot import RunningDeployment
 
 TURN_RATE = 0.5
 
@@ -41,6 +51,67 @@ def test_turn_through_180_degrees_agrees_with_its_twists() -> None:
     check_twist_agrees(odoms, tolerance=0.05)
 
     assert traveled(odoms).left_rad == pytest.approx(1.0)
+
+
+class SilentReading:
+    """A reading on whose topic nothing arrives."""
+
+    count = 0
+
+    def __init__(self) -> None:
+        self.is_open = True
+
+    def await_count(self, *_: object, **__: object) -> None:
+        raise AssertionError("received 0")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.is_open = False
+
+
+class SilentBase:
+    """A deployment whose base has all ports, but publishes nothing."""
+
+    name = "robot"
+
+    def __init__(self) -> None:
+        self.readings: dict[str, SilentReading] = {}
+
+    def status(self, _: str) -> SimpleNamespace:
+        ports = {"odom": PortStatus.OUT, "tf": PortStatus.OUT, "cmd_vel": PortStatus.IN}
+        return SimpleNamespace(
+            ports=[PortStatus(port, f"/robot/{port}", way) for port, way in ports.items()]
+        )
+
+    def writers(self, _: str) -> set[str]:
+        return set()
+
+    def read(self, topic: str, *_: object) -> SilentReading:
+        self.readings[topic] = SilentReading()
+        return self.readings[topic]
+
+
+class Sampled(OdometryContract):
+    rate_hz = 50.0
+
+
+class Driven(DriveContract):
+    rate_hz = 50.0
+
+
+@pytest.mark.parametrize("contract", [Sampled, Driven])
+def test_sample_that_fails_leaves_no_reading_open(contract: type[OdometryContract]) -> None:
+    base = SilentBase()
+
+    with pytest.raises(AssertionError, match="received 0"):
+        contract.record_drive(cast("RunningDeployment", base))
+
+    assert {topic: one.is_open for topic, one in base.readings.items()} == {
+        "/robot/odom": False,
+        "/robot/tf": False,
+    }
 
 
 @pytest.mark.parametrize("part", ["pose", "twist"])
