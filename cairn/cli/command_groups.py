@@ -98,9 +98,14 @@ class _LazyGroup(TyperGroup):
         try:
             return command.load()
         except Exception as error:  # a package's module may fail in any way
+            remedy = (
+                "install what it needs, or install Cairn again"
+                if cmd_name in self._own
+                else "correct the package that provides it, or uninstall it"
+            )
             raise CairnError(
                 f"{self._kind} {command.name} ({command.target}) cannot be loaded: {error!r}; "
-                "correct the package that provides it, or uninstall it"
+                f"{remedy}"
             ) from error
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -24,7 +24,7 @@ Component = Annotated[str, typer.Argument(help="Name of the component.", metavar
 def load(
     name: Child, connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: RobotName = ""
 ) -> None:
-    """Start a component that is not loaded: one with `load: on_order`, or one that has ended."""
+    """Start a component that is not loaded: one with `load: on_request`, or one that has ended."""
     with connect_to(connect, domain, robot, notify=note) as client:
         line(f"{name}: {client.load(name)}")
 

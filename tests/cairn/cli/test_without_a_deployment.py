@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cairn.cli.main import COMMANDS
+from cairn.deployment.model import ChildSpec
 from cairn.testing.launching import CAIRN, free_port
 from tests.commands import cairn
 from tests.patience import LIMIT_S
@@ -197,6 +198,24 @@ def test_installed_package_adds_commands_and_a_broken_one_is_reported() -> None:
     )
     assert (shown.code, shown.err) == (0, "")
     assert "Greet" not in cairn("ps", "--help").out  # a command of Cairn's own is not replaced
+
+
+def test_own_command_that_cannot_be_imported_is_reported_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "cairn.cli.check", None)  # the import of it fails
+
+    error = cairn("check", "sim").err
+
+    assert_words(error, "command check (cairn.cli.check:check) cannot be loaded", "install")
+    assert "uninstall" not in error
+
+
+def test_help_of_load_names_the_setting_as_it_is_in_a_deployment() -> None:
+    setting = re.search(r"`load: (\w+)`", cairn("load", "--help").out)
+
+    assert setting is not None
+    assert ChildSpec(plugin="test_reader", load=setting[1]).load == "on_request"
 
 
 def test_full_disk_under_the_output_is_reported() -> None:
