@@ -96,7 +96,7 @@ class Bus(Protocol):
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until this process and all others on the bus know each other's declarations.
 
-        Returns the names of the processes that were not reached within the timeout.
+        Returns the processes that were not reached within the timeout, such as "process 4711".
         """
         ...
 

@@ -16,7 +16,7 @@ from typing import Any, cast
 import zenoh
 
 from cairn.bus.keys import router_key, session_key
-from cairn.bus.session import CAIRN_ID_PREFIX
+from cairn.bus.session import CAIRN_ID_PREFIX, process_of
 
 _ANSWER_POLL_S = 0.1
 """Interval for checking whether a process that has not answered yet still exists."""
@@ -46,7 +46,7 @@ class DiscoveryBarrier:
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until every process on the bus and this one know all declarations of each other.
 
-        Returns the discovery keys of the processes that were not reached within the timeout.
+        Returns the processes that were not reached within the timeout, such as "process 4711".
         """
         deadline = time.monotonic() + timeout_s
         peers = sorted(self._links.peers(timeout_s))
@@ -55,7 +55,7 @@ class DiscoveryBarrier:
         # In parallel, or one process that hangs would use up the time that the others need.
         with ThreadPoolExecutor(len(peers), "cairn wait for peers") as pool:
             reached = list(pool.map(lambda zid: self._reach(zid, deadline), peers))
-        return [session_key(zid) for zid, known in zip(peers, reached, strict=True) if not known]
+        return [process_of(zid) for zid, known in zip(peers, reached, strict=True) if not known]
 
     def close(self) -> None:
         """Stop answering."""

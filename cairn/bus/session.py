@@ -1,6 +1,7 @@
 """Open the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
 
 import json
+import os
 import re
 import secrets
 import threading
@@ -19,7 +20,10 @@ _JOIN_TIMEOUT_S = 10.0
 """A new process waits so long for its router, which may get no processor while many start."""
 
 CAIRN_ID_PREFIX = "ca1c0de5"
-"""Prefix of the session ids of components and routers, which answer discovery queries."""
+"""Prefix of the session ids of components and routers, which answer discovery queries.
+
+The process id follows, so that a process that does not answer can be named without asking it.
+"""
 
 LEASE_MS = 5000
 """The link to a silent peer is closed after this time; that to a killed process at once.
@@ -66,6 +70,14 @@ def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
         "router; stop that one, join it (`--set bus.connect=[...]`), or use another port "
         "(`--set bus.listen=tcp/127.0.0.1:PORT`)",
     )
+
+
+def process_of(zid: str) -> str:
+    """Return the name of the process that has the session with this id, for messages."""
+    if not zid.startswith(CAIRN_ID_PREFIX):
+        return f"the foreign session {zid}"
+    digits = zid.removeprefix(CAIRN_ID_PREFIX)[:8]
+    return f"process {int(digits, 16)}"
 
 
 def is_connected(session: zenoh.Session) -> bool:
@@ -131,7 +143,7 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         "transport/shared_memory/enabled": False,
     }
     if mode != "client":
-        settings["id"] = CAIRN_ID_PREFIX + secrets.token_hex(12)
+        settings["id"] = f"{CAIRN_ID_PREFIX}{os.getpid():08x}{secrets.token_hex(8)}"
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -49,7 +49,7 @@ class ZenohBus:
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until every process on the bus and this one know all of each other.
 
-        Returns the discovery keys of the processes that were not reached within the timeout.
+        Returns the processes that were not reached within the timeout, such as "process 4711".
         """
         return self._barrier.wait_for_peers(timeout_s)
 

@@ -245,7 +245,9 @@ class Runtime:
                 unreached = self._bus.wait_for_peers(DISCOVERY_TIMEOUT_S)
                 if unreached:
                     self.log.warning(
-                        "activated without having discovered all processes: no answer from %s",
+                        "activated without having discovered all processes, whose messages may "
+                        "be missing: no answer from %s; `ps PID` on its computer shows its "
+                        "component, which must be restarted if it hangs",
                         ", ".join(unreached),
                     )
                 self.component.on_activate()
