@@ -215,7 +215,8 @@ def test_help_of_load_names_the_setting_as_it_is_in_a_deployment() -> None:
     setting = re.search(r"`load: (\w+)`", cairn("load", "--help").out)
 
     assert setting is not None
-    assert ChildSpec(plugin="test_reader", load=setting[1]).load == "on_request"
+    spec = ChildSpec.model_validate({"plugin": "test_reader", "load": setting[1]})
+    assert spec.load == "on_request"
 
 
 def test_full_disk_under_the_output_is_reported() -> None:
