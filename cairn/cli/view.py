@@ -19,7 +19,8 @@ from rich.text import Text
 from cairn.bus.bus import Bus, Subscription, full_name
 from cairn.bus.qos import LATCHED, Qos
 from cairn.clock import SECOND, to_ns
-from cairn.deployment.model import VIEW
+from cairn.deployment.model import ROOT, VIEW
+from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS, render
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
@@ -29,6 +30,7 @@ from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.rosgraph_msgs import Clock
 
 _FINISH_LIMIT_S = 10.0  # what this process publishes comes back in milliseconds
+_STATUS_POLL_S = 0.02  # statuses wait for the next refresh
 _LINES = 12
 _PERIOD_S = 0.25
 _STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim"}
@@ -197,7 +199,7 @@ class Watch:
         self._node = bus.node(full_name(robot, VIEW), lambda _: None)
         self._sources: list[tuple[Subscription, Callable[[Any], None]]] = []
         status = full_name(robot, STATUS_TOPIC)
-        self._add(status, ComponentStatus, LATCHED.with_depth(1000), view.status)
+        self._add(status, ComponentStatus, LATCHED.with_depth(1000), self._status)
         if clock:
             newest = Qos("reliable", "volatile", 1)
             self._add(full_name(robot, CLOCK_TOPIC), Clock, newest, self._time)
@@ -225,6 +227,9 @@ class Watch:
     ) -> None:
         self._sources.append((self._node.subscribe(topic, message, qos, wake), show))
 
+    def _status(self, status: ComponentStatus) -> None:
+        self._view.status(status)
+
     def _time(self, message: Clock) -> None:
         self._view.time(to_ns(message.clock))
 
@@ -241,6 +246,7 @@ class LogWatch(Watch):
         self._news = threading.Event()  # messages have arrived since the last refresh
         self._mark = Log(level=Log.DEBUG, name=f"{robot}.{VIEW}", msg=f"end of view {uuid4()}")
         self._marked = False
+        self._root_ended = False  # its last status is displayed
         self._marker = self._node.advertise(ROSOUT, Log, ROSOUT_QOS)
         self._add(ROSOUT, Log, ROSOUT_QOS, self._log, self._wake)
 
@@ -250,19 +256,26 @@ class LogWatch(Watch):
         super().refresh()
 
     def finish(self) -> None:
-        """Refresh until everything that this process has logged is displayed."""
+        """Refresh until everything that this process has published is displayed."""
         deadline = time.monotonic() + _FINISH_LIMIT_S
-        # What this process publishes comes back to it in the same order.
+        # What this process publishes on a topic comes back to it in the same order.
         self._marker.publish(self._mark)
         while True:
             self.refresh()
-            if self._marked or not self._news.wait(max(0.0, deadline - time.monotonic())):
+            left_s = deadline - time.monotonic()
+            if (self._marked and self._root_ended) or left_s <= 0:
                 return
+            self._news.wait(min(left_s, _STATUS_POLL_S))
 
     def _wake(self) -> None:
         if not self._news.is_set():
             self._news.set()
             self._hurry()
+
+    def _status(self, status: ComponentStatus) -> None:
+        super()._status(status)
+        if status.component == ROOT and status.state == LifecycleState.FINALIZED:
+            self._root_ended = True
 
     def _log(self, entry: Log) -> None:
         if entry.name == self._mark.name:

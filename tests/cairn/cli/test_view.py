@@ -1,0 +1,60 @@
+"""The display of `cairn up` shows what its process has published before it ends."""
+
+import threading
+
+import pytest
+
+from cairn import LATCHED
+from cairn.cli.view import LogWatch
+from cairn.deployment.model import ROOT
+from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.rcl_interfaces import Log
+from cairn.schemas.std_msgs import Header
+from tests.cairn.bus.network import Network, node
+from tests.patience import LIMIT_S
+
+pytestmark = pytest.mark.processes
+
+
+class RecordingView:
+    """Keeps what it is to display."""
+
+    def __init__(self) -> None:
+        self.states: list[str] = []
+        self.messages: list[str] = []
+
+    def log(self, entry: Log) -> None:
+        self.messages.append(entry.msg)
+
+    def status(self, status: ComponentStatus) -> None:
+        self.states.append(status.state)
+
+    def time(self, now: int) -> None:
+        """Do nothing."""
+
+    def refresh(self) -> None:
+        """Do nothing: everything is kept at once."""
+
+
+def test_last_message_and_last_status_of_the_root_are_displayed_however_late(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("cairn.cli.view._FINISH_LIMIT_S", LIMIT_S)
+    network = Network()
+    root = node(network.router, f"/rover/{ROOT}")
+    log = root.advertise(ROSOUT, Log, ROSOUT_QOS)
+    status = root.advertise("/rover/component_status", ComponentStatus, LATCHED)
+    view = RecordingView()
+    watch = LogWatch(network.router, "rover", view, clock=False, hurry=lambda: None)
+    log.publish(Log(name=f"rover.{ROOT}", msg="child stopped"))
+    last = ComponentStatus(header=Header(), component=ROOT, state="finalized")
+    late = threading.Timer(0.3, status.publish, [last])
+    late.start()
+
+    watch.finish()
+
+    late.join()
+    network.close()
+    assert view.messages == ["child stopped"]
+    assert view.states == ["finalized"]
