@@ -10,6 +10,7 @@ import socketserver
 import subprocess
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,16 @@ def run_doctor(folder: Path, device: str) -> Answer:
     return cairn("doctor", str(file), "--json")
 
 
+@contextmanager
+def sleeping(**how: Any) -> Iterator["subprocess.Popen[bytes]"]:
+    """A process that sleeps until the end of the context."""
+    with subprocess.Popen(["sleep", "infinity"], **how) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
 @pytest.fixture
 def terminal() -> Iterator[str]:
     """A device that can be opened."""
@@ -80,8 +91,7 @@ def test_process_is_a_leftover_only_if_it_stays_after_its_deployment(
     limit_s: float, state: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cairn.cli.doctor.deployments._ENDING_LIMIT_S", limit_s)
-    command = ["sleep", "60"]
-    with subprocess.Popen(command, env={**os.environ, MARK: "test"}) as process:
+    with sleeping(env={**os.environ, MARK: "test"}) as process:
         wait = psutil.wait_procs
 
         def end_and_wait(left: list[psutil.Process], timeout: float) -> None:
@@ -90,7 +100,6 @@ def test_process_is_a_leftover_only_if_it_stays_after_its_deployment(
 
         monkeypatch.setattr(psutil, "wait_procs", end_and_wait)
         answer = cairn("doctor", "--json", connect=f"tcp/127.0.0.1:{free_port()}")
-        process.kill()
 
     assert row_of(answer, "leftovers")["state"] == state
     assert (str(process.pid) in row_of(answer, "leftovers")["remedy"]) == (state == "fail")
@@ -119,12 +128,8 @@ def test_each_fault_of_a_deployment_is_reported(tmp_path: Path) -> None:
 
 
 def test_device_that_another_process_has_open_is_reported(tmp_path: Path, terminal: str) -> None:
-    with (
-        open(terminal, "rb") as device,
-        subprocess.Popen(["sleep", "60"], stdin=device) as sleeper,
-    ):
+    with open(terminal, "rb") as device, sleeping(stdin=device) as sleeper:
         answer = run_doctor(tmp_path, f"port: {terminal}")
-        sleeper.kill()
 
     assert row_of(answer, terminal)["state"] == "warn"
     assert_words(
