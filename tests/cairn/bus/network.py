@@ -1,5 +1,6 @@
 """Buses for the tests: real sessions on loopback or one in memory, and a reader that waits."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -7,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
+
+import psutil
 
 from cairn import Qos
 from cairn.bus.bus import Bus, Node
@@ -70,6 +73,12 @@ router = session.open_router(sys.argv[1])
 print("ready", flush=True)
 signal.pause()
 """
+
+
+def stop(process: "subprocess.Popen[str]") -> None:
+    """Stop a process by SIGSTOP; a thread of it may run on until the kernel has stopped them all."""
+    process.send_signal(signal.SIGSTOP)
+    assert eventually(lambda: psutil.Process(process.pid).status() == psutil.STATUS_STOPPED)
 
 
 class Reader:

@@ -1,6 +1,5 @@
 """Once a process has waited for its peers, not even the first message is lost."""
 
-import signal
 import subprocess
 import sys
 import threading
@@ -16,7 +15,7 @@ from cairn.bus.discovery import PeerLinks, QueryableWatcher
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
-from tests.cairn.bus.network import Network, Reader, eventually, node, router_process
+from tests.cairn.bus.network import Network, Reader, eventually, node, router_process, stop
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -145,7 +144,7 @@ def test_hanging_process_is_reported_and_does_not_delay_the_others(network: Netw
     with process(network, "hanging") as (peer, _, output):
         assert output.readline() == "ready []\n"
         assert other.reader.next().data == "first of hanging"
-        peer.send_signal(signal.SIGSTOP)
+        stop(peer)
         joiner = Participant(network.bus(), "joiner")
 
         # On a busy machine, the others may not be reached in time at the first attempt.
@@ -158,7 +157,7 @@ def test_router_that_does_not_answer_in_time_does_not_mean_that_a_process_has_le
     with router_process() as (endpoint, router), open_peer([endpoint]) as session:
         links = PeerLinks(session)
         assert links.has_left("0123", LIMIT_S)
-        router.send_signal(signal.SIGSTOP)
+        stop(router)
 
         assert not links.has_left("0123", 0.2)
         links.close()

@@ -1,6 +1,5 @@
 """A bus declares and sends in rmw_zenoh's format, as seen by a bare Zenoh session."""
 
-import signal
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +16,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import String
-from tests.cairn.bus.network import Network, Reader, eventually, node, router_process
+from tests.cairn.bus.network import Network, Reader, eventually, node, router_process, stop
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -121,7 +120,7 @@ def _names(network: Network) -> list[str]:
 def test_router_that_does_not_list_the_graph_in_time_is_an_error() -> None:
     with router_process() as (endpoint, router), open_client([endpoint]) as command:
         assert read_graph(command, 0, LIMIT_S) == []
-        router.send_signal(signal.SIGSTOP)
+        stop(router)
 
         with pytest.raises(CairnError, match="the router did not list the components within"):
             read_graph(command, 0, 0.2)
