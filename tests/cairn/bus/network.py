@@ -76,7 +76,7 @@ signal.pause()
 
 
 def stop(process: "subprocess.Popen[str]") -> None:
-    """Stop a process by SIGSTOP; a thread of it may run on until the kernel has stopped them all."""
+    """Stop a process by SIGSTOP, and wait: until all are stopped, some of its threads may run."""
     process.send_signal(signal.SIGSTOP)
     assert eventually(lambda: psutil.Process(process.pid).status() == psutil.STATUS_STOPPED)
 
