@@ -11,6 +11,7 @@ import pytest
 from cairn.driver.diagnostics import ERROR, OK
 from cairn.driver.emulator_lines import SerialEnd
 from tests.components.hokuyo.emulated_driver import (
+    REPLY_TIMEOUT_S,
     EmulatedDriver,
     assert_were_sent,
     emulated_driver,
@@ -26,7 +27,8 @@ def scanner(cable: Cable, model: str, **parameters: Any) -> Iterator[EmulatedDri
     """Run the driver on the stable name of a cable, with a sensor at its far end."""
     end = SerialEnd(str(cable.far_end), _SPEED)
     name = str(cable.stable)
-    parameters = {"silence_s": 2.0} | parameters
+    # A real line may lose commands while it is plugged in.
+    parameters = {"silence_s": 2.0, "reply_timeout_s": REPLY_TIMEOUT_S} | parameters
     with emulated_driver(Path("/nowhere"), model, cable=(end, name), **parameters) as setup:
         yield setup
 
@@ -79,8 +81,9 @@ def test_scanner_that_returns_under_another_name_is_found(acm: Cable) -> None:
     end = SerialEnd(str(acm.far_end), _SPEED)
     name = "usb:15d1:0000:H0000001"
     with emulated_driver(
-        Path("/nowhere"), "URG-04LX", cable=(end, name), skip=1, silence_s=2.0
-    ) as setup:
+        Path("/nowhere"), "URG-04LX", cable=(end, name), skip=1, silence_s=2.0,
+        reply_timeout_s=REPLY_TIMEOUT_S,
+    ) as setup:  # fmt: skip
         setup.scans.wait(3)
         acm.unplug()
         setup.emulator.unplug()
