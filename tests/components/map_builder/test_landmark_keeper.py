@@ -25,6 +25,7 @@ from cairn.visual_map.object_models import add_views
 from cairn.visual_map.sqlite_file import MapFileError, check_row, copy_map, row_checksum
 from tests.cairn.visual_map.views import view
 from tests.components.map_builder.evidence import THERE, observation, surveyed
+from tests.patience import LIMIT_S
 
 
 @pytest.fixture
@@ -169,7 +170,7 @@ def test_kill_while_writing_loses_no_reported_change(map_file: Path, seed: int) 
     printed += [
         line.split() for line in writer.stdout.read().splitlines(keepends=True) if "\n" in line
     ]
-    writer.wait(10)
+    writer.wait(LIMIT_S)
     writer.stdout.close()
 
     with open_landmarks(map_file) as store:
