@@ -1,10 +1,11 @@
-"""A session restores its lost link to the router as long as the router exists."""
+"""A session restores its lost link to the router as long as the router exists; ids of sessions."""
 
+import os
 import threading
 
 import pytest
 
-from cairn.bus.session import is_connected, open_client, open_router
+from cairn.bus.session import is_connected, open_client, open_router, process_of
 from cairn.testing.launching import free_port
 from tests.cairn.bus.network import eventually
 from tests.patience import LIMIT_S
@@ -43,3 +44,12 @@ def test_router_that_stays_away_counts_as_disconnected(monkeypatch: pytest.Monke
 
         assert eventually(lambda: not list(session.info.routers_zid()))
         assert not is_connected(session)
+
+
+def test_id_of_a_session_names_its_process() -> None:
+    with open_router(f"tcp/127.0.0.1:{free_port()}") as session:
+        assert process_of(str(session.info.zid())) == f"process {os.getpid()}"
+
+
+def test_id_of_a_foreign_session_is_named_as_such() -> None:
+    assert process_of("4711") == "the foreign session 4711"

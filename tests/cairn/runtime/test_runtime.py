@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from cairn import CairnError, Out, every, on
+from cairn.bus.lockstep_bus import LockstepBus
 from cairn.runtime.ports import handlers_of
 from cairn.runtime.rosout import RosoutHandler
 from cairn.schemas.geometry_msgs import Twist, Vector3
@@ -213,3 +214,13 @@ def test_log_record_never_fails_the_component(monkeypatch: pytest.MonkeyPatch) -
         (30, "odd ? ?"), (30, "after")
     ]  # fmt: skip
     assert harness.state == "active"
+
+
+def test_processes_that_were_not_discovered_are_named_at_activation(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(LockstepBus, "wait_for_peers", lambda *_: ["process 7", "process 8"])
+    ComponentHarness(Base)
+
+    (warning,) = [record for record in caplog.records if record.levelno == logging.WARNING]
+    assert_words(warning.getMessage(), "process 7, process 8", "`ps PID`", "restarted")
