@@ -132,11 +132,12 @@ def run_processes(
                 shutil.copyfile(zygote.log_file, zygote_log.file)
     if monitor.failure is not None:
         raise monitor.failure
-    if zygote_ended_first or zygote.process.returncode != 0:
+    report = root.exit_report or ExitReport(False, "the root ended without a report")
+    if zygote_ended_first or (not report.normal and zygote.process.returncode != 0):
         cause = zygote_log.report(zygote.process.pid, zygote.process.returncode).reason
         reason = f"the zygote ended, and with it every component: {cause}; nothing is left running"
         return ExitReport(False, reason)
-    return root.exit_report or ExitReport(False, "the root ended without a report")
+    return report
 
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:
