@@ -106,13 +106,14 @@ class Run:
         return self.await_end(limit_s)
 
     def pid_of(self, component: str) -> int:
-        """Return the process id of a component, or of the `zygote`."""
-        found = [
-            process.pid
-            for process in self._processes()
-            if _title_of(process) == f"cairn: {component}"
-        ]
-        assert len(found) == 1, f"{component} has the processes {found}; {self}"
+        """Return the process id of a component, or of the `zygote`.
+
+        For a moment there may be two: a process is forked under the name of its parent.
+        """
+        deadline = time.monotonic() + LIMIT_S
+        while len(found := self._pids_titled(f"cairn: {component}")) != 1:
+            assert time.monotonic() < deadline, f"{component} has the processes {found}; {self}"
+            time.sleep(0.05)
         return found[0]
 
     def pids(self) -> list[int]:
@@ -171,6 +172,9 @@ class Run:
                 ):
                     found.append(process)
         return found
+
+    def _pids_titled(self, title: str) -> list[int]:
+        return [process.pid for process in self._processes() if _title_of(process) == title]
 
     def _read(self) -> None:
         assert self.process.stdout is not None

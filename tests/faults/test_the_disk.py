@@ -31,7 +31,9 @@ def test_full_disk_for_logs_is_reported_once_and_the_robot_keeps_running(launch:
     run.await_line("^ended.*: shut down")
     warnings = [line for line in run.lines if "root.log cannot be written: File too large" in line]
     assert len(warnings) == 1
-    assert not any("Traceback" in line or "WARNING" in line for line in run.lines), run
+    # On a busy computer a process may not be discovered in time, which is a warning.
+    others = [line for line in run.lines if "without having discovered" not in line]
+    assert not any("Traceback" in line or "WARNING" in line for line in others), run
 
 
 def test_report_folder_that_cannot_be_created_is_reported(
