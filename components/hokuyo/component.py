@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from cairn import (
     LATCHED,
     SECOND,
@@ -20,6 +18,7 @@ from cairn.components.hokuyo.config import LIVE, HokuyoConfig
 from cairn.components.hokuyo.health import HealthMonitor, health_values
 from cairn.components.hokuyo.messages import ScanMessages
 from cairn.components.hokuyo.sensor import Measurement, StampedScan, request_of
+from cairn.driver.device_clock import ahead_of_monotonic
 from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import diagnostics
 from cairn.driver.errors import DeviceError
@@ -141,7 +140,7 @@ class HokuyoScanner(Component):
 
     def _publish(self, scan: StampedScan) -> None:
         # A change of the system's clock changes the stamps at once.
-        stamp = scan.first_ray + self.clock.now() - time.monotonic_ns()
+        stamp = scan.first_ray + ahead_of_monotonic(self.clock.now)
         stamp += round(self.config.time_offset_s * SECOND)
         header = Header(stamp=from_ns(stamp), frame_id=self.config.frame_id)
         messages = ScanMessages(scan.sensor.spec, scan.request, self.config.range_max)

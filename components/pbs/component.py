@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 from cairn import LATCHED, SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
 from cairn.components.pbs.config import PbsConfig
 from cairn.components.pbs.messages import PbsMessages
 from cairn.components.pbs.sensor import PbsMeasurement, TimedDistances
+from cairn.driver.device_clock import ahead_of_monotonic
 from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
@@ -107,7 +106,7 @@ class PbsScanner(Component):
         return OK, f"{hz:.1f} scans per second"
 
     def _publish(self, scan: TimedDistances) -> None:
-        age_s = time.monotonic() - scan.began - self.config.time_offset_s
-        stamp = self.clock.now() - round(age_s * SECOND)
+        stamp = round((scan.began + self.config.time_offset_s) * SECOND)
+        stamp += ahead_of_monotonic(self.clock.now)
         header = Header(stamp=from_ns(stamp), frame_id=self.config.frame_id)
         self.scan.publish(self._messages.scan(scan.distances, header))

@@ -21,9 +21,9 @@ from cairn.components.v4l2_camera.frames import (
     FrameCounts,
     SequenceCounter,
     is_plausible,
-    system_offset,
 )
 from cairn.components.v4l2_camera.pairing import StampedImage
+from cairn.driver.device_clock import ahead_of_monotonic
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError, LinkLost
 
@@ -229,7 +229,7 @@ class VideoCamera:
                 )
 
     def _process(self, buffers: list[FilledBuffer], sequence: SequenceCounter) -> None:
-        arrived, offset = time.monotonic_ns(), system_offset()
+        arrived, offset = time.monotonic_ns(), ahead_of_monotonic(time.time_ns)
         counts = self.counts
         newest: FilledBuffer | None = None
         for buffer in buffers:

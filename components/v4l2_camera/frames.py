@@ -2,31 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Final
 
-_TRIES, _CLOSE_NS = 5, 5_000
 _OLDEST_NS: Final = 60 * 1_000_000_000
 _AHEAD_NS: Final = 1_000_000_000
 _NUMBERS: Final = 1 << 32  # sequence numbers are unsigned, of 32 bits, and wrap
-
-
-def system_offset() -> int:
-    """Return how far the system's time is ahead of CLOCK_MONOTONIC now [ns].
-
-    It is measured for every image: the system's clock is slewed and set, the other one never.
-    """
-    best, offset = None, 0
-    for _ in range(_TRIES):
-        before = time.monotonic_ns()
-        system = time.time_ns()
-        took = time.monotonic_ns() - before
-        if best is None or took < best:  # the process may have been interrupted in between
-            best, offset = took, system - before - took // 2
-        if best <= _CLOSE_NS:
-            break
-    return offset
 
 
 def is_plausible(captured: int, arrived: int) -> bool:

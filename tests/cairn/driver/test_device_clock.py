@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.driver.device_clock import DeviceClock
+from cairn.driver.device_clock import DeviceClock, ahead_of_monotonic
 
 _MODULUS = 1 << 24
 
@@ -150,3 +151,39 @@ def test_restart_forgets_the_previous_device() -> None:
 
     assert clock.seconds(10) == pytest.approx(0.01)
     assert clock.offset(0.01, 200.0) == pytest.approx(199.99)
+
+
+def test_clock_is_compared_with_the_monotonic_one() -> None:
+    before = time.time_ns()
+    now = time.monotonic_ns() + ahead_of_monotonic(time.time_ns)
+    after = time.time_ns()
+
+    assert before - 1_000_000 <= now <= after + 1_000_000
+
+
+class InterruptedThread:
+    """Time as a thread reads it that is interrupted for 3 s after some of its readings."""
+
+    def __init__(self, interrupted: set[int]) -> None:
+        self._interrupted = interrupted
+        self._readings = 0
+        self._now = 1_000_000_000
+
+    def monotonic_ns(self) -> int:
+        now = self._now
+        self._readings += 1
+        self._now += 3_000_000_000 if self._readings in self._interrupted else 100
+        return now
+
+    def system_ns(self) -> int:
+        return 7_000_000_000 + self.monotonic_ns()
+
+
+@pytest.mark.parametrize("interrupted", [{1}, {2}, {1, 5}, {2, 4, 7}])
+def test_interrupted_comparison_of_clocks_is_repeated(
+    interrupted: set[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    thread = InterruptedThread(interrupted)
+    monkeypatch.setattr("cairn.driver.device_clock.time", thread)
+
+    assert ahead_of_monotonic(thread.system_ns) == pytest.approx(7_000_000_000, abs=1000)
