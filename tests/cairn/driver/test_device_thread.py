@@ -43,7 +43,7 @@ def test_failed_device_is_opened_again_and_its_recovery_logged(
     thread.stop()
 
     assert [str(error) for error in errors] == ["no device"] * 3
-    messages = [record.message for record in caplog.records]
+    messages = [record.message for record in caplog.records if record.name == LOG.name]
     assert messages[0] == "no device"
     assert messages[-1] == "the device is back"
     assert len(messages) == 3  # the second and third failure are one warning
