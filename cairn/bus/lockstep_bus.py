@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from cairn.bus.bus import type_conflict
-from cairn.bus.drops import DropOldestQueue
+from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.qos import Qos
 from cairn.schemas.message import type_name
 

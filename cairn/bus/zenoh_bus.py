@@ -22,7 +22,7 @@ from cairn.bus import keys
 from cairn.bus.bus import type_conflict
 from cairn.bus.codec import Codec
 from cairn.bus.discovery import DiscoveryBarrier
-from cairn.bus.drops import DropOldestQueue, LossCounter
+from cairn.bus.drop_oldest_queue import DropOldestQueue, LossCounter
 from cairn.bus.graph import GraphWatcher
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash

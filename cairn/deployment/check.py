@@ -9,11 +9,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cairn.deployment.document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import validation_problems
+from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.errors import CairnError
 from cairn.runtime.ports import PortSpec, handlers_of, ports_of
 from cairn.schemas.message import type_name

@@ -6,8 +6,8 @@ OmegaConf interpolates too, but stops at the first mistake and does not know the
 import re
 from collections.abc import Mapping
 
-from cairn.deployment.document import DocumentNode, KeyPath, dotted
 from cairn.deployment.problems import Location, Problem, suggestion
+from cairn.deployment.yaml_document import DocumentNode, KeyPath, dotted
 
 # "$${" is a literal "${"; the last alternative matches a reference that is not closed.
 _REFERENCE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")

@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cairn.deployment.check import check_document
-from cairn.deployment.document import (
+from cairn.deployment.interpolation import interpolate
+from cairn.deployment.model import Deployment
+from cairn.deployment.problems import DeploymentError, Location, Problem, suggestion
+from cairn.deployment.yaml_document import (
     MAX_VALUES,
     DocumentNode,
     KeyPath,
@@ -19,9 +22,6 @@ from cairn.deployment.document import (
     parse_document,
     read_document,
 )
-from cairn.deployment.interpolation import interpolate
-from cairn.deployment.model import Deployment
-from cairn.deployment.problems import DeploymentError, Location, Problem, suggestion
 
 _SECTIONS = frozenset(Deployment.model_fields)
 

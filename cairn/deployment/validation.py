@@ -11,8 +11,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from cairn.deployment.document import DocumentNode, KeyPath, dotted
 from cairn.deployment.problems import Location, Problem, suggestion
+from cairn.deployment.yaml_document import DocumentNode, KeyPath, dotted
 from cairn.runtime.parameters import bounds_text, error_reason
 
 _MAX_SHOWN = 60  # characters of an invalid value

@@ -20,7 +20,7 @@ from cairn.components.localizer.particle_set import (
     systematic_choice,
 )
 from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
-from cairn.components.localizer.scans import RecentScans
+from cairn.components.localizer.scan_fit import RecentScans
 from cairn.planar.poses import Pose, relative, wrap_all
 
 Array = NDArray[np.float64]

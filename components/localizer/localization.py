@@ -34,7 +34,7 @@ from cairn.components.localizer.pose_health import (
 )
 from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
 from cairn.components.localizer.relocalization import ConfirmationHistory, Relocalizer
-from cairn.components.localizer.scans import BeamSelector, RecentScans, ScanFit
+from cairn.components.localizer.scan_fit import BeamSelector, RecentScans, ScanFit
 from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose

@@ -14,6 +14,7 @@ from typing import Literal
 
 from cairn.components.map_builder.paper_rule import judge_by_paper
 from cairn.components.map_builder.persistence_filter import PersistenceFilter
+from cairn.components.map_builder.pose_reliability import REMOVAL, update
 from cairn.components.map_builder.registration import (
     INDEPENDENT_M,
     INDEPENDENT_RAD,
@@ -21,7 +22,6 @@ from cairn.components.map_builder.registration import (
     judge_candidate,
     record_departure,
 )
-from cairn.components.map_builder.reliability import REMOVAL, update
 from cairn.planar.poses import Pose, apart
 from cairn.visual_map.landmarks import (
     CANDIDATE_RELIABILITY,

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.map_builder.reliability import (
+from cairn.components.map_builder.pose_reliability import (
     LEAST_SIMILARITY,
     MOST_SIMILARITY,
     REGISTRATION,

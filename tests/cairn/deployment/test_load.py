@@ -10,9 +10,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cairn.deployment.document import DocumentNode, read_document
 from cairn.deployment.load import apply_overlay, apply_set, load_deployment, read_names
 from cairn.deployment.problems import DeploymentError
+from cairn.deployment.yaml_document import DocumentNode, read_document
 from tests.wording import assert_words
 
 Write = Callable[..., Path]

@@ -13,7 +13,7 @@ from cairn.components.localizer.likelihood_field import ScanMap
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.odometry import MeasuredTrack, MotionModel
 from cairn.components.localizer.recent_observations import RecentObservations
-from cairn.components.localizer.scans import RecentScans
+from cairn.components.localizer.scan_fit import RecentScans
 from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, compose, relative

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.components.map_builder.reliability import LEAST, MOST, REMOVAL, update
+from cairn.components.map_builder.pose_reliability import LEAST, MOST, REMOVAL, update
 
 probability = st.floats(0.0, 1.0)
 

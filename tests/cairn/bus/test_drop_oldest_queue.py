@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cairn.bus.drops import DropOldestQueue, LossCounter
+from cairn.bus.drop_oldest_queue import DropOldestQueue, LossCounter
 from tests.patience import LIMIT_S
 
 _MESSAGES = 100_000
