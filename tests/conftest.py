@@ -13,9 +13,11 @@ def pytest_configure() -> None:
     """Prepare the environment of the programs that tests start."""
     # With PYTHONDONTWRITEBYTECODE each of hundreds of processes would compile all modules again.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    # A shell that runs a command in the background has it ignore SIGINT, and what it starts, too.
+    # A shell that runs a command in the background has it ignore SIGINT, and nohup SIGHUP; so would
+    # all programs that it starts.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     # Threads of NumPy and OpenCV in several workers would wait for each other's cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("OPENCV_FOR_THREADS_NUM", "1")
