@@ -49,7 +49,11 @@ def lost_stretches(outcome: LogRun) -> list[tuple[float, float]]:
 
 
 def starts(
-    log: CorrectedLog, grid: OccupancyCells, mapped: NDArray[np.bool_], seed: int
+    log: CorrectedLog,
+    grid: OccupancyCells,
+    mapped: NDArray[np.bool_],
+    seed: int,
+    tries: int = START_TRIES,
 ) -> tuple[list[float], list[float]]:
     """Return errors [m] of the first estimates and the times [s] until them; inf if there is none.
 
@@ -59,7 +63,7 @@ def starts(
     held_out = np.nonzero(~mapped & (log.scan_at < log.scan_at[-1] - START_LASTS_S))[0]
     every = np.ones(len(log.scans), bool)
     errors, times = [], []
-    for n, k in enumerate(random.choice(held_out, START_TRIES, replace=False)):
+    for n, k in enumerate(random.choice(held_out, tries, replace=False)):
         begin = float(log.scan_at[k])
         robot = new_localizer(grid, seed + n)
         robot.advance(begin)

@@ -29,8 +29,8 @@ from cairn.schemas.cairn_nav_msgs import (
     ReasonCode,
 )
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared.
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double.
 
 # The robot makes progress when it is nearer to its goal than ever before by this [m]: more than a
 # correction of the pose changes the distance.

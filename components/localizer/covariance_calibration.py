@@ -13,9 +13,9 @@ from cairn.planar.poses import wrap
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared. Benchmark `localization_logs` measures how often the truth lies within the covariance
-# that results (docs/benchmarks.md).
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double. Benchmark `localization_logs` measures how often the truth lies
+# within the covariance that results (docs/benchmarks.md).
 
 # Weights of the newest scan in the running means: means over 20 scans. Truth within 1 sigma on
 # fr101, fr079: 71, 83 %; with half and double the first one 68, 83 % and 73, 84 %, with half and

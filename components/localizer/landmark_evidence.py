@@ -38,8 +38,8 @@ from cairn.visual_map.landmarks import EvidenceVerdict
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, the constants of this module were chosen by hand; half and double
-# were not compared.
+# Where no other reason is given, the constants of this module were chosen by hand;
+# `benchmarks/constants.yaml` has the effect of half and double.
 
 # An implied position this near another live object [m] may be that object. In simulation this veto
 # removed all false removals at 1 % and at 5 % of false matches.

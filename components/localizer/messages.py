@@ -31,7 +31,8 @@ from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
 # Deviations of an observation whose sender states no covariance [m], [rad]: several times those of
-# the recognizer, so that it has little weight. Chosen by hand; half and double were not compared.
+# the recognizer, so that it has little weight. Chosen by hand; `benchmarks/constants.yaml` has the
+# effect of half and double.
 _RANGE_SD, _BEARING_SD = 0.2, math.radians(3.0)
 # The limits of the reliability, as the map builder keeps them (`map_builder/pose_reliability.py`).
 _LEAST_RELIABILITY, _MOST_RELIABILITY = 0.02, 0.98

@@ -59,7 +59,8 @@ from cairn.visual_map.landmarks import (
 from cairn.visual_map.sqlite_file import MapFileError
 
 # A full map follows its updates after this [s], for readers that start later, and the grid map is
-# saved after this [s]: what a power cut loses. Chosen by hand; half and double were not compared.
+# saved after this [s]: what a power cut loses. Chosen by hand; `benchmarks/constants.yaml` has the
+# effect of half and double.
 _FULL_MAP_S = 5.0
 _SAVE_S = 10.0
 # Evidence that is at most this much older than a relocalization was made by the lost robot; the

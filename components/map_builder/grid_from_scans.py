@@ -17,8 +17,9 @@ from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared. docs/benchmarks.md has the errors of the logs fr079 and fr101 on maps that are made so.
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double. docs/benchmarks.md has the errors of the logs fr079 and fr101
+# on maps that are made so.
 
 # A cell is occupied if at least this share of the rays that reached it ended there.
 _OCCUPIED_SHARE = 0.3

@@ -45,8 +45,8 @@ Rule = Callable[
 
 RuleName = Literal["reliability", "paper_rule", "persistence"]
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared.
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double.
 
 # Absences from poses that differ by more than this [m], [rad] are independent: more than for
 # observations, as what hides a landmark is as large as a person.

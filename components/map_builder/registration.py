@@ -35,8 +35,8 @@ from cairn.visual_map.landmarks import (
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared.
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double.
 
 # A landmark has not moved if its candidate is within this distance of its position [m], and within
 # this normalized distance squared (2 degrees of freedom, 90 %).

@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 OBSTACLE_RANGE_M = HORIZON_M + 0.3
 """Obstacles within this distance [m] of the robot are needed: the path and the robot's radius."""
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared.
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double.
 
 # The pursued point is this far along the path [m]: nearer points make the robot oscillate, farther
 # ones cut corners. Shares of the distance are tried where there is little room.

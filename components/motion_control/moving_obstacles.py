@@ -17,8 +17,9 @@ from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared. docs/benchmarks.md has the results in the hall with ten walking people.
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double. docs/benchmarks.md has the results in the hall with ten walking
+# people.
 
 # Hits nearer to one another than this [m] belong to the same thing, which is at most so large [m]
 # and stands out from its background by so much [m]; people fit these sizes.

@@ -10,8 +10,8 @@ import numpy as np
 from cairn.components.motion_control.collision_checks import check_arcs
 from cairn.components.motion_control.scan_memory import NearbyObstacles
 
-# Where no other reason is given, these constants were chosen by hand; half and double were not
-# compared.
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double.
 
 # In a curve the robot uses this share of its turn rate [1]; the rest corrects its heading.
 _TURN_SHARE = 0.9

@@ -24,7 +24,8 @@ from cairn.planar.shortest_path import CLOSED, MARGIN, Cell, CellCosts, PathSear
 Array = NDArray[np.float64]
 
 # A robot that seems to be inside an obstacle by no more than this [m] can leave it: localization
-# and scans are noisy. Chosen by hand; half and double were not compared.
+# and scans are noisy. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
+# double.
 ESCAPE_M = 0.4
 # Larger coordinates [m] are rejected: their squares in cells would overflow.
 _MAX_COORDINATE_M = 1e9
