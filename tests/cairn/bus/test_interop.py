@@ -158,8 +158,8 @@ def known(network: Network, robot: ThreadedComponent, ros2: Ros2) -> Network:
     """
     outputs = [getattr(robot.runtime.component, f"out_{topic}") for topic in MESSAGES]
     assert eventually(lambda: all(output.has_subscribers for output in outputs))
-    for topic in MESSAGES:
-        assert eventually(lambda: ros2.request("has_subscribers", topic=f"/robot/{topic}"))  # noqa: B023
+    inputs = [f"/robot/{topic}" for topic in MESSAGES]
+    assert eventually(lambda: all(ros2.request("has_subscribers", topic=name) for name in inputs))
     topics = {f"/robot/{prefix}{topic}" for topic in MESSAGES for prefix in ("", "out_")}
     assert eventually(lambda: topics <= {name for name, _ in ros2.request("topics")})
     assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)
