@@ -11,6 +11,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, cast
 
 import zenoh
@@ -113,16 +114,19 @@ class PeerLinks:
 
         Those are the ones linked already and the peers in the description of a router.
         """
-        peers, _ = self._peers(timeout_s)
-        return peers
+        return (self._linked() | self._ask_routers(timeout_s).peers) - {self._zid}
 
     def has_left(self, zid: str, timeout_s: float) -> bool:
-        """Return whether a process is not linked, and no router knows it any more.
+        """Return whether no router knows a process any more.
 
-        That is not certain, so False, if a router does not answer within the timeout.
+        If a router does not describe its links, or there is none, the process must not be linked
+        either. Otherwise a link proves nothing: in zenoh 1.10 one that is established while the
+        other side closes its session outlives that session. False, as it is not certain, if a
+        router does not answer within the timeout.
         """
-        peers, complete = self._peers(timeout_s)
-        return complete and zid not in peers
+        answer = self._ask_routers(timeout_s)
+        known = answer.peers if answer.described else answer.peers | self._linked()
+        return answer.complete and zid not in known
 
     def wait_for_link(self, zid: str, deadline: float) -> bool:
         """Wait for the link to a process, until `deadline` (monotonic) [s].
@@ -149,16 +153,16 @@ class PeerLinks:
                 watcher.wait(_ROUTER_TIMEOUT_S)
         self.peers(_ROUTER_TIMEOUT_S)
 
-    def _peers(self, timeout_s: float) -> tuple[set[str], bool]:
-        """Return the peers, and whether every router has answered."""
-        found, complete = self._linked(), True
-        for router in self._session.info.routers_zid():
-            for reply in self._session.get(router_key(str(router)), timeout=timeout_s):
-                if reply.ok is None:
-                    complete = False
-                else:
-                    found |= _peers_of_router(reply.ok.payload.to_bytes())
-        return found - {self._zid}, complete
+    def _ask_routers(self, timeout_s: float) -> "_RouterAnswers":
+        routers = [str(zid) for zid in self._session.info.routers_zid()]
+        peers, complete, described = set(routers), True, bool(routers)
+        for router in routers:
+            replies = list(self._session.get(router_key(router), timeout=timeout_s))
+            complete &= all(reply.ok is not None for reply in replies)
+            lists = [_peers_of_router(one.ok.payload.to_bytes()) for one in replies if one.ok]
+            described &= any(known is not None for known in lists)
+            peers.update(*(known for known in lists if known is not None))
+        return _RouterAnswers(peers, complete, described)
 
     def _linked(self) -> set[str]:
         info = self._session.info
@@ -219,13 +223,25 @@ class QueryableWatcher:
         self._changed.set()
 
 
-def _peers_of_router(description: bytes) -> set[str]:
+@dataclass(frozen=True)
+class _RouterAnswers:
+    """What the routers know."""
+
+    peers: set[str]
+    """The ids of the routers and of all processes that they list."""
+    complete: bool
+    """Whether no router failed to answer in time."""
+    described: bool
+    """Whether there is a router and each listed its links."""
+
+
+def _peers_of_router(description: bytes) -> set[str] | None:
     """Return the ids of the peers linked to a router, from its description of itself."""
     try:
         sessions = json.loads(description)["sessions"]
         return {str(one["peer"]) for one in sessions if one["whatami"] == "peer"}
     except (ValueError, KeyError, TypeError):
-        return set()  # a router of another version: only the direct links are known
+        return None  # a router of another version: only the direct links are known
 
 
 def _remaining(deadline: float) -> float:

@@ -1,5 +1,6 @@
 """Once a process has waited for its peers, not even the first message is lost."""
 
+import json
 import subprocess
 import sys
 import threading
@@ -9,12 +10,14 @@ from pathlib import Path
 from typing import IO
 
 import pytest
+import zenoh
 
 from cairn import LATCHED, RELIABLE
 from cairn.bus.discovery import PeerLinks, QueryableWatcher
-from cairn.bus.session import open_peer
+from cairn.bus.session import CAIRN_ID_PREFIX, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
+from cairn.testing.launching import free_port
 from tests.cairn.bus.network import Network, Reader, eventually, node, router_process, stop
 from tests.patience import LIMIT_S
 
@@ -172,6 +175,32 @@ def test_process_that_leaves_before_answering_is_not_waited_for(network: Network
         assert bus.wait_for_peers(LIMIT_S / 4) == []
     finally:
         leaves.join()
+
+
+def test_link_that_outlives_the_session_of_its_process_is_not_waited_for(
+    network: Network,
+) -> None:
+    bus = network.bus()
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "peer",
+        # As of a closed session of Cairn: linked, not to the router, and without declarations.
+        "id": f"{CAIRN_ID_PREFIX}00000001",
+        "listen/endpoints": [endpoint],
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config) as closed:
+        zid = str(closed.info.zid())
+        joiner = ZenohBus(open_peer([network.endpoint, endpoint]))
+        try:
+            assert eventually(lambda: zid in map(str, joiner.session.info.peers_zid()))
+            assert joiner.wait_for_peers(LIMIT_S / 4) == []
+            assert bus.wait_for_peers(LIMIT_S / 4) == []
+        finally:
+            joiner.close()
 
 
 def test_killed_process_is_not_waited_for(network: Network) -> None:
