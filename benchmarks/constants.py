@@ -75,7 +75,7 @@ SHARES = frozenset(
     {
         *("_SEEN_SHARE", "_MARGIN_SHARE", "_TURN_SHARE", "_MEETING"),
         *("_UNAMBIGUOUS", "_DOUBTFUL_FIT", "_LOST_OF_USUAL_FIT", "_GOOD_FIT", "_OF_USUAL_FIT"),
-        *("_BAD", "_MOST_OF_THEM", "MOST", "MOST_SIMILARITY", "_MOST_RELIABILITY"),
+        *("_USUAL_BAD", "_MOST_OF_THEM", "MOST", "MOST_SIMILARITY", "_MOST_RELIABILITY"),
     }
 )
 

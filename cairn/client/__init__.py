@@ -10,9 +10,10 @@ with cairn.client.connect() as robot:
 """
 
 from cairn.bus.control import ControlError, NoReplyError
-from cairn.client.connection import DEFAULT_ENDPOINT, Connection
+from cairn.client.connection import Connection
 from cairn.client.navigation import NavigationGoal
 from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
+from cairn.deployment.model import DEFAULT_ENDPOINT
 
 __all__ = [
     "DEFAULT_ENDPOINT",

@@ -16,13 +16,10 @@ from cairn.bus import control, keys
 from cairn.bus.codec import Codec
 from cairn.bus.graph import read_graph
 from cairn.bus.session import is_connected, open_client
-from cairn.deployment.model import is_loopback
+from cairn.deployment.model import DEFAULT_ENDPOINT, is_loopback
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
-
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-"""Where the router of a deployment listens by default."""
 
 STATUS_TOPIC = "component_status"
 

@@ -17,13 +17,13 @@ import zenoh
 from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.client.connection import (
-    DEFAULT_ENDPOINT,
     Connection,
     attachment_of,
     check_robot,
     resolve,
 )
 from cairn.client.navigation import NavigationGoal, Navigator
+from cairn.deployment.model import DEFAULT_ENDPOINT
 from cairn.errors import CairnError
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus

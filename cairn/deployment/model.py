@@ -23,7 +23,8 @@ RESERVED = {
 }
 """Names of nodes that every deployment has, which no component may use."""
 
-_LISTEN = "tcp/127.0.0.1:7447"
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+"""Where the router of a deployment listens by default."""
 _KILL_S = 3.0
 """Time [s] allowed for killing a child that did not stop in time."""
 _ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws)/(\[[^\]]+\]|[^:/\[\]]+):(\d+)(?:[?#].*)?")
@@ -71,13 +72,13 @@ class BusSettings(_Section):
         description="Endpoints of running routers to join; then `cairn up` opens none.",
     )
     listen: Endpoint = Field(
-        _LISTEN, description="Endpoint on which `cairn up` opens the deployment's router."
+        DEFAULT_ENDPOINT, description="Endpoint on which `cairn up` opens the deployment's router."
     )
 
     @field_validator("listen", mode="after")
     @classmethod
     def _one_router_on_purpose(cls, listen: str, info: ValidationInfo) -> str:
-        if info.data.get("connect") and listen != _LISTEN:
+        if info.data.get("connect") and listen != DEFAULT_ENDPOINT:
             raise ValueError(
                 f"with `connect` no router is opened on {listen}; keep `connect` to join a router "
                 "that runs already, or `listen` to open one"

@@ -13,6 +13,7 @@ from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate, carry, estimate
 from cairn.components.localizer.pose_health import FITS
 from cairn.components.localizer.recent_observations import TOGETHER_M
+from cairn.components.localizer.scan_fit import usual_fit
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
 from cairn.schemas.cairn_nav_msgs import Reason, ReasonCode
 
@@ -39,9 +40,6 @@ REFUTED = 25.0
 # It is probably lost if they fit less than the second share, or less than the third share of their
 # usual fit: search at once, and forget the earlier measurements.
 _DOUBTFUL_FIT, _LOST_FIT, _LOST_OF_USUAL_FIT = 0.8, 0.5, 0.65
-# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
-# than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
-_NEWEST, _NEWEST_OF_BAD, _BAD = 0.02, 0.001, 0.8
 # Periods of the search [s]: in doubt; while a position is unconfirmed; if the robot is lost; and of
 # a robot whose position is unknown.
 _DOUBTFUL_EVERY_S, _UNCONFIRMED_EVERY_S, _LOST_EVERY_S, _UNKNOWN_EVERY_S = 3.0, 2.0, 1.0, 0.5
@@ -131,8 +129,7 @@ class Relocalizer:
         lost.
         """
         before, self._fit = self._lost, fit
-        newest = _NEWEST if fit >= _BAD * self._usual else _NEWEST_OF_BAD
-        self._usual += newest * (fit - self._usual)
+        self._usual = usual_fit(self._usual, fit)
         return self._lost and not before
 
     @property

@@ -12,6 +12,7 @@ from cairn.components.localizer.particle_set import (
     normalized,
     systematic_choice,
 )
+from cairn.components.localizer.scan_fit import usual_fit
 from cairn.planar.poses import Pose, compose, distance, relative, wrap
 
 Array = NDArray[np.float64]
@@ -35,10 +36,6 @@ _BETTER_FIT, _BETTER_NATS = 0.12, 6.0
 # It must fit at least this share as well as scans did before; otherwise the robot was carried away.
 # Chosen by hand; other values were not compared.
 _OF_USUAL_FIT = 0.9
-# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
-# than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
-# Chosen by hand; half and double were not compared.
-_NEWEST, _NEWEST_OF_BAD, _BAD = 0.02, 0.001, 0.8
 # The poses found by two scans are the same if they differ by less than this [m], [rad]; particles
 # spread wider than this [m] are not one pose. About one deviation of a slip (`_SLIP`). Chosen by
 # hand; half and double were not compared.
@@ -86,8 +83,7 @@ class WheelSlipDetector:
         fit = field.fit(here.mean, points)
         before, self._suspected = self._suspected, None
         usual = fit if self._usual_fit is None else self._usual_fit
-        newest = _NEWEST if fit >= _BAD * usual else _NEWEST_OF_BAD
-        self._usual_fit = usual + newest * (fit - usual)
+        self._usual_fit = usual_fit(usual, fit)
         if fit >= _GOOD_FIT:
             return None
         center = np.asarray(here.mean)[:, None]

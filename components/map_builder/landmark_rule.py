@@ -2,7 +2,7 @@
 
 `judge` is the rule that keeps a robot's map. An observation that disagrees, or a landmark that is
 not seen from where it used to be seen, lowers the reliability; at `reliability.REMOVAL` the
-landmark is removed from its position. `registration.py` then finds its new one.
+landmark is removed from its position. `landmark_registration.py` then finds its new one.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
-from cairn.components.map_builder.paper_rule import judge_by_paper
-from cairn.components.map_builder.persistence_filter import PersistenceFilter
-from cairn.components.map_builder.pose_reliability import REMOVAL, update
-from cairn.components.map_builder.registration import (
+from cairn.components.map_builder.landmark_registration import (
     INDEPENDENT_M,
     INDEPENDENT_RAD,
     fuse,
     judge_candidate,
     record_departure,
 )
+from cairn.components.map_builder.paper_rule import judge_by_paper
+from cairn.components.map_builder.persistence_filter import PersistenceFilter
+from cairn.components.map_builder.pose_reliability import REMOVAL, update
 from cairn.planar.poses import Pose, apart
 from cairn.visual_map.landmarks import (
     CANDIDATE_RELIABILITY,

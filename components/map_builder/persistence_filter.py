@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from cairn.components.map_builder.registration import (
+from cairn.components.map_builder.landmark_registration import (
     INDEPENDENT_M,
     INDEPENDENT_RAD,
     judge_candidate,

@@ -17,7 +17,7 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn.supervisors.mobile.mission import (
+from cairn.supervisors.mobile.mission_file import (
     LARGEST_COORDINATE,
     Goal,
     Mission,

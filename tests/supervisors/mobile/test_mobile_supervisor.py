@@ -12,7 +12,7 @@ from cairn.planar.messages import planar_poses, pose_message
 from cairn.schemas.cairn_nav_msgs import NavigateGoal, NavigationStatus
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn.supervisors.mobile.mission import load_mission, parse_goals
+from cairn.supervisors.mobile.mission_file import load_mission, parse_goals
 from cairn.testing.lockstep import DeploymentHarness
 from tests.wording import assert_words, words_in_order
 
