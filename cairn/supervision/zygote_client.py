@@ -7,6 +7,7 @@ of their own has a connection to it (`ZygoteClient`).
 import contextlib
 import itertools
 import json
+import math
 import os
 import signal
 import socket
@@ -37,6 +38,7 @@ from cairn.supervision.zygote import (
 )
 
 _LONGEST_SOCKET_PATH = 107  # bytes, unix(7)
+_PIECE_S = 0.25
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
 # These halve the latency of images: glibc would map and unmap memory for each of them.
 _MALLOC = {
@@ -148,9 +150,14 @@ class ChildProcess:
         self._send = send
 
     def wait(self, timeout_s: float) -> Exited | None:
-        """Wait for its end and that of its process group; None if it still runs then."""
-        with contextlib.suppress(TimeoutError):
-            return self.exit.result(timeout_s)
+        """Wait for its end and that of its process group; None if it still runs then.
+
+        In short pieces: a pause of this machine, which delays the report, uses up only one of them.
+        """
+        pieces = max(1, math.ceil(timeout_s / _PIECE_S))
+        for _ in range(pieces):
+            with contextlib.suppress(TimeoutError):
+                return self.exit.result(timeout_s / pieces)
         return None
 
     def on_exit(self, call: Callable[[Exited], object]) -> None:

@@ -6,6 +6,7 @@ import signal
 import socket
 import stat
 import sys
+from concurrent.futures import Future
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ import zenoh
 from cairn import CairnError
 from cairn.supervision.child import ZygoteLost
 from cairn.supervision.zygote import Exited, Spawn, encode
-from cairn.supervision.zygote_client import ZygoteClient, ZygoteProcess, start_zygote
+from cairn.supervision.zygote_client import ChildProcess, ZygoteClient, ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -100,6 +101,22 @@ def test_killing_ends_even_a_stopped_process_that_ignores_sigterm(owner: Owner) 
     ended = child.wait(LIMIT_S)
     assert ended is not None
     assert ended.code == -signal.SIGKILL
+
+
+def test_exit_that_is_reported_as_a_pause_of_the_machine_ends_is_not_missed() -> None:
+    class Paused(Future[Exited]):
+        """In a pause the time limit passes and the exit is reported, both unnoticed."""
+
+        def result(self, timeout: float | None = None) -> Exited:
+            if self.done():
+                return super().result(timeout)
+            self.set_result(Exited(1, 0))
+            raise TimeoutError
+
+    child = ChildProcess(1, lambda _: None)
+    child.exit = Paused()
+
+    assert child.wait(LIMIT_S) == Exited(1, 0)
 
 
 def test_module_that_cannot_be_imported_fails_only_processes_that_need_it(
