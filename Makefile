@@ -48,7 +48,7 @@ check: $(VENV)/tests
 
 ## The documentation site, in build/site: a broken link fails the build.
 docs: $(VENV)/docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 ## All benchmarks.
 bench: $(VENV)/ready
