@@ -26,7 +26,7 @@ quick: $(VENV)/tests
 ## All tests. One worker more than cores: many tests wait for processes that they have started.
 test: $(VENV)/tests
 	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime"
-	$(BIN)/pytest -m realtime
+	$(BIN)/pytest -m realtime $$(grep -rl --include="test_*.py" "mark\.realtime" tests)
 
 ## The drivers on the kernel's own devices, in a virtual machine: cameras, USB and RS-232 lines whose
 ## plugs are pulled. Reports what is missing, and installs nothing unless CI=true.

@@ -1,7 +1,9 @@
 """What all tests may use: the project's own conformance kit, as users have it."""
 
+import gc
 import os
 import signal
+import sys
 
 import pytest
 from hypothesis import settings
@@ -10,9 +12,13 @@ pytest_plugins = ["cairn.testing.plugin"]
 
 
 def pytest_configure() -> None:
-    """Prepare the environment of the programs that tests start."""
-    # With PYTHONDONTWRITEBYTECODE each of hundreds of processes would compile all modules again.
+    """Prepare this process, and the environment of the programs that tests start."""
+    # What is imported and collected lives until the end: the garbage collector need not search it.
+    gc.disable()
+    # With PYTHONDONTWRITEBYTECODE each of hundreds of processes would compile all modules again,
+    # and each run of the tests all test files: most of the time that it takes to collect them.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     # A shell that runs a command in the background has it ignore SIGINT, and nohup SIGHUP; so would
     # all programs that it starts.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -32,6 +38,12 @@ _REAL = {"launch", "deploy", "bench", "network"}
 
 _LONG = ("processes", "images", "slow")
 """Marks of tests that may take seconds."""
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was collected out of all later garbage collections."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)  # before the plugins that read marks and groups

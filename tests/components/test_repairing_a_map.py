@@ -17,11 +17,12 @@ from cairn.testing.lockstep import DeploymentHarness
 pytestmark = pytest.mark.slow
 
 
-END_S = 400.0  # of 886 s: it is registered within 190 s and must stay there
+# Of 886 s: it is registered within 190 s and 160 s, and must stay there.
+END_S = {2: 400.0, 5: 260.0}
 
 
 def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float]) -> Any:
-    recording = {"recording": str(dataset), "robot": robot, "end_s": END_S}
+    recording = {"recording": str(dataset), "robot": robot, "end_s": END_S[robot]}
     copy = map_file.with_name("working.map")
     return {
         "cairn": 1,

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.images
 
 ROOM = DEPLOY / "worlds" / "room.yaml"
 START = "{x: 3.5, y: 2.0, theta: 0.0}"
-MISSION = "mission=[[5.5, 2.3, 0.2], [7.2, 2.2, 0.2], [5.9, 2.6, -0.1], [7.2, 2.4, 0.1]]"
+MISSION = "mission=[[5.5, 2.3, 0.2], [7.2, 2.2, 0.2], [5.9, 2.6, -0.1]]"
 MOVED = "[{at: 7, move: object_7, to: {x: 9.0, y: 1.9, theta: 3.1416}}]"
 
 
