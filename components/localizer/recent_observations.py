@@ -18,17 +18,18 @@ Array = NDArray[np.float64]
 # NIS: the 99 % and 99.9 % quantiles of chi-square with 2 degrees of freedom, -2 ln 0.01 and
 # -2 ln 0.001.
 AGREES, CONTRADICTS = 9.2, 13.8
-# An object counts as two observations at most: further ones share their error. Chosen by hand; half
-# and double were not compared.
+# An object counts as two observations at most: further ones share their error. Chosen by hand;
+# `benchmarks/constants.yaml` has the effect of half and double.
 OBJECT_WORTH = 2.0
 # Objects no farther apart than this [m] are observed in one direction: at 3 m within 11 degrees.
 TOGETHER_M = 0.6
 # Observations from poses that differ by more than this [m], [rad] are independent: successive
 # images share the recognizer's errors. The experiments count viewpoints in the same way
-# (docs/how-to/experiments.md). Chosen by hand; half and double were not compared.
+# (docs/how-to/experiments.md). Chosen by hand; `benchmarks/constants.yaml` has the effect of half
+# and double.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 # Observations nearer than this count as so far away [m], where the bearing is no longer linear in
-# the position. Chosen by hand; half and double were not compared.
+# the position. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
 _NEAR_M = 0.3
 # Seconds of motion, and observations of each object, that are kept: odometry drifts by 0.16 m and
 # 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],

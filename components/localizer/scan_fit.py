@@ -30,12 +30,12 @@ _GOLDEN = 0.618
 _NEWEST = 0.2
 # Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
 # than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
-# Chosen by hand; half and double were not compared.
+# Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
 _USUAL_NEWEST, _USUAL_NEWEST_OF_BAD, _USUAL_BAD = 0.02, 0.001, 0.8
 # About so many rays that hit nothing are traced through the map: as many as the parameter `beams`.
 _TRACED_RAYS = 60
 # So many scans, so far apart [m], [rad], are kept for the search: they cover 2.4 m of the way, or
-# nearly half a turn. Chosen by hand; half and double were not compared.
+# nearly half a turn. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
 _KEPT, _APART_M, _TURNED_RAD = 8, 0.3, 0.35
 
 
