@@ -146,7 +146,9 @@ def test_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path
     installed.install(project)
 
     installed.check_tests_pass(folder=project)
-    assert "my_robot_gauge" in installed.run("cairn", "plugins", folder=tmp_path)
+    assert "my_robot_gauge: " in installed.run(
+        "cairn", "plugins", "my_robot_gauge", folder=tmp_path
+    )
     assert "no problem" in installed.run("cairn", "check", "deploy/my_robot.yaml", folder=project)
 
 
