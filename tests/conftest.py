@@ -40,7 +40,8 @@ _LONG = ("processes", "images", "slow")
 """Marks of tests that may take seconds."""
 
 
-def pytest_collection_finish() -> None:
+@pytest.hookimpl(tryfirst=True)  # also in the process that only distributes the tests
+def pytest_runtestloop() -> None:
     """Leave what was collected out of all later garbage collections."""
     gc.freeze()
     gc.enable()
