@@ -1,5 +1,6 @@
 """A component that fails on demand, in every way that a component can."""
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -86,7 +87,7 @@ class Faulty(Component):
             case "sleep":
                 time.sleep(1000)
             case "hold_gil":
-                sum(range(10**13))  # one call into C that lets no other thread run
+                ctypes.PyDLL(None).sleep(1000)  # one call into C that lets no other thread run
             case "abort":
                 os.abort()
             case "exit":
