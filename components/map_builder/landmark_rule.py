@@ -1,7 +1,7 @@
 """Decides by evidence whether a landmark still stands, has moved, or is gone.
 
 `judge` is the rule that keeps a robot's map. An observation that disagrees, or a landmark that is
-not seen from where it used to be seen, lowers the reliability; at `reliability.REMOVAL` the
+not seen from where it used to be seen, lowers the reliability; at `pose_reliability.REMOVAL` the
 landmark is removed from its position. `landmark_registration.py` then finds its new one.
 """
 
