@@ -1,9 +1,10 @@
 """Control requests to components (life cycle, parameters, loading), apart from the topics.
 
-A request is JSON on a queryable of the component. Zenoh ends a query without a reply whether the
+A request is a query whose key names the component and the verb, and whose payload is JSON. Zenoh ends a query without a reply whether the
 component does not exist, dies, or hangs; `request` turns each of these into an error.
 """
 
+import re
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -17,6 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cairn.bus.keys import control_key
 from cairn.errors import CairnError
 
+_VERB = re.compile(r"[a-z][a-z0-9_]{0,99}")
+
 
 class ControlError(CairnError):
     """A component rejected a request, or did not reply."""
@@ -27,10 +30,9 @@ class NoReplyError(ControlError):
 
 
 class ControlRequest(BaseModel):
-    """A request to a component."""
+    """The payload of a request to a component."""
 
     model_config = ConfigDict(extra="forbid")
-    verb: str = Field(max_length=100)
     arguments: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -56,11 +58,13 @@ def request(
     Raises `ControlError` with the component's error if it rejects the request; `NoReplyError`,
     with component, request and timeout, if no reply arrives.
     """
-    sent = ControlRequest(verb=verb, arguments=dict(arguments or {}))
+    if not _VERB.fullmatch(verb):
+        raise ControlError(f"{component}: {verb!r} is not the name of a request")
+    sent = ControlRequest(arguments=dict(arguments or {}))
     start = time.monotonic()
     try:
         replies = session.get(
-            control_key(domain, component),
+            control_key(domain, component, verb),
             payload=sent.model_dump_json(),
             timeout=timeout_s,
             priority=zenoh.Priority.REAL_TIME,
@@ -139,11 +143,15 @@ class ControlServer:
         except ValidationError as error:
             self._reply(query, ControlReply(error=f"invalid control request: {error}"))
             return
-        self._post(partial(self._handle, query, received))
+        verb = str(query.key_expr).rpartition("/")[2]
+        if not _VERB.fullmatch(verb):
+            self._reply(query, ControlReply(error=f"{verb!r} is not the name of a request"))
+            return
+        self._post(partial(self._handle, query, verb, received.arguments))
 
-    def _handle(self, query: zenoh.Query, received: ControlRequest) -> None:
+    def _handle(self, query: zenoh.Query, verb: str, arguments: Mapping[str, Any]) -> None:
         try:
-            reply = ControlReply(value=self._answer(received.verb, received.arguments))
+            reply = ControlReply(value=self._answer(verb, arguments))
         except CairnError as error:
             reply = ControlReply(error=str(error))
         self._reply(query, reply)
@@ -154,7 +162,7 @@ class ControlServer:
         except ValueError as error:  # a value that JSON cannot carry: the component's defect
             payload = ControlReply(error=f"the reply is not JSON: {error}").model_dump_json()
         with query, suppress(zenoh.ZError):  # the requester may have ended
-            query.reply(self._key, payload)
+            query.reply(query.key_expr, payload)
 
 
 def _parsed_reply(component: str, payload: bytes) -> ControlReply:

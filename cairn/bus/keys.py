@@ -118,9 +118,13 @@ def tokens_pattern(domain: int) -> str:
     return f"{TOKENS}/{domain}/**"
 
 
-def control_key(domain: int, component: str) -> str:
-    """Return the key of the control queryable of a component (full name `/robot/localizer`)."""
-    return f"@cairn/{domain}/component{component}"
+def control_key(domain: int, component: str, verb: str = "*") -> str:
+    """Return the key of a control request to a component (full name `/robot/localizer`).
+
+    The verb is part of the key, so that access control can allow some requests and not others.
+    Without a verb, return the key expression of the component's queryable, which matches all.
+    """
+    return f"@cairn/{domain}/component{component}/{verb}"
 
 
 def session_key(zid: str) -> str:

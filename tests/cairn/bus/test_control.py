@@ -86,11 +86,11 @@ def test_reply_that_is_not_json_is_an_error_and_the_loop_continues(client: Zenoh
     assert send_request(client, "echo") == {}
 
 
-@pytest.mark.parametrize("payload", [None, b"", b"\xff", b"{}", b'{"verb": "a", "more": 1}', b"[]"])
+@pytest.mark.parametrize("payload", [None, b"", b"\xff", b'{"more": 1}', b"[]"])
 def test_invalid_request_is_rejected_and_the_next_is_served(
     client: ZenohBus, served: ServedComponent, payload: bytes | None
 ) -> None:
-    replies = client.session.get(control_key(0, NAME), payload=payload, timeout=LIMIT_S)
+    replies = client.session.get(control_key(0, NAME, "echo"), payload=payload, timeout=LIMIT_S)
 
     (reply,) = [reply.ok.payload.to_string() for reply in replies if reply.ok is not None]
     assert "invalid control request" in reply
