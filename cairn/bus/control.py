@@ -1,7 +1,8 @@
 """Control requests to components (life cycle, parameters, loading), apart from the topics.
 
-A request is a query whose key names the component and the verb, and whose payload is JSON. Zenoh ends a query without a reply whether the
-component does not exist, dies, or hangs; `request` turns each of these into an error.
+A request is a query whose key names the component and the verb, and whose payload is JSON. Zenoh
+ends a query without a reply whether the component does not exist, dies, or hangs; `request` turns
+each of these into an error.
 """
 
 import re
