@@ -14,7 +14,7 @@ import yaml
 
 from benchmarks.lockstep import ROOT
 from benchmarks.result import Metric
-from benchmarks.running import free_port, results
+from benchmarks.running import results
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.components.motion_control.component import MotionControl
@@ -144,7 +144,7 @@ def in_real_time(folder: Path, *arguments: str) -> tuple[float, dict[str, float]
     )
     command = _command(folder / "real")
     command += ["--overlay", str(_TOUR), "--overlay", str(overlay)]
-    command += ["--set", f"bus.listen=tcp/127.0.0.1:{free_port()}", *arguments]
+    command += ["--set", f"bus.socket={folder}/bus.sock", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as up:
         time.sleep(_BEGINS_S)  # the benchmark measures an interval of time
         before = _used_s(up.pid)

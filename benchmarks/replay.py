@@ -11,7 +11,6 @@ from typing import Any
 
 from benchmarks.lockstep import DEPLOYMENT, DISPLACED, make_map, run_replay, wrong_positions
 from benchmarks.result import Metric
-from benchmarks.running import free_port
 
 _PATH = ("localizer.objects", "map_builder.object_evidence", "localizer.visual_map")
 """The inputs on the path from an observation to the map."""
@@ -23,7 +22,7 @@ def measure() -> list[Metric]:
         folder = Path(name)
         displaced = make_map(folder / "displaced.cairn", *DISPLACED)
         settings = ("--set", f"visual_map={displaced}", "--set",
-                    f"bus.listen=tcp/127.0.0.1:{free_port()}")  # fmt: skip
+                    f"bus.socket={folder}/bus.sock")  # fmt: skip
         plain, _ = run_replay(folder / "plain", *settings, "--seed", "1")
         killed = _with_kills(folder / "killed", displaced)
     return [
@@ -46,16 +45,16 @@ def _accuracy(name: str, report: dict[str, Any]) -> list[Metric]:
 
 def _with_kills(folder: Path, visual_map: Path) -> dict[str, Any]:
     """Run again; kill the localizer when the first landmark is removed, then the map builder."""
-    listen = f"tcp/127.0.0.1:{free_port()}"
+    socket = str(folder.parent / "bus.sock")
     command = [sys.executable, "-m", "cairn.cli.main", "up", str(DEPLOYMENT), "--seed", "1",
                "--report", str(folder), "--set", f"visual_map={visual_map}",
-               "--set", f"bus.listen={listen}"]  # fmt: skip
+               "--set", f"bus.socket={socket}"]  # fmt: skip
     victims = ["localizer", "map_builder"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as up:
         assert up.stdout is not None
         for line in up.stdout:
             if victims and " REMOVED" in line:
-                _kill(listen, victims.pop(0))
+                _kill(socket, victims.pop(0))
         if up.wait(60) != 0 or victims:
             raise RuntimeError(f"the run failed, or {victims} could not be killed")
     report: dict[str, Any] = json.loads((folder / "report.json").read_text())

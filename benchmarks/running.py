@@ -35,7 +35,7 @@ def run_deployment(
                     "cairn": 1,
                     "robot": "bench",
                     "clock": clock,
-                    "bus": {"listen": f"tcp/127.0.0.1:{free_port()}"},
+                    "bus": {"socket": f"{folder}/bus.sock"},
                     "components": dict(components),
                 },
                 sort_keys=False,

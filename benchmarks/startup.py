@@ -20,7 +20,6 @@ import yaml
 from scipy import ndimage
 
 from benchmarks.result import Metric
-from benchmarks.running import free_port
 from cairn.runtime.component import Component
 from cairn.runtime.ports import Out, every
 from cairn.schemas.geometry_msgs import Twist, Vector3
@@ -92,14 +91,14 @@ def measure() -> list[Metric]:
         components = {
             name: {"plugin": f"{_HERE}:Heavy", "topics": {"out": f"{name}_out"}} for name in names
         }
-        listen = f"tcp/127.0.0.1:{free_port()}"
-        document = {"cairn": 1, "bus": {"listen": listen}, "components": components}
+        socket = f"{folder}/bus.sock"
+        document = {"cairn": 1, "bus": {"socket": socket}, "components": components}
         file.write_text(yaml.safe_dump(document, sort_keys=False))
         up = _Up(file, Path(folder) / "run")
         try:
             last = up.wait_for(lambda lines: next(iter(_actives(lines, names[-1])), None), 60)
             start_s = last - up.began
-            pids = _pids(listen)
+            pids = _pids(socket)
             memory = [psutil.Process(pid).memory_full_info().pss / 2**20 for pid in pids.values()]
             victim = names[3]
             killed_at = time.monotonic()

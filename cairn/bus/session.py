@@ -1,4 +1,4 @@
-"""Open the Zenoh session of a process: loopback, no multicast, no implicit shared memory."""
+"""Open the Zenoh session of a process: Unix sockets, no multicast, no implicit shared memory."""
 
 import json
 import os
@@ -7,11 +7,21 @@ import secrets
 import threading
 import time
 from collections.abc import Sequence
+from hashlib import blake2b
+from pathlib import Path
 from typing import Any
 
 import zenoh
 
+from cairn.bus.endpoints import UNIX
 from cairn.errors import CairnError
+from cairn.runtime_folder import (
+    LONGEST_SOCKET_PATH,
+    check_length,
+    open_to_group,
+    private_folder,
+    runtime_folder,
+)
 
 CONNECT_TIMEOUT_S = 2.0
 """A router on the same machine answers in milliseconds."""
@@ -35,18 +45,39 @@ link.
 _RUST_LOCATION = re.compile(r" at /\S+\.rs:\d+\.?")
 
 
-def open_peer(connect: Sequence[str]) -> zenoh.Session:
+def open_peer(connect: Sequence[str], socket: Path | None = None) -> zenoh.Session:
     """Open the session of a component's process.
 
     It connects to the router at `connect` and, as the router announces other processes, to each
-    of them directly; those links outlive the router. Raises `CairnError` if no router answers.
+    of them directly; those links outlive the router. The others reach it at `socket`, by default
+    one in the user's runtime folder. Raises `CairnError` if no router answers.
     """
-    listen = ["tcp/127.0.0.1:0"]
+    listen = [UNIX + str(check_length(socket or _own_socket()))]
     session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
     if not _has_router(session, _JOIN_TIMEOUT_S):
         session.close()
         raise CairnError(_no_router(connect))
     return session
+
+
+def peer_socket(folder: Path, name: str) -> Path:
+    """Return the path of the socket at which other peers reach the process of this name.
+
+    It is the same whenever the process restarts, and replaces that of a killed process.
+    """
+    path = folder / f"{name}.sock"
+    if len(os.fsencode(path)) <= LONGEST_SOCKET_PATH:
+        return path
+    return folder / f"{blake2b(name.encode(), digest_size=8).hexdigest()}.sock"
+
+
+def _own_socket() -> Path:
+    """Return the path of a new socket for a peer that belongs to no run."""
+    folder = private_folder(private_folder(runtime_folder()) / "peers")
+    for old in folder.iterdir():  # those of killed processes
+        if not Path("/proc", old.name.partition("-")[0]).exists():
+            old.unlink(missing_ok=True)
+    return folder / f"{os.getpid()}-{secrets.token_hex(4)}.sock"
 
 
 def open_client(connect: Sequence[str]) -> zenoh.Session:
@@ -62,14 +93,29 @@ def open_client(connect: Sequence[str]) -> zenoh.Session:
         raise CairnError(_no_router(connect)) from error
 
 
-def open_router(listen: str, connect: Sequence[str] = ()) -> zenoh.Session:
-    """Open the session that is the deployment's router; `CairnError` if the port is taken."""
-    return _open(
-        _config("router", [listen], connect),
-        f"cannot listen on {listen}: the port is probably in use by another deployment or a ROS 2 "
-        "router; stop that one, join it (`--set bus.connect=[...]`), or use another port "
-        "(`--set bus.listen=tcp/127.0.0.1:PORT`)",
+def open_router(
+    socket: Path, listen: Sequence[str] = (), group: str | None = None
+) -> zenoh.Session:
+    """Open the session that is the deployment's router, at a Unix socket in a private folder.
+
+    Only this user can connect to the socket, and the members of `group`. `listen` are further
+    endpoints. Raises `CairnError` if the folder is not private or an endpoint is in use.
+    """
+    private_folder(socket.parent, group)
+    endpoints = [UNIX + str(check_length(socket)), *listen]
+    session = _open(
+        _config("router", endpoints, ()),
+        f"cannot listen on {', '.join(endpoints)}: probably another deployment or a ROS 2 router "
+        "uses it; stop that one, join it (`--set bus.connect=[...]`), or use another domain "
+        "(`--set domain=N`) or socket (`--set bus.socket=PATH`)",
     )
+    if group is not None:
+        try:
+            open_to_group(socket, group)
+        except CairnError:
+            session.close()
+            raise
+    return session
 
 
 def process_of(zid: str) -> str:

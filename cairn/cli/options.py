@@ -1,11 +1,10 @@
 """Options that several commands share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
-from cairn.client import DEFAULT_ENDPOINT as DEFAULT_CONNECT
 from cairn.deployment.shipped import deployment_file
 
 __all__ = ["DEFAULT_CONNECT", "Connect", "Domain", "File", "Json", "Overlay", "RobotName", "Set"]
@@ -13,9 +12,14 @@ __all__ = ["DEFAULT_CONNECT", "Connect", "Domain", "File", "Json", "Overlay", "R
 Connect = Annotated[
     str,
     typer.Option(
-        envvar="CAIRN_CONNECT", help="Endpoint of the deployment's router.", metavar="ENDPOINT"
+        envvar="CAIRN_CONNECT",
+        help="Where the deployment's router listens: the path of a socket, or tcp/HOST:PORT.",
+        metavar="ENDPOINT",
+        show_default="the socket of your deployment in this domain",
     ),
 ]
+DEFAULT_CONNECT: Final = ""
+"""The socket by the rule of `cairn.runtime_folder`."""
 Domain = Annotated[
     int, typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=232, help="ROS domain of the deployment.")
 ]

@@ -13,10 +13,8 @@ from cairn.bus.control import ControlError, NoReplyError
 from cairn.client.connection import Connection
 from cairn.client.navigation import NavigationGoal
 from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
-from cairn.deployment.model import DEFAULT_ENDPOINT
 
 __all__ = [
-    "DEFAULT_ENDPOINT",
     "Connection",
     "ControlError",
     "NavigationGoal",

@@ -14,9 +14,9 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from cairn.bus import control, keys
 from cairn.bus.codec import Codec
+from cairn.bus.endpoints import endpoint_for
 from cairn.bus.graph import read_graph
 from cairn.bus.session import is_connected, open_client
-from cairn.deployment.model import DEFAULT_ENDPOINT, is_loopback
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
@@ -34,13 +34,12 @@ class Connection:
     domain: int
 
     @classmethod
-    def open(cls, endpoint: str = DEFAULT_ENDPOINT, domain: int = 0) -> Connection:
-        """Connect to the router of a deployment; `CairnError` if no router answers."""
-        try:
-            is_loopback(endpoint)
-        except ValueError as error:
-            raise CairnError(f"the endpoint (--connect) is invalid: {error}") from error
-        return cls(open_client([endpoint]), domain)
+    def open(cls, endpoint: str = "", domain: int = 0) -> Connection:
+        """Connect to the router of a deployment, by default this user's in the domain.
+
+        Raises `CairnError` if no router answers.
+        """
+        return cls(open_client([endpoint_for(endpoint, domain)]), domain)
 
     def close(self) -> None:
         """Close the session."""

@@ -23,7 +23,6 @@ from cairn.client.connection import (
     resolve,
 )
 from cairn.client.navigation import NavigationGoal, Navigator
-from cairn.deployment.model import DEFAULT_ENDPOINT
 from cairn.errors import CairnError
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus
@@ -79,7 +78,7 @@ class Parameter:
 
 
 def connect(
-    endpoint: str = DEFAULT_ENDPOINT,
+    endpoint: str = "",
     domain: int = 0,
     robot: str = "",
     *,
@@ -88,7 +87,8 @@ def connect(
     """Connect to a robot of a running deployment; use the result in a `with` statement.
 
     Args:
-        endpoint: where the router of the deployment listens.
+        endpoint: where the router of the deployment listens: the path of a Unix socket, or
+            `tcp/HOST:PORT`; by default the socket of this user's deployment in the domain.
         domain: its ROS domain.
         robot: its name; not needed if one robot alone is on the bus.
         notify: called with remarks, such as that a component does not answer yet.

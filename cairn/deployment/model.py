@@ -1,12 +1,12 @@
 """The deployment format: a tree of components, each with where and how it runs."""
 
-import ipaddress
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, Field
+
+from cairn.deployment.bus_settings import BusSettings
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 Topic = Annotated[str, Field(pattern=r"^/?[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$")]
@@ -23,72 +23,12 @@ RESERVED = {
 }
 """Names of nodes that every deployment has, which no component may use."""
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
-"""Where the router of a deployment listens by default."""
 _KILL_S = 3.0
 """Time [s] allowed for killing a child that did not stop in time."""
-_ENDPOINT = re.compile(r"(?:tcp|tls|quic|udp|ws)/(\[[^\]]+\]|[^:/\[\]]+):(\d+)(?:[?#].*)?")
-
-
-def is_loopback(endpoint: str) -> bool:
-    """Return whether a Zenoh endpoint (`tcp/127.0.0.1:7447`) is reachable from this machine only.
-
-    Raises `ValueError` if it is not an endpoint with a host and a port from 1 to 65535.
-    """
-    match = _ENDPOINT.fullmatch(endpoint)
-    if match is None or not 0 < int(match[2]) < 65536:
-        raise ValueError(
-            f"{endpoint!r} is not an endpoint; write protocol/host:port as in tcp/127.0.0.1:7447, "
-            "with protocol tcp, tls, quic, udp or ws and a port from 1 to 65535"
-        )
-    host = match[1].strip("[]")
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _endpoint(endpoint: str) -> str:
-    is_loopback(endpoint)
-    return endpoint
-
-
-Endpoint = Annotated[str, AfterValidator(_endpoint)]
 
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
-
-
-class BusSettings(_Section):
-    """How the components of the deployment connect to each other over Zenoh."""
-
-    allow_remote: bool = Field(
-        False, description="Allows `listen` to be reachable from other machines."
-    )
-    connect: tuple[Endpoint, ...] = Field(
-        (),
-        strict=False,
-        description="Endpoints of running routers to join; then `cairn up` opens none.",
-    )
-    listen: Endpoint = Field(
-        DEFAULT_ENDPOINT, description="Endpoint on which `cairn up` opens the deployment's router."
-    )
-
-    @field_validator("listen", mode="after")
-    @classmethod
-    def _one_router_on_purpose(cls, listen: str, info: ValidationInfo) -> str:
-        if info.data.get("connect") and listen != DEFAULT_ENDPOINT:
-            raise ValueError(
-                f"with `connect` no router is opened on {listen}; keep `connect` to join a router "
-                "that runs already, or `listen` to open one"
-            )
-        if not info.data.get("allow_remote", True) and not is_loopback(listen):
-            raise ValueError(
-                f"{listen} can be reached from other machines; listen on 127.0.0.1, or add "
-                "`allow_remote: true` if anyone on that network may drive the robot"
-            )
-        return listen
 
 
 class Supervision(_Section):

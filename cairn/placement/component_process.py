@@ -8,10 +8,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from cairn.bus.session import open_peer
+from cairn.bus.session import open_peer, peer_socket
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
@@ -34,8 +35,10 @@ def main(argument: dict[str, Any]) -> None:
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     report = ExitReport(False, "it could not join the bus")
     try:
-        session = open_peer(launch.context.endpoints)
-        with closing(ZenohBus(session, launch.context.domain)) as bus:
+        context = launch.context
+        socket = peer_socket(Path(context.socket_folder), launch.name)
+        session = open_peer(context.endpoints, socket)
+        with closing(ZenohBus(session, context.domain)) as bus:
             report = _run(launch, bus)
     except CairnError as error:
         report = ExitReport(False, str(error))

@@ -1,19 +1,18 @@
 """Runs a deployment in real processes: the router, the zygote, and the root of the tree."""
 
-import os
 import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Protocol
 
 from cairn.bus.bus import full_name
+from cairn.bus.endpoints import domain_socket, parse_endpoint
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import NodeEntity
-from cairn.bus.session import open_client, open_peer, open_router
+from cairn.bus.session import open_client, open_peer, open_router, peer_socket
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ROOT, Deployment
 from cairn.errors import CairnError
@@ -23,6 +22,7 @@ from cairn.placement.systemd_notify import ServiceManager
 from cairn.process_exit import ExitLog, ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime_folder import run_folder
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
@@ -47,17 +47,8 @@ def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
     All processes that it has started end with the context. Raises `CairnError` if the folder for
     its socket cannot be created.
     """
-    base = os.environ.get("XDG_RUNTIME_DIR") or None  # an empty one would be the current folder
-    try:
-        folder = TemporaryDirectory(prefix="cairn-", dir=base, ignore_cleanup_errors=True)
-    except OSError as error:
-        where = base or "the folder for temporary files"
-        raise CairnError(
-            f"the folder for sockets cannot be created in {where}: {error}; set XDG_RUNTIME_DIR to "
-            "a folder that you can write"
-        ) from error
-    with folder as path:
-        zygote = start_zygote([MainLoop.__module__, *modules], Path(path))
+    with run_folder() as path:
+        zygote = start_zygote([MainLoop.__module__, *modules], path)
         try:
             yield zygote
         finally:
@@ -77,11 +68,11 @@ def run_processes(
     `make_view(bus, wake_up)` returns the view; `wake_up` has it refreshed soon. `service` is
     notified when all is active, and as long as the root runs. Nothing is left running, whatever
     happens; the zygote has ended, and its log is in `log_folder` if it has logged something.
-    Raises `CairnError` if the port is taken, if the robot runs already on this bus or on a second
-    signal; raises errors of the view after everything has been stopped.
+    Raises `CairnError` if the socket is in use, if the robot runs already on this bus, or on a
+    second signal; raises errors of the view after everything has been stopped.
     """
-    connect = deployment.bus.connect
-    if connect:
+    bus_settings, folder = deployment.bus, zygote.socket_path.parent
+    if bus_settings.connect:
         _check_robot_name_is_free(deployment)
     launch = LaunchRequest(
         name=ROOT,
@@ -93,11 +84,15 @@ def run_processes(
             simulated_time=deployment.clock == "simulated",
             seed=seed,
             zygote=str(zygote.socket_path),
+            socket_folder=str(folder),
             log_folder=str(log_folder),
         ),
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
-    session = open_peer(connect) if connect else open_router(deployment.bus.listen)
+    if bus_settings.connect:
+        session = open_peer(bus_settings.connect, peer_socket(folder, ROOT))
+    else:
+        session = open_router(router_socket(deployment), bus_settings.listen, bus_settings.group)
     with closing(ZenohBus(session, deployment.domain)) as bus:
         root = ComponentHost(launch, bus)
         root.start()
@@ -142,7 +137,13 @@ def run_processes(
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:
     """Return the endpoints at which the components of a deployment find their router."""
-    return deployment.bus.connect or (deployment.bus.listen,)
+    return deployment.bus.connect or (parse_endpoint(str(router_socket(deployment))),)
+
+
+def router_socket(deployment: Deployment) -> Path:
+    """Return the path of the socket on which the router of a deployment listens."""
+    named = deployment.bus.socket
+    return domain_socket(deployment.domain) if named is None else Path(named)
 
 
 def _check_robot_name_is_free(deployment: Deployment) -> None:

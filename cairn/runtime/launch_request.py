@@ -17,6 +17,7 @@ class RunContext(BaseModel):
     seed: int = 0
     lockstep: bool = False
     zygote: str = ""  # path of its socket
+    socket_folder: str = ""  # for the sockets of the run's processes
     log_folder: str = ""
 
 

@@ -469,9 +469,10 @@ def _close_input() -> None:
 
 
 def _remove_socket(socket_path: Path) -> None:
-    """Remove the socket and its folder; keep the folder if the log in it is not empty."""
+    """Remove the sockets of the run and their folder; keep the folder if its log is not empty."""
     with contextlib.suppress(OSError):  # the process that started the zygote removes it as well
-        socket_path.unlink(missing_ok=True)
+        for path in (socket_path, *socket_path.parent.glob("*.sock*")):  # Zenoh's with their locks
+            path.unlink(missing_ok=True)
         for log in socket_path.parent.glob("*.log"):
             if log.stat().st_size == 0:
                 log.unlink()

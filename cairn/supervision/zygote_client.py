@@ -11,7 +11,6 @@ import math
 import os
 import signal
 import socket
-import stat
 import struct
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from uuid import uuid4
 import psutil
 
 from cairn.errors import CairnError
+from cairn.runtime_folder import check_length, private_folder
 from cairn.supervision.child import ChildUnavailable, ZygoteLost
 from cairn.supervision.orphan_cleanup import MARK, kill_marked
 from cairn.supervision.zygote import (
@@ -37,7 +37,6 @@ from cairn.supervision.zygote import (
     encode,
 )
 
-_LONGEST_SOCKET_PATH = 107  # bytes, unix(7)
 _PIECE_S = 0.25
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
 # These halve the latency of images: glibc would map and unmap memory for each of them.
@@ -101,15 +100,10 @@ def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
     """
     if threading.current_thread() is not threading.main_thread():
         raise RuntimeError("the zygote ends with the thread that starts it: use the main thread")
-    _make_private(runtime_dir)
+    private_folder(runtime_dir)
     mark = uuid4().hex
-    socket_path = runtime_dir / f"zygote-{mark[:8]}.sock"
+    socket_path = check_length(runtime_dir / f"zygote-{mark[:8]}.sock")
     log_file = runtime_dir / "zygote.log"
-    if len(os.fsencode(socket_path)) > _LONGEST_SOCKET_PATH:
-        raise CairnError(
-            f"the path of the socket {socket_path} exceeds {_LONGEST_SOCKET_PATH} bytes; set "
-            "XDG_RUNTIME_DIR to a folder with a shorter path"
-        )
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
         log_file.open("ab") as log,
@@ -128,16 +122,6 @@ def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
             env={**_SINGLE_THREADED, **_MALLOC, **os.environ, **_KEEP_MARK, MARK: mark},
         )
     return ZygoteProcess(process, socket_path, log_file, mark)
-
-
-def _make_private(directory: Path) -> None:
-    directory.mkdir(mode=stat.S_IRWXU, parents=True, exist_ok=True)
-    status = directory.stat()
-    if status.st_uid != os.geteuid() or status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise CairnError(
-            f"{directory} can be used by other users, who could then start processes as you; "
-            f"restrict it to yourself (chmod 700 {directory}) or choose another folder"
-        )
 
 
 class ChildProcess:

@@ -20,12 +20,14 @@ from datetime import datetime
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from textwrap import dedent
 from typing import Any
 from uuid import uuid4
 
 import psutil
 
+from cairn.bus.endpoints import parse_endpoint
 from cairn.deployment.load import DeploymentNames, read_names
 from cairn.deployment.shipped import deployment_file
 
@@ -215,22 +217,25 @@ class Launching:
         `connect` is the endpoint of another run's router, to join it; only `head` lines of output
         are read. Other arguments go to `subprocess.Popen`.
         """
-        endpoint = connect or f"tcp/127.0.0.1:{free_port()}"
+        socket = new_socket()
+        endpoint = connect or parse_endpoint(str(socket))
         if isinstance(deployment, Path):
-            where = f"bus.connect=[{endpoint}]" if connect else f"bus.listen={endpoint}"
+            where = f"bus.connect=[{endpoint}]" if connect else f"bus.socket={socket}"
             words = [str(deployment), "--set", where, *arguments]
         else:
-            bus = {"connect": [endpoint]} if connect else endpoint
+            bus = {"connect": [endpoint]} if connect else {"socket": str(socket)}
             words = [str(self.write(deployment, robot, bus)), *arguments]
         report = report or self._folder / f"report{len(self.runs)}"
         run = Run(words, report, endpoint, environment or {}, head, **how)
         self.runs.append(run)
         return run
 
-    def write(self, components: str, robot: str = "robot", bus: Any = None) -> Path:
-        """Write a deployment file with these components."""
+    def write(
+        self, components: str, robot: str = "robot", bus: Mapping[str, Any] | None = None
+    ) -> Path:
+        """Write a deployment file with these components; by default on a socket of its own."""
         file = self._folder / f"deployment{len(self.runs)}.yaml"
-        bus = {"listen": bus} if isinstance(bus, str) else bus or {}
+        bus = bus or {"socket": str(new_socket())}
         head = f"cairn: 1\nrobot: {robot}\nbus: {json.dumps(bus)}\n"
         file.write_text(head + dedent(components), encoding="utf-8")
         return file
@@ -318,6 +323,27 @@ def _title_of(process: psutil.Process) -> str:
     with contextlib.suppress(psutil.NoSuchProcess):
         return " ".join(process.cmdline()).rstrip()  # empty arguments pad a component's title
     return ""
+
+
+def new_socket() -> Path:
+    """Return a path for the Unix socket of one more router, in a private folder of this process.
+
+    Pytest's own folders have paths that are too long for a socket.
+    """
+    return Path(_sockets().name) / f"{next(_numbers)}.sock"
+
+
+@cache
+def _sockets() -> "TemporaryDirectory[str]":
+    return TemporaryDirectory(prefix="cairn-test-", ignore_cleanup_errors=True)
+
+
+_numbers = itertools.count()
+
+
+def new_endpoint() -> str:
+    """Return the endpoint of a Unix socket at which no process listens."""
+    return parse_endpoint(str(new_socket()))
 
 
 def free_port() -> int:

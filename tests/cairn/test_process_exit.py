@@ -16,9 +16,9 @@ import atexit, sys, threading
 import zenoh
 from cairn.bus.session import open_router
 from cairn.process_exit import end_process
-from cairn.testing.launching import free_port
+from cairn.testing.launching import new_socket
 
-session = open_router(f"tcp/127.0.0.1:{free_port()}")
+session = open_router(new_socket())
 publisher = session.declare_publisher("busy")
 received = threading.Event()
 subscriber = session.declare_subscriber("busy", zenoh.handlers.RingChannel(3))

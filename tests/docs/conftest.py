@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.testing.launching import free_port
+from cairn.testing.launching import new_endpoint
 from tests.patience import LIMIT_S
 
 ROOT = Path(__file__).parents[2]
@@ -80,4 +80,4 @@ def page_blocks() -> Callable[[str], list[Block]]:
 @pytest.fixture
 def endpoint() -> str:
     """An endpoint on which no process listens."""
-    return f"tcp/127.0.0.1:{free_port()}"
+    return new_endpoint()

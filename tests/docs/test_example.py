@@ -93,7 +93,7 @@ def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
     user: Any, tmp_path: Path, endpoint: str
 ) -> None:
     at = ("--connect", endpoint)
-    with running(user, tmp_path, f"bus.listen={endpoint}") as turtle:
+    with running(user, tmp_path, f"bus.socket={endpoint}") as turtle:
         wait_for(turtle, "child active: wanderer")
         # The wanderer is the first of them to be active, the root the last one.
         await_status("/turtle/root", lambda row: row["state"] == "active", endpoint)
@@ -117,7 +117,7 @@ def test_component_runs_unchanged_in_its_parents_process(
     user: Any, tmp_path: Path, endpoint: str
 ) -> None:
     placement = "components.wanderer.placement=in_process"
-    with running(user, tmp_path, f"bus.listen={endpoint}", placement, "distance=0.2") as turtle:
+    with running(user, tmp_path, f"bus.socket={endpoint}", placement, "distance=0.2") as turtle:
         assert "m traveled" in wait_for(turtle, "ended: ")
         assert turtle.wait(timeout=LIMIT_S) == 0
 

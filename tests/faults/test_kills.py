@@ -96,7 +96,7 @@ def test_killed_or_stopped_zygote_fails_the_deployment_and_leaves_no_process(
 @pytest.mark.parametrize("stopped", [(), ("beacon", "mobile", "reader", "base", "talker")])
 def test_killing_cairn_up_leaves_no_process(launch: Launching, stopped: tuple[str, ...]) -> None:
     with TemporaryDirectory() as sockets:  # pytest's own paths are too long for a socket
-        run = launch(TREE, environment={"XDG_RUNTIME_DIR": sockets})
+        run = launch(TREE, environment={"CAIRN_RUNTIME_DIR": sockets})
         run.await_line("child active: talker")
         assert len(run.pids()) == 9  # cairn up, zygote, five components, two helpers of one
         assert len(list(Path(sockets).iterdir())) == 1

@@ -25,16 +25,16 @@ TALK = """
     """
 
 
-def test_occupied_tcp_port_is_reported_with_remedies(launch: Launching) -> None:
+def test_second_router_at_a_socket_is_reported_with_remedies(launch: Launching) -> None:
     first = launch(TALK)
     first.await_line("child active: talker")
-    second = launch(TALK, "--set", f"bus.listen={first.endpoint}")
+    second = launch(TALK, "--set", f"bus.socket={first.endpoint}")
 
     assert second.await_end() == 1
 
     second.await_line(
-        f"cairn: cannot listen on {first.endpoint}: the port is probably in use by another "
-        r"deployment or a ROS 2 router; stop that one, join it \(`--set bus.connect=\[...\]`\)"
+        f"cairn: cannot listen on {first.endpoint}: probably another deployment .*uses it; stop "
+        r"that one, join it \(`--set bus.connect=\[...\]`\), or use another domain"
     )
     first.await_line("listener: received 10")
     assert first.stop() == 0

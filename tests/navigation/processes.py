@@ -20,7 +20,7 @@ from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, distance
 from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.geometry_msgs import PoseStamped
-from cairn.testing.launching import CAIRN, LIMIT_S, Run, free_port, launching
+from cairn.testing.launching import CAIRN, LIMIT_S, Run, launching, new_endpoint
 from tests.navigation.driving import SIM
 
 UNTIL_READY = "child active: vision_supervisor"
@@ -147,9 +147,9 @@ class RunningGo:
 def robot_in(folder: Path, *sets: str) -> Iterator[ObservedRobot]:
     """Start the deployment, and stop all of it at the end."""
     with launching(folder) as launch:
-        endpoint = f"tcp/127.0.0.1:{free_port()}"
+        endpoint = new_endpoint()
         state_file = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
-        changes = [f"bus.listen={endpoint}", state_file, *sets]
+        changes = [f"bus.socket={endpoint}", state_file, *sets]
         arguments = [str(SIM), *(word for one in changes for word in ("--set", one))]
         run = Run(arguments, folder / "report", endpoint, {}, None)
         launch.runs.append(run)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
-from cairn.testing.launching import Launching, Run, free_port, launching
+from cairn.testing.launching import Launching, Run, launching, new_endpoint
 from tests.navigation.driving import SIM, LockstepRobot
 from tests.wording import assert_words
 
@@ -81,8 +81,8 @@ def test_preempted_mission_without_finish_ends_nothing(drive: RobotFactory) -> N
 
 @pytest.mark.xdist_group("robots in real time")
 def test_failed_mission_in_processes_exits_with_1(tmp_path: Path, launch: Launching) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    sets = ("--set", OUTSIDE, "--set", FINISH, "--set", f"bus.listen={endpoint}")
+    endpoint = new_endpoint()
+    sets = ("--set", OUTSIDE, "--set", FINISH, "--set", f"bus.socket={endpoint}")
     run = Run([str(SIM), *sets], tmp_path / "report", endpoint, {}, None)
     launch.runs.append(run)
 

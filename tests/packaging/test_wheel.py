@@ -6,7 +6,7 @@ from textwrap import dedent
 
 import pytest
 
-from cairn.testing.launching import free_port
+from cairn.testing.launching import new_socket
 from tests.installed import ROOT, Environment, build_wheels, fresh_environment
 from tests.wording import words_in_order
 
@@ -106,7 +106,7 @@ def test_packages_of_the_user_may_have_the_names_of_cairns_folders(
     installed: Environment, tmp_path: Path
 ) -> None:
     (tmp_path / "user.yaml").write_text(dedent(DEPLOYMENT), encoding="utf-8")
-    router = ("--set", f"bus.listen=tcp/127.0.0.1:{free_port()}")
+    router = ("--set", f"bus.socket={new_socket()}")
     report = ("--report", str(tmp_path / "report"))
 
     ran = installed.run("cairn", "up", "user.yaml", *router, *report, folder=tmp_path)
@@ -120,7 +120,7 @@ def test_shipped_robot_reaches_a_goal_in_an_empty_folder(
     installed: Environment, tmp_path: Path
 ) -> None:
     before = _files(installed.site / "cairn")
-    sets = ["mission=[[1.8, 1.0, 0.0]]", "finish=true", f"bus.listen=tcp/127.0.0.1:{free_port()}"]
+    sets = ["mission=[[1.8, 1.0, 0.0]]", "finish=true", f"bus.socket={new_socket()}"]
     words = [word for value in sets for word in ("--set", value)]
 
     ran = installed.run("cairn", "up", "sim", *words, "--report", "report", folder=tmp_path)

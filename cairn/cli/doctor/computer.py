@@ -10,7 +10,6 @@ import re
 import resource
 import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -22,6 +21,8 @@ import platformdirs
 import cairn
 from cairn.cli.doctor import Finding
 from cairn.deployment.shipped import FOLDER
+from cairn.errors import CairnError
+from cairn.runtime_folder import VARIABLE, check_private, runtime_folder
 
 _SOFTWARE, _TOPIC = "software", "computer"
 _PACKAGE = "cairn-robotics"
@@ -154,15 +155,22 @@ def _open_files() -> Finding:
 
 
 def _runtime_folder() -> Finding:
-    folder = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    folder = runtime_folder()
     subject = "folder of sockets"
-    if not os.access(folder, os.W_OK | os.X_OK):
-        remedy = "set XDG_RUNTIME_DIR to a folder that this user may write"
+    above = next(one for one in (folder, *folder.parents) if one.exists())
+    if not os.access(above, os.W_OK | os.X_OK):
+        remedy = f"set {VARIABLE} to a folder that this user may write"
         return Finding(_TOPIC, subject, "fail", f"{folder} cannot be written", remedy)
-    if len(folder) > _LONG_PATH:
-        remedy = "set XDG_RUNTIME_DIR to a folder with a shorter path"
+    if len(os.fsencode(folder)) > _LONG_PATH:
+        remedy = f"set {VARIABLE} to a folder with a shorter path"
         return Finding(_TOPIC, subject, "fail", f"{folder} is too long for sockets", remedy)
-    return Finding(_TOPIC, subject, "ok", folder)
+    try:
+        if folder.is_symlink() or folder.exists():
+            check_private(folder)
+    except CairnError as error:
+        found, _, remedy = str(error).partition("; ")
+        return Finding(_TOPIC, subject, "fail", found, remedy)
+    return Finding(_TOPIC, subject, "ok", str(folder))
 
 
 def _disk_space() -> Finding:

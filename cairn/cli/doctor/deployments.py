@@ -13,6 +13,7 @@ from pathlib import Path
 
 import psutil
 
+from cairn.bus.endpoints import endpoint_for, socket_path
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.devices import access, connected_to
 from cairn.client import connect
@@ -76,7 +77,12 @@ def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
         yield from _devices_of(f"devices of {file.name}", member)
 
 
-def _router(endpoint: str, domain: int) -> Finding:
+def _router(given: str, domain: int) -> Finding:
+    try:
+        endpoint = endpoint_for(given, domain)
+    except CairnError as error:
+        found, _, remedy = str(error).partition("; ")
+        return Finding(_TOPIC, given or f"domain {domain}", "fail", found, remedy)
     if not _accepts_connections(endpoint):
         return Finding(_TOPIC, endpoint, "ok", "free: no deployment runs")
     try:
@@ -84,9 +90,7 @@ def _router(endpoint: str, domain: int) -> Finding:
             names = sorted(client.connection.statuses())
     except CairnError:
         owner = _listener(endpoint)
-        remedy = (
-            "end that program, or use another port: cairn up --set bus.listen=tcp/127.0.0.1:7448"
-        )
+        remedy = "end that program, or use another endpoint (--set bus.socket=PATH, --set bus.listen=[])"
         return Finding(_TOPIC, endpoint, "fail", f"taken by {owner}, which is not a router", remedy)
     if not names:
         found = "a router without a deployment, perhaps one of ROS 2"
@@ -97,6 +101,12 @@ def _router(endpoint: str, domain: int) -> Finding:
 
 
 def _accepts_connections(endpoint: str) -> bool:
+    if path := socket_path(endpoint):
+        with socket.socket(socket.AF_UNIX) as probe, suppress(OSError):
+            probe.settimeout(_ROUTER_LIMIT_S)
+            probe.connect(os.fspath(path))
+            return True
+        return False
     host, _, port = _address(endpoint).rpartition(":")
     try:
         with socket.create_connection((host.strip("[]"), int(port)), _ROUTER_LIMIT_S):
@@ -110,7 +120,13 @@ def _address(endpoint: str) -> str:
 
 
 def _listener(endpoint: str) -> str:
-    """Return the process that listens on a port, if this user may know it."""
+    """Return the process that listens at an endpoint, if this user may know it."""
+    if path := socket_path(endpoint):
+        with suppress(psutil.Error):
+            for connection in psutil.net_connections("unix"):
+                if str(connection.laddr) == os.fspath(path) and connection.pid:
+                    return f"{psutil.Process(connection.pid).name()} ({connection.pid})"
+        return "another program"
     port = int(_address(endpoint).rpartition(":")[2])
     with suppress(psutil.Error):
         for connection in psutil.net_connections("tcp"):

@@ -10,25 +10,33 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import psutil
+import zenoh
 
 from cairn import Qos
 from cairn.bus.bus import Bus, Node
+from cairn.bus.endpoints import socket_path
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.testing.launching import free_port
+from cairn.testing.launching import new_endpoint
 from tests.patience import LIMIT_S
+
+
+def router_at(endpoint: str, *listen: str) -> zenoh.Session:
+    """Open a router at the endpoint of a Unix socket, and at more endpoints."""
+    path = socket_path(endpoint)
+    assert path is not None
+    return open_router(path, listen)
 
 
 class Network:
     """A router and the buses of any number of processes; `close` closes all."""
 
-    def __init__(self) -> None:
+    def __init__(self, *listen: str) -> None:
         self._stack = ExitStack()
-        self.port = free_port()
-        self.endpoint = f"tcp/127.0.0.1:{self.port}"
-        self.router = ZenohBus(open_router(self.endpoint))
+        self.endpoint = new_endpoint()
+        self.router = ZenohBus(router_at(self.endpoint, *listen))
         self._stack.callback(self.router.close)
 
     def bus(self) -> ZenohBus:
@@ -53,8 +61,8 @@ class Network:
 @contextmanager
 def router_process() -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     """A router in a process of its own, which a test may stop: its endpoint and the process."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    program = [sys.executable, "-c", _ROUTER, endpoint]
+    endpoint = new_endpoint()
+    program = [sys.executable, "-c", _ROUTER, str(socket_path(endpoint))]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as router:
         assert router.stdout is not None
         try:
@@ -66,10 +74,11 @@ def router_process() -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
 
 _ROUTER = """
 import signal, sys
+from pathlib import Path
 from cairn.bus import session
 
 session.LEASE_MS = 3_600_000  # its links outlast any time for which it is stopped
-router = session.open_router(sys.argv[1])
+router = session.open_router(Path(sys.argv[1]))
 print("ready", flush=True)
 signal.pause()
 """

@@ -17,7 +17,7 @@ from cairn.bus.discovery import PeerLinks, QueryableWatcher
 from cairn.bus.session import CAIRN_ID_PREFIX, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
-from cairn.testing.launching import free_port
+from cairn.testing.launching import new_endpoint
 from tests.cairn.bus.network import Network, Reader, eventually, node, router_process, stop
 from tests.patience import LIMIT_S
 
@@ -181,7 +181,7 @@ def test_link_that_outlives_the_session_of_its_process_is_not_waited_for(
     network: Network,
 ) -> None:
     bus = network.bus()
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = new_endpoint()
     config = zenoh.Config()
     for key, value in {
         "mode": "peer",

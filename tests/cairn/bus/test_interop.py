@@ -20,6 +20,7 @@ from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header, String
+from cairn.testing.launching import free_port
 from tests.cairn.bus.network import Network, eventually
 from tests.cairn.runtime.threaded import ThreadedComponent
 
@@ -109,19 +110,25 @@ class Ros2:
 
 
 @pytest.fixture(scope="module")
-def network() -> Iterator[Network]:
-    network = Network()
+def port() -> int:
+    """The TCP port of the router: the other client has no Unix sockets."""
+    return free_port()
+
+
+@pytest.fixture(scope="module")
+def network(port: int) -> Iterator[Network]:
+    network = Network(f"tcp/127.0.0.1:{port}")
     yield network
     network.close()
 
 
 @pytest.fixture(scope="module")
-def ros2(network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros2]:
+def ros2(network: Network, port: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros2]:
     definitions = tmp_path_factory.mktemp("definitions")
     write_definitions(definitions)
     program = str(Path(__file__).with_name("ros2_client.py"))
     with subprocess.Popen(
-        [sys.executable, program, str(network.port), str(definitions)],
+        [sys.executable, program, str(port), str(definitions)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

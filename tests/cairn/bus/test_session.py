@@ -6,8 +6,8 @@ import threading
 import pytest
 
 from cairn.bus.session import is_connected, open_client, open_router, process_of
-from cairn.testing.launching import free_port
-from tests.cairn.bus.network import eventually
+from cairn.testing.launching import new_endpoint, new_socket
+from tests.cairn.bus.network import eventually, router_at
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -17,15 +17,15 @@ def test_router_that_comes_back_in_time_counts_as_connected(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("cairn.bus.session.CONNECT_TIMEOUT_S", LIMIT_S)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    router = open_router(endpoint)
+    endpoint = new_endpoint()
+    router = router_at(endpoint)
     with open_client([endpoint]) as session:
         assert is_connected(session)
         router.close()
         assert eventually(lambda: not list(session.info.routers_zid()))
 
         returned = []
-        comes_back = threading.Timer(0.3, lambda: returned.append(open_router(endpoint)))
+        comes_back = threading.Timer(0.3, lambda: returned.append(router_at(endpoint)))
         comes_back.start()
         try:
             assert is_connected(session)
@@ -37,8 +37,8 @@ def test_router_that_comes_back_in_time_counts_as_connected(
 
 def test_router_that_stays_away_counts_as_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cairn.bus.session.CONNECT_TIMEOUT_S", 0.3)
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    router = open_router(endpoint)
+    endpoint = new_endpoint()
+    router = router_at(endpoint)
     with open_client([endpoint]) as session:
         router.close()
 
@@ -47,7 +47,7 @@ def test_router_that_stays_away_counts_as_disconnected(monkeypatch: pytest.Monke
 
 
 def test_id_of_a_session_names_its_process() -> None:
-    with open_router(f"tcp/127.0.0.1:{free_port()}") as session:
+    with open_router(new_socket()) as session:
         assert process_of(str(session.info.zid())) == f"process {os.getpid()}"
 
 

@@ -21,7 +21,7 @@ from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer
 from cairn.cli.doctor.devices import cameras
 from cairn.supervision.orphan_cleanup import MARK
-from cairn.testing.launching import free_port
+from cairn.testing.launching import free_port, new_endpoint, new_socket
 from tests.cairn.cli.conftest import Command
 from tests.commands import Answer, cairn
 from tests.patience import LIMIT_S
@@ -29,7 +29,7 @@ from tests.wording import assert_words
 
 ROBOT = """
     cairn: 1
-    bus: {{listen: "tcp/127.0.0.1:{port}"}}
+    bus: {{socket: {socket}}}
     external_topics: [cmd_vel]
     components:
       scanner: {{plugin: hokuyo_scanner, parameters: {{{device}}}}}
@@ -47,7 +47,7 @@ def row_of(answer: Answer, subject: str) -> dict[str, Any]:
 def run_doctor(folder: Path, device: str) -> Answer:
     """Return the findings for a robot with this scanner."""
     file = folder / "robot.yaml"
-    file.write_text(ROBOT.format(port=free_port(), device=device))
+    file.write_text(ROBOT.format(socket=new_socket(), device=device))
     return cairn("doctor", str(file), "--json")
 
 
@@ -71,7 +71,7 @@ def terminal() -> Iterator[str]:
 
 
 def test_healthy_computer_has_no_faults() -> None:
-    answer = cairn("doctor", connect=f"tcp/127.0.0.1:{free_port()}")
+    answer = cairn("doctor", connect=new_endpoint())
 
     assert answer.code == 0, answer.out
     assert "ok    Python" in answer.out
@@ -99,7 +99,7 @@ def test_process_is_a_leftover_only_if_it_stays_after_its_deployment(
             wait(left, timeout)
 
         monkeypatch.setattr(psutil, "wait_procs", end_and_wait)
-        answer = cairn("doctor", "--json", connect=f"tcp/127.0.0.1:{free_port()}")
+        answer = cairn("doctor", "--json", connect=new_endpoint())
 
     assert row_of(answer, "leftovers")["state"] == state
     assert (str(process.pid) in row_of(answer, "leftovers")["remedy"]) == (state == "fail")

@@ -12,7 +12,7 @@ from textwrap import dedent
 
 import pytest
 
-from cairn.testing.launching import CAIRN, LIMIT_S, Launching, Run, free_port
+from cairn.testing.launching import CAIRN, LIMIT_S, Launching, Run
 from tests.commands import cairn
 from tests.wording import assert_words
 
@@ -157,7 +157,7 @@ def test_two_robots_share_a_bus(launch: Launching) -> None:
 
 
 def test_up_shows_a_live_table_on_a_terminal(launch: Launching, tmp_path: Path) -> None:
-    file = launch.write(TALK, bus=f"tcp/127.0.0.1:{free_port()}")
+    file = launch.write(TALK)
     screen, terminal = pty.openpty()
     with subprocess.Popen(
         [CAIRN, "up", str(file), "--report", str(tmp_path / "report")],

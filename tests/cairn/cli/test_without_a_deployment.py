@@ -10,7 +10,7 @@ import pytest
 
 from cairn.cli.main import COMMANDS
 from cairn.deployment.model import ChildSpec
-from cairn.testing.launching import CAIRN, free_port
+from cairn.testing.launching import CAIRN, new_endpoint
 from tests.commands import cairn
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
@@ -29,7 +29,7 @@ from tests.wording import assert_words
     ],
 )
 def test_missing_running_deployment_is_reported_with_a_remedy(arguments: tuple[str, ...]) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = new_endpoint()
 
     answer = cairn(*arguments, connect=endpoint)
 

@@ -16,7 +16,7 @@ from cairn.bus.codec import Codec
 from cairn.client import ControlError, NoMessageError, NoReplyError, Robot
 from cairn.client.connection import Connection
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
-from cairn.testing.launching import LIMIT_S, Run, free_port, launching
+from cairn.testing.launching import LIMIT_S, Run, launching, new_endpoint
 from tests.wording import words_in_order
 
 pytestmark = pytest.mark.processes
@@ -59,7 +59,7 @@ def test_unknown_robot_is_reported_with_the_known_ones(run: Run) -> None:
 
 
 def test_without_a_router_connecting_fails_with_the_endpoint() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    endpoint = new_endpoint()
     with pytest.raises(CairnError, match=endpoint):
         cairn.client.connect(endpoint)
 

@@ -296,13 +296,13 @@ CASES = {
         ),
     ),
     "listening to the network": (
-        "cairn: 1\nbus:\n  listen: tcp/0.0.0.0:7447\ncomponents:\n" + PARTS,
+        "cairn: 1\nbus:\n  listen: [tcp/0.0.0.0:7447]\ncomponents:\n" + PARTS,
         (
             3,
             "bus.listen",
             "tcp/0.0.0.0:7447 can be reached from other machines; listen on 127.0.0.1, or add "
             "`allow_remote: true` if anyone on that network may drive the robot; "
-            "expected Endpoint on which `cairn up` opens the deployment's router",
+            "expected Network endpoints on which the router listens as well",
         ),
     ),
     "an endpoint without a port": (
@@ -312,18 +312,19 @@ CASES = {
             "bus.connect.0",
             "'tcp/127.0.0.1' is not an endpoint; write protocol/host:port as in "
             "tcp/127.0.0.1:7447, with protocol tcp, tls, quic, udp or ws and a port from 1 to "
-            "65535; expected Endpoints of running routers to join; then `cairn up` opens none",
+            "65535, or the path of a Unix socket as in /run/cairn/domain-0.sock; "
+            "expected Endpoints of running routers to join; then `cairn up` opens none",
         ),
     ),
     "listening and connecting": (
-        "cairn: 1\nbus:\n  connect: ['tcp/127.0.0.1:7500']\n  listen: tcp/127.0.0.1:7600\n"
+        "cairn: 1\nbus:\n  connect: ['tcp/127.0.0.1:7500']\n  listen: [tcp/127.0.0.1:7600]\n"
         "components:\n" + PARTS,
         (
             4,
             "bus.listen",
-            "with `connect` no router is opened on tcp/127.0.0.1:7600; keep `connect` to join a "
-            "router that runs already, or `listen` to open one; "
-            "expected Endpoint on which `cairn up` opens the deployment's router",
+            "with `connect` no router is opened, so `listen` has no effect; keep `connect` to join "
+            "a router that runs already, or `listen` to open one; "
+            "expected Network endpoints on which the router listens as well",
         ),
     ),
     "unknown setting in a value": (

@@ -104,9 +104,9 @@ def test_simulated_clock_may_be_external_or_from_a_component(write: Write) -> No
 
 
 def test_remote_listening_can_be_allowed(write: Write) -> None:
-    bus = "bus: {listen: 'tcp/[::]:7447', allow_remote: true}\n"
+    bus = "bus: {listen: ['tcp/[::]:7447'], allow_remote: true}\n"
 
-    assert load_deployment(write(bus + HEAD + PARTS)).bus.listen == "tcp/[::]:7447"
+    assert load_deployment(write(bus + HEAD + PARTS)).bus.listen == ("tcp/[::]:7447",)
 
 
 def test_twelve_mistakes_are_reported_in_one_pass(write: Write) -> None:
@@ -115,7 +115,7 @@ def test_twelve_mistakes_are_reported_in_one_pass(write: Write) -> None:
         robot: Robbie
         clock: simulated
         speed: 3
-        bus: {listen: 'tcp/192.168.1.5:7447'}
+        bus: {listen: ['tcp/192.168.1.5:7447']}
         components:
           boss:
             plugin: acme_supervisor

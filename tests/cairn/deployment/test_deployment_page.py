@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import BusSettings, ChildSpec, Deployment, Supervision
+from cairn.deployment.model import ChildSpec, Deployment, Supervision
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]

@@ -8,13 +8,13 @@ from typing import ClassVar
 import pytest
 
 from cairn import CairnError, Component, every
-from cairn.bus.session import open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ChildSpec
 from cairn.placement.component_host import ComponentHost
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.supervision.child import ChildUnavailable
-from cairn.testing.launching import LIMIT_S, free_port
+from cairn.testing.launching import LIMIT_S, new_endpoint
+from tests.cairn.bus.network import router_at
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
@@ -59,12 +59,12 @@ class Broken(Component):
 
 @pytest.fixture
 def endpoint() -> str:
-    return f"tcp/127.0.0.1:{free_port()}"
+    return new_endpoint()
 
 
 @pytest.fixture
 def bus(endpoint: str) -> Iterator[ZenohBus]:
-    bus = ZenohBus(open_router(endpoint))
+    bus = ZenohBus(router_at(endpoint))
     yield bus
     bus.close()
 

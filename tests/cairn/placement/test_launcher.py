@@ -19,7 +19,7 @@ from cairn.supervision.child import ChildHandle
 from cairn.supervision.supervisor import ChildGroup
 from cairn.supervision.zygote import Exited, Signal
 from cairn.supervision.zygote_client import ChildProcess
-from cairn.testing.launching import free_port
+from cairn.testing.launching import new_socket
 from tests.cairn.supervision.scripted_children import World
 from tests.wording import words_in_order
 
@@ -65,7 +65,7 @@ class UnkillableWorld(World):
 
 @pytest.fixture
 def session() -> Iterator[zenoh.Session]:
-    with open_router(f"tcp/127.0.0.1:{free_port()}") as session:
+    with open_router(new_socket()) as session:
         yield session
 
 

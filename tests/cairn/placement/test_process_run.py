@@ -1,28 +1,13 @@
 """The zygote of a deployment in real processes: its folder, and what it logs."""
 
-import tempfile
 from pathlib import Path
 from textwrap import dedent
 
 import pytest
 
-from cairn.placement.process_run import started_zygote
 from cairn.testing.launching import Launching
 
 pytestmark = pytest.mark.processes
-
-
-def test_empty_runtime_folder_counts_as_unset(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "")
-    monkeypatch.chdir(tmp_path)
-
-    with started_zygote([]) as zygote:
-        folder = zygote.socket_path.parent
-
-    assert str(folder.parent) == tempfile.gettempdir()
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_zygote_that_crashes_fails_the_deployment_with_the_cause_and_its_log_is_kept(

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import pytest
 
 from cairn import CairnError
-from cairn.bus.session import open_router
 from cairn.client import Connection, navigation
 from cairn.client.navigation import Navigator
 from cairn.supervisors.mobile.cli import parse_goals
-from cairn.testing.launching import free_port
+from cairn.testing.launching import new_endpoint
+from tests.cairn.bus.network import router_at
 from tests.commands import cairn
 from tests.wording import assert_words
 
@@ -18,8 +18,8 @@ from tests.wording import assert_words
 @pytest.fixture
 def bus() -> Iterator[str]:
     """Endpoint of a router without a deployment."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    router = open_router(endpoint)
+    endpoint = new_endpoint()
+    router = router_at(endpoint)
     yield endpoint
     router.close()
 
