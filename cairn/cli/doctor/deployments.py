@@ -90,7 +90,9 @@ def _router(given: str, domain: int) -> Finding:
             names = sorted(client.connection.statuses())
     except CairnError:
         owner = _listener(endpoint)
-        remedy = "end that program, or use another endpoint (--set bus.socket=PATH, --set bus.listen=[])"
+        remedy = (
+            "end that program, or use another endpoint (--set bus.socket=PATH, --set bus.listen=[])"
+        )
         return Finding(_TOPIC, endpoint, "fail", f"taken by {owner}, which is not a router", remedy)
     if not names:
         found = "a router without a deployment, perhaps one of ROS 2"
