@@ -54,6 +54,11 @@ def is_loopback(endpoint: str) -> bool:
         return host == "localhost"
 
 
+def is_encrypted(endpoint: str) -> bool:
+    """Return whether an endpoint uses TLS, and so certificates."""
+    return endpoint.startswith(("tls/", "quic/"))
+
+
 def domain_socket(domain: int) -> Path:
     """Return the path of the socket at which the router of a domain listens by default."""
     return runtime_folder() / f"domain-{domain}.sock"

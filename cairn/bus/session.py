@@ -6,14 +6,22 @@ import re
 import secrets
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import zenoh
 
-from cairn.bus.endpoints import UNIX
+from cairn.bus.credentials import (
+    TLS_BUFFERS,
+    Credentials,
+    check_pair,
+    read_password,
+    write_dictionary,
+)
+from cairn.bus.endpoints import UNIX, socket_path
 from cairn.errors import CairnError
 from cairn.runtime_folder import (
     LONGEST_SOCKET_PATH,
@@ -42,18 +50,41 @@ Longer than a busy machine pauses, because requests in progress and their replie
 link.
 """
 
+MAX_MESSAGE_SIZE = 64 << 20
+"""Longest message [bytes] that a session accepts by default."""
+
+NO_CREDENTIALS = Credentials()
+
+_REFUSED = (
+    "Does it accept your user name and password (CAIRN_USER, CAIRN_PASSWORD_FILE) or certificate "
+    "(CAIRN_TLS_CA, CAIRN_TLS_CERTIFICATE, CAIRN_TLS_KEY)? "
+)
+
 _RUST_LOCATION = re.compile(r" at /\S+\.rs:\d+\.?")
 
 
-def open_peer(connect: Sequence[str], socket: Path | None = None) -> zenoh.Session:
+def open_peer(
+    connect: Sequence[str],
+    socket: Path | None = None,
+    credentials: Credentials = NO_CREDENTIALS,
+    max_message_size: int = MAX_MESSAGE_SIZE,
+) -> zenoh.Session:
     """Open the session of a component's process.
 
     It connects to the router at `connect` and, as the router announces other processes, to each
     of them directly; those links outlive the router. The others reach it at `socket`, by default
     one in the user's runtime folder. Raises `CairnError` if no router answers.
     """
-    listen = [UNIX + str(check_length(socket or _own_socket()))]
-    session = _open(_config("peer", listen, connect), f"cannot open a session to {connect}")
+    socket = check_length(socket or _own_socket())
+    dictionary = socket.with_suffix(".users")
+    settings = credentials.session_settings(dictionary) | _limits(max_message_size)
+    try:
+        session = _open(
+            _config("peer", [UNIX + str(socket)], connect, settings),
+            f"cannot open a session to {connect}",
+        )
+    finally:
+        dictionary.unlink(missing_ok=True)  # Zenoh has read it
     if not _has_router(session, _JOIN_TIMEOUT_S):
         session.close()
         raise CairnError(_no_router(connect))
@@ -80,13 +111,14 @@ def _own_socket() -> Path:
     return folder / f"{os.getpid()}-{secrets.token_hex(4)}.sock"
 
 
-def open_client(connect: Sequence[str]) -> zenoh.Session:
+def open_client(connect: Sequence[str], credentials: Credentials = NO_CREDENTIALS) -> zenoh.Session:
     """Open the session of a command: one link, to the router, which reaches all processes.
 
     Unlike a peer it need not wait until it knows all others, and it ends with the router. Raises
     `CairnError` if no router answers.
     """
-    config = _config("client", [], connect)
+    settings = credentials.session_settings() | _limits(MAX_MESSAGE_SIZE)
+    config = _config("client", [], connect, settings)
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
@@ -94,7 +126,10 @@ def open_client(connect: Sequence[str]) -> zenoh.Session:
 
 
 def open_router(
-    socket: Path, listen: Sequence[str] = (), group: str | None = None
+    socket: Path,
+    listen: Sequence[str] = (),
+    group: str | None = None,
+    max_message_size: int = MAX_MESSAGE_SIZE,
 ) -> zenoh.Session:
     """Open the session that is the deployment's router, at a Unix socket in a private folder.
 
@@ -104,7 +139,7 @@ def open_router(
     private_folder(socket.parent, group)
     endpoints = [UNIX + str(check_length(socket)), *listen]
     session = _open(
-        _config("router", endpoints, ()),
+        _config("router", endpoints, (), _limits(max_message_size)),
         f"cannot listen on {', '.join(endpoints)}: probably another deployment or a ROS 2 router "
         "uses it; stop that one, join it (`--set bus.connect=[...]`), or use another domain "
         "(`--set domain=N`) or socket (`--set bus.socket=PATH`)",
@@ -116,6 +151,58 @@ def open_router(
             session.close()
             raise
     return session
+
+
+@dataclass(frozen=True)
+class Gateway:
+    """How users on the network reach a deployment."""
+
+    listen: tuple[str, ...]
+    access_control: Mapping[str, Any]
+    """What each of them may do: Zenoh's setting of this name."""
+    password_files: Mapping[str, str]
+    """The file with the password of each user; none if clients are known by certificates."""
+    certificate: str | None = None
+    key: str | None = None
+    ca: str | None = None
+    client_certificates: bool = False
+    max_message_size: int = MAX_MESSAGE_SIZE
+
+    def open(self, router: Path, folder: Path) -> zenoh.Session:
+        """Open the session between the network and the router at a Unix socket.
+
+        It is a router of its own, so that access control costs nothing on local links. `folder` is
+        private; for a moment it holds the passwords. Raises `CairnError` if an endpoint is in use,
+        or a file cannot be used.
+        """
+        settings = {"access_control": self.access_control} | _limits(self.max_message_size)
+        dictionary = folder / "gateway.users"
+        if self.password_files:
+            files = self.password_files.items()
+            write_dictionary(dictionary, {name: read_password(Path(file)) for name, file in files})
+            settings["transport/auth/usrpwd"] = {"dictionary_file": str(dictionary)}
+        if self.certificate is not None and self.key is not None:
+            check_pair(Path(self.certificate), Path(self.key))
+            settings["transport/link/tls"] = {
+                "listen_certificate": self.certificate,
+                "listen_private_key": self.key,
+                **({"root_ca_certificate": self.ca} if self.ca else {}),
+                "enable_mtls": self.client_certificates,
+                **TLS_BUFFERS,
+            }
+        endpoints = ", ".join(self.listen)
+        try:
+            session = _open(
+                _config("gateway", self.listen, [UNIX + str(router)], settings),
+                f"cannot listen on {endpoints}: an address is in use or not one of this computer, "
+                "or TLS does not accept the certificate; correct bus.listen or bus.tls",
+            )
+        finally:
+            dictionary.unlink(missing_ok=True)  # Zenoh has read it
+        if not _has_router(session, _JOIN_TIMEOUT_S):
+            session.close()
+            raise CairnError(f"the gateway on {endpoints} does not reach the router at {router}")
+        return session
 
 
 def process_of(zid: str) -> str:
@@ -150,9 +237,10 @@ def _has_router(session: zenoh.Session, timeout_s: float) -> bool:
 
 
 def _no_router(connect: Sequence[str]) -> str:
+    refused = "" if all(map(socket_path, connect)) else _REFUSED
     return (
         f"no router answers at {', '.join(connect)}: is a deployment running (`cairn up`)? "
-        "Give another endpoint by --connect or CAIRN_CONNECT"
+        f"{refused}Give another endpoint by --connect or CAIRN_CONNECT"
     )
 
 
@@ -164,10 +252,20 @@ def _open(config: zenoh.Config, failure: str) -> zenoh.Session:
         raise CairnError(f"{failure} (Zenoh: {reason})") from error
 
 
-def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.Config:
+def _limits(max_message_size: int) -> dict[str, Any]:
+    """Return the settings by which a session discards messages that are too long, unread."""
+    return {"transport/link/rx/max_message_size": max_message_size}
+
+
+def _config(
+    kind: Literal["router", "gateway", "peer", "client"],
+    listen: Sequence[str],
+    connect: Sequence[str],
+    more: Mapping[str, Any],
+) -> zenoh.Config:
     config = zenoh.Config()
     settings = {
-        "mode": mode,
+        "mode": "router" if kind == "gateway" else kind,
         "listen/endpoints": list(listen),
         "listen/exit_on_failure": True,
         "connect/endpoints": list(connect),
@@ -183,12 +281,13 @@ def _config(mode: str, listen: Sequence[str], connect: Sequence[str]) -> zenoh.C
         "open/return_conditions/connect_scouted": False,
         "scouting/delay": 0,
         # The router's description lists the sessions linked to it: `cairn.bus.discovery`.
-        "adminspace/enabled": mode == "router",
+        "adminspace/enabled": kind in ("router", "gateway"),
         "timestamping/enabled": True,
         "transport/link/tx/lease": LEASE_MS,
         "transport/shared_memory/enabled": False,
+        **more,
     }
-    if mode != "client":
+    if kind in ("router", "peer"):  # those that answer discovery queries
         settings["id"] = f"{CAIRN_ID_PREFIX}{os.getpid():08x}{secrets.token_hex(8)}"
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))

@@ -14,6 +14,7 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from cairn.bus import control, keys
 from cairn.bus.codec import Codec
+from cairn.bus.credentials import Credentials
 from cairn.bus.endpoints import endpoint_for
 from cairn.bus.graph import read_graph
 from cairn.bus.session import is_connected, open_client
@@ -37,9 +38,12 @@ class Connection:
     def open(cls, endpoint: str = "", domain: int = 0) -> Connection:
         """Connect to the router of a deployment, by default this user's in the domain.
 
+        A router on the network may ask for what the environment variables `CAIRN_USER`,
+        `CAIRN_PASSWORD_FILE`, `CAIRN_TLS_CA`, `CAIRN_TLS_CERTIFICATE` and `CAIRN_TLS_KEY` name.
         Raises `CairnError` if no router answers.
         """
-        return cls(open_client([endpoint_for(endpoint, domain)]), domain)
+        credentials = Credentials.from_environment()
+        return cls(open_client([endpoint_for(endpoint, domain)], credentials), domain)
 
     def close(self) -> None:
         """Close the session."""

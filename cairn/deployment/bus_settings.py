@@ -1,10 +1,34 @@
 """The section `bus` of a deployment: where its router listens, and who may connect to it."""
 
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
-from cairn.bus.endpoints import is_loopback, parse_endpoint, socket_path
+from cairn.bus.control import Role
+from cairn.bus.credentials import (
+    Credentials,
+    check_authorities,
+    check_pair,
+    check_readable,
+    read_password,
+)
+from cairn.bus.endpoints import is_encrypted, is_loopback, parse_endpoint, socket_path
+from cairn.errors import CairnError
+
+_REMEDY = (
+    "add `users` with passwords, or `tls` with client certificates and `certificate_roles`, or, "
+    "on loopback, `allow_any_local_user: true`"
+)
 
 
 def _network_endpoint(text: str) -> str:
@@ -29,20 +53,78 @@ def _absolute_path(text: str) -> str:
 Endpoint = Annotated[str, AfterValidator(parse_endpoint)]
 NetworkEndpoint = Annotated[str, AfterValidator(_network_endpoint)]
 SocketPath = Annotated[str, AfterValidator(_absolute_path)]
+UserName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+CommonName = Annotated[str, Field(min_length=1, max_length=64)]
+FilePath = Annotated[str, Field(min_length=1, max_length=4096)]
 
 
-class BusSettings(BaseModel):
-    """How the components of the deployment connect to each other over Zenoh, and who else may."""
-
+class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
+
+
+class BusUser(_Section):
+    """A user on the network, who connects with a password."""
+
+    role: Role = Field(
+        description="view: read topics and states; operate: also give goals; administer: "
+        "everything."
+    )
+    password_file: FilePath = Field(
+        description="File with the user's password, which other users may not read."
+    )
+
+
+class TlsSettings(_Section):
+    """Certificates (PEM files) for encrypted endpoints, tls/HOST:PORT and quic/HOST:PORT."""
+
+    certificate: FilePath | None = Field(None, description="This deployment's certificate.")
+    key: FilePath | None = Field(
+        None, description="Private key of `certificate`, which other users may not read."
+    )
+    ca: FilePath | None = Field(
+        None, description="Certificates of the authorities that sign those of the other side."
+    )
+    client_certificates: bool = Field(
+        False, description="Accepts only clients with a certificate that `ca` has signed."
+    )
+    certificate_roles: dict[CommonName, Role] = Field(
+        default_factory=dict, description="Role of each client, by its certificate's common name."
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> "TlsSettings":
+        if (self.certificate is None) != (self.key is None):
+            raise ValueError("`certificate` and `key` belong together; name both or none")
+        if self.client_certificates and self.ca is None:
+            raise ValueError("`client_certificates` needs `ca`, the authority that signs them")
+        if self.certificate_roles and not self.client_certificates:
+            raise ValueError(
+                "`certificate_roles` needs `client_certificates: true`, or a client without a "
+                "certificate could connect"
+            )
+        return self
+
+
+class BusSettings(_Section):
+    """How the components of the deployment connect to each other over Zenoh, and who else may."""
 
     allow_remote: bool = Field(
         False, description="Allows `listen` to be reachable from other machines."
     )
+    allow_any_local_user: bool = Field(
+        False,
+        description="Lets any user and program of this computer connect to `listen`, which must be "
+        "a loopback address, without a password, and drive the robot.",
+    )
     connect: tuple[Endpoint, ...] = Field(
         (),
         strict=False,
+        max_length=32,
         description="Endpoints of running routers to join; then `cairn up` opens none.",
+    )
+    user: UserName | None = Field(None, description="User name for the routers of `connect`.")
+    password_file: FilePath | None = Field(
+        None, description="File with the password of `user`, which other users may not read."
     )
     socket: SocketPath | None = Field(
         None,
@@ -55,11 +137,62 @@ class BusSettings(BaseModel):
         max_length=32,
         description="Group whose members may connect to the socket, too.",
     )
+    users: dict[UserName, BusUser] = Field(
+        default_factory=dict,
+        max_length=100,
+        description="Users who may connect to `listen`, by name.",
+    )
+    tls: TlsSettings | None = Field(
+        None, description="Certificates for encrypted endpoints of `listen` and `connect`."
+    )
+    max_message_size: int = Field(
+        64 << 20,
+        ge=64 << 10,
+        le=1 << 30,
+        description="Longest message [bytes]; every process discards longer ones unread.",
+    )
     listen: tuple[NetworkEndpoint, ...] = Field(
-        (), strict=False, description="Network endpoints on which the router listens as well."
+        (),
+        strict=False,
+        max_length=32,
+        description="Network endpoints on which the router listens as well.",
     )
 
-    @field_validator("socket", "group", "listen", mode="after")
+    @property
+    def credentials(self) -> Credentials:
+        """What the deployment presents to the routers of `connect`."""
+        tls = self.tls or TlsSettings()
+        return Credentials(
+            user=self.user,
+            password_file=self.password_file,
+            ca=tls.ca,
+            certificate=tls.certificate,
+            key=tls.key,
+        )
+
+    def file_problems(self) -> Iterator[tuple[tuple[str, ...], str]]:
+        """Yield each file that cannot be used, by its key below `bus`, with the reason."""
+        checks: list[tuple[tuple[str, ...], str | None, Callable[[Path], object]]] = [
+            (("password_file",), self.password_file, read_password),
+            *(
+                (("users", name, "password_file"), user.password_file, read_password)
+                for name, user in self.users.items()
+            ),
+        ]
+        if (tls := self.tls) is not None:
+            checks += [
+                (("tls", "certificate"), tls.certificate, check_readable),
+                (("tls", "key"), tls.key, lambda key: check_pair(Path(tls.certificate or ""), key)),
+                (("tls", "ca"), tls.ca, check_authorities),
+            ]
+        for key, path, check in checks:
+            if path is not None:
+                try:
+                    check(Path(path))
+                except CairnError as error:
+                    yield key, str(error)
+
+    @field_validator("socket", "group", "users", "listen", mode="after")
     @classmethod
     def _no_router_to_open(cls, value: object, info: ValidationInfo) -> object:
         if info.data.get("connect") and value:
@@ -71,11 +204,65 @@ class BusSettings(BaseModel):
 
     @field_validator("listen", mode="after")
     @classmethod
-    def _remote_on_purpose(cls, listen: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
-        for endpoint in listen:
-            if not info.data.get("allow_remote", True) and not is_loopback(endpoint):
-                raise ValueError(
-                    f"{endpoint} can be reached from other machines; listen on 127.0.0.1, or add "
-                    "`allow_remote: true` if anyone on that network may drive the robot"
-                )
+    def _listens_on_purpose(cls, listen: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        if info.data.keys() >= {"allow_remote", "allow_any_local_user", "users", "tls"}:
+            for endpoint in listen:
+                _check_access(endpoint, info.data)
         return listen
+
+    @model_validator(mode="after")
+    def _has_effect(self) -> "BusSettings":
+        if self.user is not None and not self.connect:
+            raise ValueError("`user` is who joins the routers of `connect`; add `connect`")
+        if (self.user is None) != (self.password_file is None):
+            raise ValueError("`user` and `password_file` belong together; name both or none")
+        if self.users and not self.listen:
+            raise ValueError(
+                "`users` connect to `listen`, which is empty; add an endpoint to `listen` "
+                "(a Unix socket is opened to others by `group`)"
+            )
+        roles = self.tls.certificate_roles if self.tls is not None else {}
+        if roles and self.users:
+            raise ValueError(
+                "the roles come either from `users` or from `tls.certificate_roles`; remove one"
+            )
+        if any(map(is_encrypted, self.connect)) and (self.tls is None or self.tls.ca is None):
+            raise ValueError(
+                "an encrypted endpoint of `connect` needs `tls: {ca: FILE}`, the authority that "
+                "has signed the router's certificate"
+            )
+        return self
+
+
+def _check_access(endpoint: str, bus: Mapping[str, object]) -> None:
+    """Raise `ValueError` if anyone could connect to an endpoint without being entitled."""
+    tls, users = bus["tls"], bus["users"]
+    certificate_roles = tls.certificate_roles if isinstance(tls, TlsSettings) else {}
+    if not is_loopback(endpoint) and not bus["allow_remote"]:
+        raise ValueError(
+            f"{endpoint} can be reached from other machines; listen on 127.0.0.1, or add "
+            "`allow_remote: true`"
+        )
+    if is_encrypted(endpoint) and not (isinstance(tls, TlsSettings) and tls.certificate):
+        raise ValueError(
+            f"{endpoint} is encrypted and needs a certificate; add "
+            "`tls: {certificate: FILE, key: FILE}`"
+        )
+    if bus["allow_any_local_user"]:
+        if users or certificate_roles:
+            raise ValueError(
+                "`allow_any_local_user` asks for no password or certificate; remove it, or "
+                "remove `users` and `tls.certificate_roles`"
+            )
+        if not is_loopback(endpoint):
+            raise ValueError(
+                f"{endpoint} can be reached from other machines, and `allow_any_local_user` is for "
+                f"loopback only; {_REMEDY}"
+            )
+    elif certificate_roles and not is_encrypted(endpoint):
+        raise ValueError(
+            f"{endpoint} carries no certificates, by which `tls.certificate_roles` knows clients; "
+            "use a tls/ or quic/ endpoint, or `users`"
+        )
+    elif not users and not certificate_roles:
+        raise ValueError(f"anyone who reaches {endpoint} could drive the robot; {_REMEDY}")

@@ -9,6 +9,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pydantic import ValidationError
+
+from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
@@ -63,7 +66,23 @@ def check_document(root: DocumentNode, unresolved: frozenset[KeyPath]) -> list[P
         problems += plugin_problems
         problems += _unknown_ports(component)
         problems += _conflicting_keys(component)
+    problems += _file_problems(root)
     return problems + list(_wiring_problems(root, components))
+
+
+def _file_problems(root: DocumentNode) -> Iterator[Problem]:
+    """Yield the passwords and certificates that cannot be used, if the section `bus` is valid."""
+    bus = root.find("bus")
+    if bus is None:
+        return
+    try:
+        settings = BusSettings.model_validate(bus.plain())
+    except ValidationError:  # reported already
+        return
+    for key, reason in settings.file_problems():
+        node = bus.find(*key) or bus
+        found, _, remedy = reason.rpartition("; ")
+        yield Problem(node.where, dotted(("bus", *key)), found or reason, remedy)
 
 
 def _resolve_plugin(
@@ -80,6 +99,8 @@ def _resolve_plugin(
     try:
         ports, config = ports_of(cls), cls.config_class()
         handlers_of(cls)
+        if unknown := sorted(cls.operator_inputs - ports.keys()):
+            raise CairnError(f"{cls.__name__}.operator_inputs names unknown ports: {unknown}")
     except CairnError as error:
         remedy = "correct the class, or use another plugin"
         return component, [Problem(plugin.where, dotted(path), str(error), remedy)]

@@ -37,7 +37,9 @@ def main(argument: dict[str, Any]) -> None:
     try:
         context = launch.context
         socket = peer_socket(Path(context.socket_folder), launch.name)
-        session = open_peer(context.endpoints, socket)
+        session = open_peer(
+            context.endpoints, socket, context.credentials, context.max_message_size
+        )
         with closing(ZenohBus(session, context.domain)) as bus:
             report = _run(launch, bus)
     except CairnError as error:

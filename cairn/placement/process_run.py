@@ -4,7 +4,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -12,8 +12,17 @@ from cairn.bus.bus import full_name
 from cairn.bus.endpoints import domain_socket, parse_endpoint
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import NodeEntity
-from cairn.bus.session import open_client, open_peer, open_router, peer_socket
+from cairn.bus.session import (
+    NO_CREDENTIALS,
+    Gateway,
+    open_client,
+    open_peer,
+    open_router,
+    peer_socket,
+)
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.deployment.access_control import access_control
+from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.model import ROOT, Deployment
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
@@ -85,15 +94,13 @@ def run_processes(
             seed=seed,
             zygote=str(zygote.socket_path),
             socket_folder=str(folder),
+            credentials=bus_settings.credentials if bus_settings.connect else NO_CREDENTIALS,
+            max_message_size=bus_settings.max_message_size,
             log_folder=str(log_folder),
         ),
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
-    if bus_settings.connect:
-        session = open_peer(bus_settings.connect, peer_socket(folder, ROOT))
-    else:
-        session = open_router(router_socket(deployment), bus_settings.listen, bus_settings.group)
-    with closing(ZenohBus(session, deployment.domain)) as bus:
+    with _opened_bus(deployment, folder) as bus:
         root = ComponentHost(launch, bus)
         root.start()
         loop = MainLoop(root)
@@ -135,6 +142,28 @@ def run_processes(
     return report
 
 
+@contextmanager
+def _opened_bus(deployment: Deployment, folder: Path) -> Iterator[ZenohBus]:
+    """Open the bus of the root: the deployment's router and gateway, or a link to a router."""
+    settings = deployment.bus
+    with ExitStack() as stack:
+        if settings.connect:
+            session = open_peer(
+                settings.connect,
+                peer_socket(folder, ROOT),
+                settings.credentials,
+                settings.max_message_size,
+            )
+        else:
+            socket = router_socket(deployment)
+            listen = settings.listen if settings.allow_any_local_user else ()
+            session = open_router(socket, listen, settings.group, settings.max_message_size)
+        bus = stack.enter_context(closing(ZenohBus(session, deployment.domain)))
+        if (gateway := gateway_of(deployment)) is not None:
+            stack.enter_context(closing(gateway.open(router_socket(deployment), folder)))
+        yield bus
+
+
 def endpoints(deployment: Deployment) -> tuple[str, ...]:
     """Return the endpoints at which the components of a deployment find their router."""
     return deployment.bus.connect or (parse_endpoint(str(router_socket(deployment))),)
@@ -146,10 +175,28 @@ def router_socket(deployment: Deployment) -> Path:
     return domain_socket(deployment.domain) if named is None else Path(named)
 
 
+def gateway_of(deployment: Deployment) -> Gateway | None:
+    """Return the gateway between the network and a deployment; None if it has no such endpoint."""
+    bus = deployment.bus
+    if bus.allow_any_local_user or not bus.listen:
+        return None
+    tls = bus.tls or TlsSettings()
+    return Gateway(
+        listen=bus.listen,
+        access_control=access_control(deployment),
+        password_files={name: user.password_file for name, user in bus.users.items()},
+        certificate=tls.certificate,
+        key=tls.key,
+        ca=tls.ca,
+        client_certificates=tls.client_certificates,
+        max_message_size=bus.max_message_size,
+    )
+
+
 def _check_robot_name_is_free(deployment: Deployment) -> None:
     """Two robots of one name would execute each other's commands, and share their topics."""
     name = full_name(deployment.robot, ROOT)
-    with open_client(deployment.bus.connect) as session:
+    with open_client(deployment.bus.connect, deployment.bus.credentials) as session:
         nodes = read_graph(session, deployment.domain)
     if any(isinstance(node, NodeEntity) and node.name == name for node in nodes):
         raise CairnError(

@@ -2,10 +2,12 @@
 
 import logging
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Protocol, get_type_hints
 
 import numpy as np
 
+from cairn.bus.control import Role
 from cairn.clock import Clock
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
@@ -53,6 +55,11 @@ class Component:
     where the deployment's time is simulated. `device`: the component drives a device, which exists
     only in the system's time: it is rejected in lockstep and where time is simulated.
     """
+
+    request_roles: ClassVar[Mapping[str, Role]] = MappingProxyType({})
+    """Which of its own requests users on the network with less than `administer` may make."""
+    operator_inputs: ClassVar[frozenset[str]] = frozenset()
+    """Input ports on whose topics users on the network with the role `operate` may publish."""
 
     config: Config
 

@@ -2,6 +2,8 @@
 
 from pydantic import BaseModel, ConfigDict
 
+from cairn.bus.credentials import Credentials
+from cairn.bus.session import MAX_MESSAGE_SIZE, NO_CREDENTIALS
 from cairn.deployment.model import ChildSpec
 
 
@@ -18,6 +20,8 @@ class RunContext(BaseModel):
     lockstep: bool = False
     zygote: str = ""  # path of its socket
     socket_folder: str = ""  # for the sockets of the run's processes
+    credentials: Credentials = NO_CREDENTIALS
+    max_message_size: int = MAX_MESSAGE_SIZE  # bytes
     log_folder: str = ""
 
 

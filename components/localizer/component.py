@@ -128,6 +128,7 @@ class Localizer(Component):
     """
 
     config: LocalizerConfig
+    operator_inputs = frozenset({"initialpose"})
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     map: In[OccupancyGrid] = In(qos=LATCHED, optional=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -65,6 +66,9 @@ class MobileSupervisor(Supervisor):
     """
 
     config: MobileSupervisorConfig
+
+    request_roles = MappingProxyType({"go": "operate", "cancel": "operate", "mission": "view"})
+    operator_inputs = frozenset({"goal_pose"})
 
     goal_pose: In[PoseStamped] = In(optional=True)
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20), optional=True)

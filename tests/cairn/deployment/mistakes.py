@@ -301,7 +301,7 @@ CASES = {
             3,
             "bus.listen",
             "tcp/0.0.0.0:7447 can be reached from other machines; listen on 127.0.0.1, or add "
-            "`allow_remote: true` if anyone on that network may drive the robot; "
+            "`allow_remote: true`; "
             "expected Network endpoints on which the router listens as well",
         ),
     ),

@@ -103,10 +103,20 @@ def test_simulated_clock_may_be_external_or_from_a_component(write: Write) -> No
     )
 
 
-def test_remote_listening_can_be_allowed(write: Write) -> None:
-    bus = "bus: {listen: ['tcp/[::]:7447'], allow_remote: true}\n"
+def test_remote_listening_can_be_allowed(write: Write, tmp_path: Path) -> None:
+    password = tmp_path / "password"
+    password.touch(mode=0o600)
+    password.write_text("hunter2")
+    bus = f"""
+bus:
+  listen: ['tcp/[::]:7447']
+  allow_remote: true
+  users: {{anna: {{role: view, password_file: {password}}}}}
+"""
 
-    assert load_deployment(write(bus + HEAD + PARTS)).bus.listen == ("tcp/[::]:7447",)
+    assert load_deployment(write(f"cairn: 1{bus}components:\n" + PARTS)).bus.listen == (
+        "tcp/[::]:7447",
+    )
 
 
 def test_twelve_mistakes_are_reported_in_one_pass(write: Write) -> None:

@@ -1,0 +1,185 @@
+"""Access control on network endpoints: who may do what, generated from the deployment.
+
+The rules are Zenoh's (`access_control`), for the gateway between the network and the local router.
+What no rule allows is denied. Rules exist for both directions (flows), seen from the gateway: from
+a user to the robot (ingress) and from the robot to a user (egress). The link to the local router is
+the only one over a Unix socket; it may do everything.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, Literal, get_args
+
+from cairn.bus import keys
+from cairn.bus.bus import full_name
+from cairn.bus.control import Role
+from cairn.deployment.model import Deployment
+from cairn.deployment.plugins import load_plugin
+from cairn.runtime.ports import ports_of
+from cairn.schemas.message import type_name
+
+_EVERY_MESSAGE: Final = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+_EVERY_KEY: Final = ("**", "**/@adv/**", "@ros2_lv/**", "@cairn/**", "@/*/router/**")
+"""`**` does not match chunks that begin with @.
+
+The last one is the gateway's description of its links, by which the processes of a deployment that
+joins find each other.
+"""
+
+_LOCAL: Final = "the local router"
+_VIEWED_BY_ALL: Final = "parameters"
+"""The request that every component answers with its parameters and their values."""
+
+Flow = Literal["ingress", "egress"]
+
+
+def access_control(deployment: Deployment) -> dict[str, Any]:
+    """Return the value of Zenoh's `access_control` for the gateway of a deployment.
+
+    It depends on the deployment and its plugins' classes only.
+    """
+    topics, requests = _operator_topics(deployment), _requests(deployment)
+    roles: Mapping[Role, list[dict[str, Any]]] = {
+        "view": _view_rules(deployment.domain, requests["view"]),
+        "operate": _operate_rules(deployment.domain, topics, requests["operate"]),
+        "administer": [_rule("everything", "ingress", _EVERY_MESSAGE, _EVERY_KEY),
+                       _rule("everything", "egress", _EVERY_MESSAGE, _EVERY_KEY)],
+    }  # fmt: skip
+    granted: Mapping[Role, tuple[Role, ...]] = {
+        "view": ("view",),
+        "operate": ("view", "operate"),
+        "administer": ("administer",),
+    }
+    subjects = [{"id": _LOCAL, "link_protocols": ["unixsock-stream"]}]
+    policies = [{"subjects": [_LOCAL], "rules": [one["id"] for one in roles["administer"]]}]
+    for role in get_args(Role):
+        if members := _members(deployment, role):
+            subjects.append({"id": role, **members})
+            rules = [one["id"] for part in granted[role] for one in roles[part]]
+            policies.append({"subjects": [role], "rules": rules})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [rule for part in roles.values() for rule in part],
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _members(deployment: Deployment, role: Role) -> dict[str, list[str]]:
+    """Return the users, or the common names of certificates, with a role."""
+    bus = deployment.bus
+    users = sorted(name for name, user in bus.users.items() if user.role == role)
+    certificates = bus.tls.certificate_roles if bus.tls is not None else {}
+    names = sorted(name for name, given in certificates.items() if given == role)
+    # A subject with both would be one that has a user name and a certificate.
+    return {"usernames": users} if users else {"cert_common_names": names} if names else {}
+
+
+def _view_rules(domain: int, requests: Iterable[str]) -> list[dict[str, Any]]:
+    """Subscribe to every topic, read the graph, and make the requests that only read."""
+    topics, cached = f"{domain}/**", f"{domain}/**/@adv/**"
+    tokens = keys.tokens_pattern(domain)
+    queryables = (cached, f"@cairn/{domain}/component/*/*/*")
+    queries = (cached, *requests)
+    return [
+        _rule("view: subscribe", "ingress", ("declare_subscriber",), (topics, cached)),
+        _rule("view: receive", "egress", ("put", "delete"), (topics, cached)),
+        _rule(
+            "view: read the graph",
+            "ingress",
+            ("liveliness_query", "declare_liveliness_subscriber"),
+            (tokens, cached),
+        ),
+        _rule("view: the graph", "egress", ("liveliness_token",), (tokens, cached)),
+        _rule("view: what answers", "egress", ("declare_queryable",), queryables),
+        _rule("view: request", "ingress", ("query",), queries),
+        # A publisher's cache replies with the keys of its messages.
+        _rule("view: reply", "egress", ("reply",), (topics, *queries)),
+    ]
+
+
+def _operate_rules(
+    domain: int, topics: Mapping[str, tuple[str, ...]], requests: Iterable[str]
+) -> list[dict[str, Any]]:
+    """Publish on the topics that are meant for operators, and give orders."""
+    rules = []
+    data = tuple(key for topic in topics for key in topics[topic])
+    if data:
+        cached = tuple(f"{key}/@adv/**" for key in data)
+        own = (
+            f"{keys.TOKENS}/{domain}/*/*/*/NN/**",
+            f"{keys.TOKENS}/{domain}/*/*/*/MS/**",
+            *(
+                f"{keys.TOKENS}/{domain}/*/*/*/MP/*/*/*/{topic.replace('/', '%')}/**"
+                for topic in topics
+            ),
+            *cached,
+        )
+        rules = [
+            _rule("operate: publish", "ingress", ("put", "delete"), (*data, *cached)),
+            _rule("operate: subscribers", "egress", ("declare_subscriber",), (*data, *cached)),
+            # A latched publisher keeps its last message, and answers late subscribers.
+            _rule("operate: cache", "ingress", ("declare_queryable",), cached),
+            _rule("operate: answer", "ingress", ("reply",), (*data, *cached)),
+            _rule("operate: asked", "egress", ("query",), cached),
+            _rule("operate: announce", "ingress", ("liveliness_token",), own),
+            _rule(
+                "operate: announced",
+                "egress",
+                ("liveliness_query", "declare_liveliness_subscriber"),
+                own,
+            ),
+        ]
+    if requests:
+        rules += [
+            _rule("operate: request", "ingress", ("query",), tuple(requests)),
+            _rule("operate: reply", "egress", ("reply",), tuple(requests)),
+        ]
+    return rules
+
+
+def _rule(name: str, flow: Flow, messages: Iterable[str], on: Iterable[str]) -> dict[str, Any]:
+    return {
+        "id": f"{name} ({flow})",
+        "permission": "allow",
+        "flows": [flow],
+        "messages": list(messages),
+        "key_exprs": list(on),
+    }
+
+
+def _operator_topics(deployment: Deployment) -> dict[str, tuple[str, ...]]:
+    """Return the topics (full names) on which operators may publish, each with its keys."""
+    topics: dict[str, tuple[str, ...]] = {}
+    for member in deployment.members():
+        cls = load_plugin(member.spec.plugin)
+        ports = ports_of(cls)
+        for port in sorted(cls.operator_inputs):
+            topic = full_name(deployment.robot, member.spec.topics.get(port, port))
+            kind = type_name(ports[port].message)
+            topics[topic] = (f"{deployment.domain}{topic}/{keys.dds_type(kind)}/*",)
+    for name in deployment.external_topics:  # the type may be one that no component here has
+        topic = full_name(deployment.robot, name)
+        topics[topic] = (f"{deployment.domain}{topic}/*/*",)
+    return topics
+
+
+def _requests(deployment: Deployment) -> dict[Role, list[str]]:
+    """Return the keys of the requests that each role adds to those of the role below it."""
+    found: dict[Role, list[str]] = {"view": [], "operate": [], "administer": []}
+    for member in deployment.members():
+        component = full_name(deployment.robot, member.name)
+        roles = {_VIEWED_BY_ALL: "view", **load_plugin(member.spec.plugin).request_roles}
+        for verb, role in sorted(roles.items()):
+            found[role].append(keys.control_key(deployment.domain, component, verb))
+    return found

@@ -1,0 +1,333 @@
+"""Users on the network connect with a password or certificate, and do what their role allows."""
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from cairn import LATCHED, RELIABLE, CairnError
+from cairn.bus import control, keys
+from cairn.bus.codec import Codec
+from cairn.bus.control import ControlError, ControlServer, Role
+from cairn.bus.credentials import Credentials
+from cairn.bus.discovery import QueryableWatcher
+from cairn.bus.endpoints import socket_path
+from cairn.bus.session import Gateway, open_client, open_peer
+from cairn.bus.type_hash import type_hash
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.client import Connection
+from cairn.deployment.model import Deployment
+from cairn.placement.process_run import gateway_of
+from cairn.schemas.geometry_msgs import PoseStamped, Twist
+from cairn.testing.launching import free_port
+from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.patience import LIMIT_S
+
+pytestmark = pytest.mark.processes
+
+ROLES: tuple[Role, ...] = ("view", "operate", "administer")
+ROBOT = {
+    "cairn": 1,
+    "external_topics": ["joy"],
+    "components": {"mobile": {"plugin": "mobile_supervisor"}},
+}
+GOAL = PoseStamped()
+MESSAGE = Codec().encode(GOAL)
+GOAL_KEY = keys.message_key(0, "/robot/goal_pose", PoseStamped)
+
+
+class Robot:
+    """What the components of a robot declare, and a gateway between it and the network."""
+
+    def __init__(self, folder: Path, bus: dict[str, Any], scheme: str) -> None:
+        folder.chmod(0o700)
+        self.endpoint = f"{scheme}/127.0.0.1:{free_port()}"
+        deployment = Deployment.model_validate({**ROBOT, "bus": {**bus, "listen": [self.endpoint]}})
+        self.network = Network()
+        gateway = gateway_of(deployment)
+        assert gateway is not None
+        router = socket_path(self.network.endpoint)
+        assert router is not None
+        self.gateway = gateway.open(router, folder)
+        self.bus = self.network.bus()
+        robot = self.node = node(self.bus, "/robot/mobile")
+        self.goals = Reader(robot, "/robot/goal_pose", PoseStamped, RELIABLE)
+        self.commands = Reader(robot, "/robot/cmd_vel", Twist, RELIABLE)
+        self.map = robot.advertise("/robot/map", PoseStamped, LATCHED)
+        self.map.publish(GOAL)
+        self.requests: list[str] = []
+        self.server = ControlServer(self.bus.session, 0, "/robot/mobile", self._now, self._answer)
+        assert eventually(lambda: answers(self.gateway))
+
+    def close(self) -> None:
+        self.server.close()
+        self.gateway.close()
+        self.network.close()
+
+    def _now(self, call: Callable[[], None]) -> None:
+        call()
+
+    def _answer(self, verb: str, _: Any) -> str:
+        self.requests.append(verb)
+        return verb
+
+
+def answers(session: zenoh.Session) -> bool:
+    """Return whether the robot answers a query with the priority of messages."""
+    key = keys.control_key(0, "/robot/mobile", "parameters")
+    replies = session.get(key, payload="{}", timeout=LIMIT_S)
+    return any(reply.ok is not None for reply in replies)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    """A robot with a user for each role, whose name and password are the role."""
+    folder = tmp_path_factory.mktemp("gateway")
+    users = {role: {"role": role, "password_file": str(secret(folder, role))} for role in ROLES}
+    with closing(Robot(folder, {"users": users}, "tcp")) as robot:
+        yield robot
+
+
+def secret(folder: Path, text: str) -> Path:
+    path = folder / f"{text}.password"
+    path.touch(mode=0o600)
+    path.write_text(f"{text}\n")
+    return path
+
+
+@contextmanager
+def joined(robot: Robot, user: Credentials) -> Iterator[zenoh.Session]:
+    """The session of a user."""
+    session = open_client([robot.endpoint], user)
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+@pytest.fixture(params=ROLES)
+def role(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def user(robot: Robot, role: str, tmp_path: Path) -> Iterator[zenoh.Session]:
+    with joined(robot, login(tmp_path, role)) as session:
+        yield session
+
+
+def login(folder: Path, name: str, password: str = "") -> Credentials:
+    return Credentials(user=name, password_file=str(secret(folder, password or name)))
+
+
+def passed(session: zenoh.Session) -> None:
+    """Wait until all that the session has sent before has reached the robot, or was denied.
+
+    The query has the priority of messages, so it does not overtake them.
+    """
+    assert answers(session)
+
+
+def request(session: zenoh.Session, verb: str) -> Any:
+    return control.request(session, 0, "/robot/mobile", verb, timeout_s=LIMIT_S)
+
+
+@pytest.mark.parametrize(
+    ("name", "password"), [("", ""), ("view", "wrong"), ("view", "operate"), ("stranger", "view")]
+)
+def test_wrong_and_missing_passwords_are_refused(
+    robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, password: str
+) -> None:
+    credentials = login(tmp_path, name, password) if name else Credentials()
+
+    with pytest.raises(CairnError, match="Does it accept your user name and password") as caught:
+        open_client([robot.endpoint], credentials)
+    assert "wrong" not in str(caught.value)
+    monkeypatch.setattr("cairn.bus.session._JOIN_TIMEOUT_S", 0.3)
+    with pytest.raises(CairnError, match="no router answers"):
+        open_peer([robot.endpoint], None, credentials)
+
+
+def test_every_role_reads_topics_latched_messages_the_graph_and_parameters(
+    robot: Robot, user: zenoh.Session
+) -> None:
+    client = Connection(user, 0)
+    map_key = keys.message_key(0, "/robot/map", PoseStamped)
+    with client.listen(map_key, latched=True) as samples:
+        assert samples.get(timeout=LIMIT_S).payload.to_bytes() == MESSAGE
+        robot.map.publish(GOAL)
+        assert samples.get(timeout=LIMIT_S).payload.to_bytes() == MESSAGE
+
+    assert "/robot/mobile" in client.nodes()
+    assert request(user, "parameters") == "parameters"
+    assert request(user, "mission") == "mission"
+
+
+def test_only_operators_and_administrators_give_goals(
+    robot: Robot, user: zenoh.Session, role: str
+) -> None:
+    user.put(GOAL_KEY, MESSAGE)
+    passed(user)
+
+    assert robot.goals.pending() == ([] if role == "view" else [GOAL])
+    if role == "view":
+        with pytest.raises(ControlError, match="no reply to go"):
+            request(user, "go")
+    else:
+        assert request(user, "go") == "go"
+
+
+def test_only_administrators_publish_commands_and_change_components(
+    robot: Robot, user: zenoh.Session, role: str
+) -> None:
+    user.put(keys.message_key(0, "/robot/cmd_vel", Twist), Codec().encode(Twist()))
+    for verb in ("deactivate", "set_parameters", "load"):
+        robot.requests.clear()
+        if role == "administer":
+            assert request(user, verb) == verb
+        else:
+            with pytest.raises(ControlError, match=f"no reply to {verb}"):
+                request(user, verb)
+            assert robot.requests == []
+    passed(user)
+
+    assert robot.commands.pending() == ([Twist()] if role == "administer" else [])
+
+
+def test_only_administrators_imitate_components(
+    robot: Robot, user: zenoh.Session, role: str
+) -> None:
+    fake = keys.token_key(
+        keys.EndpointEntity(
+            keys.NodeEntity(0, "ab", 0, f"/robot/fake_{role}"),
+            1, "MP", "/robot/cmd_vel", "geometry_msgs/msg/Twist", type_hash(Twist), RELIABLE,
+        )
+    )  # fmt: skip
+    token = user.liveliness().declare_token(fake)
+    key = keys.control_key(0, f"/robot/{role}")
+    queryable: Any = user.declare_queryable(key, lambda query: query.reply(key, b"{}"))
+    passed(user)
+
+    known = robot.bus.session.liveliness().get(keys.tokens_pattern(0), timeout=LIMIT_S)
+    seen = any(str(one.ok.key_expr) == fake for one in known if one.ok is not None)
+    with QueryableWatcher(robot.bus.session, key) as watcher:
+        matches = watcher.wait(LIMIT_S if role == "administer" else 0.0)
+    assert (seen, matches) == ((True, True) if role == "administer" else (False, False))
+    queryable.undeclare()
+    token.undeclare()
+
+
+def test_operator_that_is_a_ros2_node_announces_its_publisher_of_goals(
+    robot: Robot, tmp_path: Path
+) -> None:
+    """With a session as rmw_zenoh has it: a peer, which publishes with a cache."""
+    credentials = login(tmp_path, "operate")
+    with closing(ZenohBus(open_peer([robot.endpoint], None, credentials))) as outside:
+        publisher = node(outside, "/rviz").advertise("/robot/goal_pose", PoseStamped, LATCHED)
+        publisher.publish(GOAL)
+
+        assert eventually(lambda: GOAL in robot.goals.pending())
+        assert eventually(lambda: "/robot/goal_pose" in topics_of(robot, "/rviz"))
+
+
+def topics_of(robot: Robot, name: str) -> list[str]:
+    """Return the topics that a node publishes, as a command on the robot sees them."""
+    graph = robot.network.graph()
+    ends = [entity for entity in graph if isinstance(entity, keys.EndpointEntity)]
+    return [end.topic for end in ends if end.node.name == name and end.kind == "MP"]
+
+
+def test_local_processes_and_commands_need_no_password(robot: Robot) -> None:
+    other = robot.network.bus()
+    assert other.wait_for_peers(LIMIT_S) == []
+
+    assert request(other.session, "deactivate") == "deactivate"
+    assert "/robot/mobile" in {one.name for one in robot.network.graph() if hasattr(one, "name")}
+
+
+def test_processes_of_a_deployment_that_joins_with_a_password_link_to_each_other(
+    robot: Robot, tmp_path: Path
+) -> None:
+    user = login(tmp_path, "administer")
+    sockets = Path(tempfile.mkdtemp(prefix="cairn-test-"))
+    first, second = (
+        ZenohBus(open_peer([robot.endpoint], sockets / f"{name}.sock", user)) for name in "ab"
+    )
+    with closing(first), closing(second):
+        assert first.wait_for_peers(LIMIT_S) == []
+        assert str(second.session.info.zid()) in map(str, first.session.info.peers_zid())
+        assert not list(sockets.glob("*.users"))
+    shutil.rmtree(sockets)
+
+
+def openssl(folder: Path, *words: str) -> None:
+    subprocess.run(["openssl", *words], cwd=folder, check=True, capture_output=True)
+
+
+def certificates(folder: Path) -> None:
+    """Make an authority, and certificates for the robot and for clients it knows and does not."""
+    curve = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes", "-days", "2")
+    for authority in ("ca", "other"):
+        openssl(
+            folder, "req", "-x509", *curve, "-keyout", f"{authority}.key", "-out",
+            f"{authority}.pem", "-subj", f"/CN={authority}",
+        )  # fmt: skip
+    for name, authority in (("robot", "ca"), ("tablet", "ca"), ("guest", "ca"), ("rogue", "other")):
+        openssl(
+            folder, "req", *curve, "-keyout", f"{name}.key", "-out", f"{name}.csr",
+            "-subj", f"/CN={name}",
+        )  # fmt: skip
+        (folder / "names").write_text("subjectAltName=IP:127.0.0.1\n")
+        openssl(
+            folder, "x509", "-req", "-in", f"{name}.csr", "-CA", f"{authority}.pem", "-CAkey",
+            f"{authority}.key", "-CAcreateserial", "-days", "2", "-out", f"{name}.pem",
+            "-extfile", "names",
+        )  # fmt: skip
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
+def test_certificate_tells_who_a_client_is(tmp_path: Path) -> None:
+    certificates(tmp_path)
+    tls = {
+        "certificate": str(tmp_path / "robot.pem"),
+        "key": str(tmp_path / "robot.key"),
+        "ca": str(tmp_path / "ca.pem"),
+        "client_certificates": True,
+        "certificate_roles": {"tablet": "operate"},
+    }
+
+    def known_by(name: str) -> Credentials:
+        return Credentials(
+            ca=str(tmp_path / "ca.pem"),
+            certificate=str(tmp_path / f"{name}.pem"),
+            key=str(tmp_path / f"{name}.key"),
+        )
+
+    with closing(Robot(tmp_path, {"tls": tls}, "tls")) as robot:
+        with joined(robot, known_by("tablet")) as tablet:
+            assert request(tablet, "go") == "go"
+            with pytest.raises(ControlError, match="no reply to deactivate"):
+                request(tablet, "deactivate")
+        with joined(robot, known_by("guest")) as guest:  # signed, but without a role
+            with pytest.raises(ControlError, match="no reply to parameters"):
+                request(guest, "parameters")
+            assert Connection(guest, 0).nodes() == []
+        for credentials in (known_by("rogue"), Credentials(ca=str(tmp_path / "ca.pem"))):
+            with pytest.raises(CairnError, match="no router answers"):
+                open_client([robot.endpoint], credentials)
+
+
+def test_endpoint_in_use_is_reported(robot: Robot, tmp_path: Path) -> None:
+    gateway = Gateway((robot.endpoint,), {"enabled": False}, {})
+    router = socket_path(robot.network.endpoint)
+    assert router is not None
+
+    reason = f"cannot listen on {robot.endpoint}: an address is in use .*correct bus.listen"
+    with pytest.raises(CairnError, match=reason):
+        gateway.open(router, tmp_path)
