@@ -1,4 +1,4 @@
-"""Replace files atomically, and explain why a file cannot be read or written.
+"""Keep files from other users, replace them atomically, and explain why they cannot be used.
 
 Replacing is own code because the library for it, `atomicwrites`, was archived in 2022, and this
 takes 20 lines.
@@ -12,6 +12,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
+
+_UMASK: Final = 0o027
+"""Others may not read what Cairn writes: where a robot is, where it goes, and maps of buildings."""
+
+
+@contextmanager
+def private_files() -> Iterator[None]:
+    """Create files and folders that other users cannot open, in this process and those it starts.
+
+    Their modes become 0640 and 0750 at most; a stricter umask of the user stays.
+    """
+    before = os.umask(_UMASK)
+    os.umask(before | _UMASK)
+    try:
+        yield
+    finally:
+        os.umask(before)
 
 
 def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:

@@ -1,8 +1,10 @@
-"""A disk that is full."""
+"""A disk that is full, and who may open what is on it."""
 
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from stat import S_IMODE, S_IRWXO, S_IWGRP
 
 
 @contextmanager
@@ -14,3 +16,9 @@ def room_for(size: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def open_to_others(folder: Path) -> list[str]:
+    """Return the files and folders in a folder that other users may open, with their modes."""
+    modes = {path: S_IMODE(path.lstat().st_mode) for path in (folder, *folder.rglob("*"))}
+    return [f"{path} {mode:04o}" for path, mode in modes.items() if mode & (S_IRWXO | S_IWGRP)]

@@ -10,6 +10,7 @@ import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
+from cairn.files import private_files
 from cairn.process_exit import end_process
 
 COMMANDS_GROUP = "cairn.commands"
@@ -100,8 +101,9 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")  # no locale makes a run fail
     logging.captureWarnings(True)
     try:
-        _check_folder()
-        build()()
+        with private_files():
+            _check_folder()
+            build()()
     except CairnError as error:
         _print_error(str(error))
         sys.exit(1)

@@ -21,6 +21,7 @@ from cairn.planar.poses import Pose, distance
 from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.testing.launching import CAIRN, LIMIT_S, Run, launching, new_endpoint
+from tests.disk import open_to_others
 from tests.navigation.driving import SIM
 
 UNTIL_READY = "child active: vision_supervisor"
@@ -151,7 +152,7 @@ def robot_in(folder: Path, *sets: str) -> Iterator[ObservedRobot]:
         state_file = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
         changes = [f"bus.socket={endpoint}", state_file, *sets]
         arguments = [str(SIM), *(word for one in changes for word in ("--set", one))]
-        run = Run(arguments, folder / "report", endpoint, {}, None)
+        run = Run(arguments, folder / "report", endpoint, {}, None, umask=0)
         launch.runs.append(run)
         run.await_line(UNTIL_READY)
         bus = ZenohBus(open_peer([endpoint]))
@@ -160,3 +161,4 @@ def robot_in(folder: Path, *sets: str) -> Iterator[ObservedRobot]:
         finally:
             with contextlib.suppress(Exception):
                 bus.close()
+        assert open_to_others(run.report) == []

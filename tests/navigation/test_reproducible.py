@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from cairn.testing.launching import CAIRN
+from tests.disk import open_to_others
 from tests.navigation.driving import DEPLOY, SIM
 from tests.patience import LIMIT_S
 
@@ -20,8 +21,12 @@ def test_two_processes_give_bitwise_equal_runs(tmp_path: Path) -> None:
     up = [CAIRN, "up", str(SIM), "--overlay", str(TOUR), "--set", MISSION, "--lockstep"]
     for folder in ("one", "other"):
         where = ["--report", str(tmp_path / folder)]
-        done = subprocess.run([*up, *where], capture_output=True, text=True, timeout=LIMIT_S)
+        done = subprocess.run(
+            [*up, *where], capture_output=True, text=True, timeout=LIMIT_S, umask=0
+        )
         assert done.returncode == 0, done
+
+        assert open_to_others(tmp_path / folder) == []
 
     for name in ("pose.json", "map.pgm", "report.json", "world.jsonl"):
         one, other = (tmp_path / folder / name for folder in ("one", "other"))

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer, software
-from cairn.cli.doctor.deployments import devices, files, loaded, running
+from cairn.cli.doctor.deployments import devices, files, loaded, running, who_may_connect
 from cairn.cli.doctor.devices import cameras, serial_ports
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
 from cairn.cli.output import line, print_json
@@ -56,7 +56,8 @@ def doctor(
             connect, domain = endpoints(deployment)[0], deployment.domain
     findings = [*_general(connect, domain), *of_file]
     if file is not None and deployment is not None:
-        findings += [*files(file, deployment), *devices(file, deployment)]
+        findings += [*who_may_connect(file, deployment), *files(file, deployment)]
+        findings += devices(file, deployment)
     if json:
         print_json([asdict(finding) for finding in findings])
     else:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import psutil
 
-from cairn.bus.endpoints import endpoint_for, socket_path
+from cairn.bus.endpoints import endpoint_for, is_encrypted, is_loopback, socket_path
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.devices import access, connected_to
 from cairn.client import connect
@@ -23,6 +23,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.deployment.problems import DeploymentError
 from cairn.driver.device_names import TCP, devices_named
 from cairn.errors import CairnError
+from cairn.placement.process_run import router_socket
 from cairn.runtime.parameters import Config, ReadPathMark, marked_parameters
 from cairn.supervision.orphan_cleanup import MARK
 
@@ -75,6 +76,35 @@ def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
     """Check every device that a driver of the deployment names: does it exist, is it free?"""
     for member in deployment.members():
         yield from _devices_of(f"devices of {file.name}", member)
+
+
+def who_may_connect(file: Path, deployment: Deployment) -> Iterator[Finding]:
+    """Report who may connect to a deployment: on this computer, and at each network endpoint."""
+    topic, bus = f"access to {file.name}", deployment.bus
+    if bus.connect:
+        found = f"those who may connect to {', '.join(bus.connect)}, which it joins"
+        yield Finding(topic, "all users", "ok", found)
+        return
+    local = f"{getpass.getuser()}, without a password"
+    if bus.group is not None:
+        local += f", and the members of group {bus.group}"
+    yield Finding(topic, str(router_socket(deployment)), "ok", local)
+    roles = {name: user.role for name, user in bus.users.items()} or (
+        bus.tls.certificate_roles if bus.tls is not None else {}
+    )
+    by = "password" if bus.users else "certificate"
+    for endpoint in bus.listen:
+        if bus.allow_any_local_user:
+            found = "every program of every user of this computer, who may drive the robot"
+            remedy = "use bus.users or certificates unless you trust all: docs/how-to/connect.md"
+            yield Finding(topic, endpoint, "warn", found, remedy)
+            continue
+        found = f"by {by}: " + ", ".join(f"{name} ({role})" for name, role in roles.items())
+        if is_loopback(endpoint) or is_encrypted(endpoint):
+            yield Finding(topic, endpoint, "ok", found)
+        else:
+            remedy = "use a tls/ endpoint: docs/how-to/connect.md"
+            yield Finding(topic, endpoint, "warn", f"{found}; not encrypted", remedy)
 
 
 def _router(given: str, domain: int) -> Finding:

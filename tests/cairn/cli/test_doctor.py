@@ -291,3 +291,31 @@ def test_cameras_are_reported_with_stable_names(tmp_path: Path) -> None:
 def found(findings: Iterator[Finding], subject: str) -> Finding:
     """Return the finding about that subject."""
     return next(finding for finding in findings if finding.subject == subject)
+
+
+def test_who_may_connect_to_a_deployment_is_reported(tmp_path: Path) -> None:
+    password = tmp_path / "password"
+    password.touch(mode=0o600)
+    password.write_text("hunter2")
+    file = tmp_path / "robot.yaml"
+    file.write_text(ROBOT.format(socket=new_socket(), device="port: /dev/null"))
+    users = f"{{anna: {{role: operate, password_file: {password}}}}}"
+    remote = ("--set", "bus.allow_remote=true", "--set", f"bus.users={users}", "--set")
+
+    group = cairn("doctor", str(file), "--json", "--set", "bus.group=robots")
+    listening = cairn("doctor", str(file), "--json", *remote, "bus.listen=[tcp/0.0.0.0:7]")
+    quick = ("bus.allow_any_local_user=true", "--set", "bus.listen=[tcp/127.0.0.1:7]")
+    open_to_all = cairn("doctor", str(file), "--json", "--set", *quick)
+
+    def access(answer: Answer) -> list[tuple[str, str]]:
+        topic = "access to robot.yaml"
+        return [(row["state"], row["found"]) for row in answer.json if row["topic"] == topic]
+
+    local = f"{getpass.getuser()}, without a password"
+    assert access(group) == [("ok", f"{local}, and the members of group robots")]
+    assert access(listening) == [
+        ("ok", local),
+        ("warn", "by password: anna (operate); not encrypted"),
+    ]
+    assert access(open_to_all)[1][0] == "warn"
+    assert "every program of every user" in access(open_to_all)[1][1]

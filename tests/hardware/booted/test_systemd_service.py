@@ -121,7 +121,10 @@ def test_service_is_restarted_when_its_root_is_killed_or_hangs(
 def scans_come() -> bool:
     """Whether the scanner's scans are on the bus."""
     done = subprocess.run(
-        [sys.executable, "-m", "cairn.cli.main", "topic", "echo", "scan", "--count", "1"],
+        [
+            *(sys.executable, "-m", "cairn.cli.main", "topic", "echo", "scan", "--count", "1"),
+            *("--connect", "/run/cairn-trial/domain-0.sock"),
+        ],
         check=False,
         capture_output=True,
         timeout=_LIMIT_S,

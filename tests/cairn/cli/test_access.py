@@ -1,0 +1,153 @@
+"""Who may connect to a running deployment, and read what it writes."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cairn.bus.endpoints import socket_path
+from cairn.testing.launching import Launching, Run, free_port, new_endpoint
+from tests.commands import Answer, cairn
+from tests.disk import open_to_others
+from tests.patience import LIMIT_S
+from tests.wording import assert_words
+
+pytestmark = pytest.mark.processes
+
+NOBODY = 65534
+TALK = """
+    components:
+      listener: {plugin: test_listener}
+      talker: {plugin: test_talker}
+    """
+CONNECT = """
+import os, sys
+import zenoh
+user = int(sys.argv[1])
+os.setgroups([])
+os.setresgid(user, user, user)  # after the imports: another user may not read this Python
+os.setresuid(user, user, user)
+for endpoint in sys.argv[2:]:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("connect/endpoints", f'["{endpoint}"]')
+    try:
+        zenoh.open(config).close()
+        print("open")
+    except zenoh.ZError:
+        print("refused")
+"""
+
+
+def sockets_of(run: Run) -> list[Path]:
+    """Return the sockets of the router and of all processes of a run."""
+    listening = Path("/proc/net/unix").read_text(encoding="utf-8").splitlines()
+    inodes = {line.split()[6]: line.split()[-1] for line in listening if line.count("/")}
+    found = set()
+    for pid in run.pids():
+        for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+            link = os.readlink(descriptor)
+            if link.startswith("socket:[") and (path := inodes.get(link[8:-1])):
+                found.add(Path(path))
+    return sorted(found)
+
+
+def tcp_listeners(run: Run) -> list[str]:
+    """Return the TCP sockets on which processes of a run listen."""
+    listening = set()
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]:
+            if line.split()[3] == "0A":
+                listening.add(f"socket:[{line.split()[9]}]")
+    links = (
+        os.readlink(descriptor)
+        for pid in run.pids()
+        for descriptor in Path(f"/proc/{pid}/fd").iterdir()
+    )
+    return [link for link in links if link in listening]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may run a program as another user")
+def test_other_users_cannot_connect_to_any_process_nor_read_what_it_writes(
+    launch: Launching,
+) -> None:
+    run = launch(TALK, umask=0)
+    run.await_line("received 1,")
+    sockets = sockets_of(run)
+    names = {path.name for path in sockets}
+
+    assert {"listener.sock", "talker.sock"} <= names
+    assert socket_path(run.endpoint) in sockets
+    assert tcp_listeners(run) == []
+    endpoints = [f"unixsock-stream/{path}" for path in sockets if "zygote" not in path.name]
+    for user, answer in ((0, "open"), (NOBODY, "refused")):
+        program = [sys.executable, "-c", CONNECT, str(user), *endpoints]
+        tried = subprocess.run(program, capture_output=True, text=True, timeout=LIMIT_S)
+        assert tried.stdout.split() == [answer] * len(endpoints), tried
+    assert run.stop() == 0
+    assert open_to_others(run.report) == []
+    assert not any(path.exists() for path in sockets)
+
+
+def test_group_may_use_the_socket_and_the_rest_may_not(launch: Launching) -> None:
+    endpoint = new_endpoint()
+    path = socket_path(endpoint)
+    assert path is not None
+    folder = path.parent / "group"
+    own = str(os.getegid())
+    run = launch(TALK, "--set", f"bus.socket={folder}/a.sock", "--set", f"bus.group={group_name()}")
+    run.await_line("child active: talker")
+
+    assert (folder.stat().st_mode & 0o777, (folder / "a.sock").stat().st_mode & 0o777) == (
+        0o750,
+        0o660,
+    )
+    assert str((folder / "a.sock").stat().st_gid) == own
+    assert run.stop() == 0
+
+
+def group_name() -> str:
+    """Return the name of this user's group."""
+    import grp
+
+    return grp.getgrgid(os.getegid()).gr_name
+
+
+def test_user_on_the_network_does_what_the_role_allows(
+    launch: Launching, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    password = tmp_path / "password"
+    password.touch(mode=0o600)
+    password.write_text("correct horse\n")
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    users = f"bus.users={{vera: {{role: view, password_file: {password}}}}}"
+    run = launch(TALK, "--set", users, "--set", f"bus.listen=[{endpoint}]")
+    run.await_line("received 1,")
+
+    def remote(*arguments: str) -> Answer:
+        return cairn(*arguments, connect=endpoint)
+
+    assert_words(remote("ps").err, endpoint, "CAIRN_USER")
+    monkeypatch.setenv("CAIRN_USER", "vera")
+    assert_words(remote("ps").err, "CAIRN_PASSWORD_FILE", "set both")
+    monkeypatch.setenv("CAIRN_PASSWORD_FILE", str(password))
+    assert {row["component"] for row in remote("ps", "--json").json} == {
+        "/robot/root",
+        "/robot/listener",
+        "/robot/talker",
+    }
+    assert remote("param", "list", "talker").code == 0
+    assert remote("restart", "talker").code == 1
+    log = [file.read_text(encoding="utf-8") for file in run.logs.iterdir()]
+    assert run.stop() == 0
+    assert "correct horse" not in "".join([*run.lines, *log])
+
+
+def test_deployment_that_would_let_in_anyone_does_not_start(launch: Launching) -> None:
+    run = launch(TALK, "--set", f"bus.listen=[tcp/127.0.0.1:{free_port()}]")
+
+    assert run.await_end() == 1
+    run.await_line("could drive the robot; add `users` with passwords")
