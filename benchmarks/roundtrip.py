@@ -1,10 +1,15 @@
-"""Round trip between two processes through ports, compared with raw zenoh-python."""
+"""Round trip between two processes through ports, compared with raw zenoh-python.
+
+Also that over Unix sockets, by which components are linked, compared with loopback TCP.
+"""
 
 import json
 import multiprocessing
 import statistics
+import tempfile
 import threading
 import time
+from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -23,6 +28,7 @@ from cairn.schemas.std_msgs import Header, String
 
 ROUNDS = 5
 LIMIT = 1.5
+_SLOWER = 1.1  # more than the scatter between rounds
 PAYLOADS = {"64 B": 2000, "2.8 kB scan": 2000, "300 kB image": 400}
 _HERE = "benchmarks.roundtrip"
 
@@ -173,10 +179,9 @@ def through_ports(name: str) -> dict[str, float]:
     return {key: float(value) for key, value in results(output)[0].items()}
 
 
-def raw(name: str, handler: str) -> dict[str, float]:
+def raw(name: str, handler: str, endpoint: str) -> dict[str, float]:
     """Return the same for zenoh-python alone; `handler` is "ring" or "callback"."""
     context = multiprocessing.get_context("spawn")
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
     ours, theirs = context.Pipe()
     process = context.Process(target=_raw_pong, args=(endpoint, handler, theirs))
     process.start()
@@ -281,13 +286,18 @@ def measure() -> list[Metric]:
     metrics = []
     for name in PAYLOADS:
         ours, plain = [], {"ring": [], "callback": []}  # type: ignore[var-annotated]
+        tcp: dict[str, list[float]] = {"ring": [], "callback": []}
         for _ in range(ROUNDS):
             for handler, found in plain.items():
-                found.append(raw(name, handler)["median"])
+                with tempfile.TemporaryDirectory() as folder:
+                    endpoint = f"unixsock-stream/{folder}/raw.sock"
+                    found.append(raw(name, handler, endpoint)["median"])
+                endpoint = f"tcp/127.0.0.1:{free_port()}"
+                tcp[handler].append(raw(name, handler, endpoint)["median"])
             ours.append(through_ports(name)["median"])
-        best = min(statistics.median(found) for found in plain.values())
+        best, by_tcp = _best(plain), _best(tcp)
         mine = statistics.median(ours)
-        metrics.append(
+        metrics += [
             Metric(
                 f"round trip {name}: ports / raw zenoh",
                 mine / best,
@@ -296,6 +306,17 @@ def measure() -> list[Metric]:
                 note=f"{mine:.0f} us / {best:.0f} us (raw: "
                 + ", ".join(f"{handler} {statistics.median(t):.0f}" for handler, t in plain.items())
                 + ")",
-            )
-        )
+            ),
+            Metric(
+                f"round trip {name}: Unix socket / loopback TCP",
+                best / by_tcp,
+                "x",
+                at_most=_SLOWER,
+                note=f"{best:.0f} us / {by_tcp:.0f} us (raw zenoh)",
+            ),
+        ]
     return metrics
+
+
+def _best(medians: Mapping[str, list[float]]) -> float:
+    return min(statistics.median(found) for found in medians.values())

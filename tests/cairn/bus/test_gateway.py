@@ -1,5 +1,6 @@
 """Users on the network connect with a password or certificate, and do what their role allows."""
 
+import re
 import shutil
 import subprocess
 import tempfile
@@ -13,7 +14,7 @@ import zenoh
 
 from cairn import LATCHED, RELIABLE, CairnError
 from cairn.bus import control, keys
-from cairn.bus.codec import Codec
+from cairn.bus.codec import Codec, to_plain
 from cairn.bus.control import ControlError, ControlServer, Role
 from cairn.bus.credentials import Credentials
 from cairn.bus.discovery import QueryableWatcher
@@ -25,8 +26,10 @@ from cairn.client import Connection
 from cairn.deployment.model import Deployment
 from cairn.placement.process_run import gateway_of
 from cairn.schemas.geometry_msgs import PoseStamped, Twist
+from cairn.schemas.message import type_name
 from cairn.testing.launching import free_port
 from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.cairn.bus.ros2 import ros2_node
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -291,36 +294,78 @@ def certificates(folder: Path) -> None:
         )  # fmt: skip
 
 
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
-def test_certificate_tells_who_a_client_is(tmp_path: Path) -> None:
-    certificates(tmp_path)
+@pytest.fixture(scope="module")
+def keys_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with certificates and their keys."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl makes the certificates")
+    folder = tmp_path_factory.mktemp("certificates")
+    certificates(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def certified(keys_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    """A robot that knows its clients by certificates."""
     tls = {
-        "certificate": str(tmp_path / "robot.pem"),
-        "key": str(tmp_path / "robot.key"),
-        "ca": str(tmp_path / "ca.pem"),
+        "certificate": str(keys_folder / "robot.pem"),
+        "key": str(keys_folder / "robot.key"),
+        "ca": str(keys_folder / "ca.pem"),
         "client_certificates": True,
         "certificate_roles": {"tablet": "operate"},
     }
+    with closing(Robot(tmp_path_factory.mktemp("certified"), {"tls": tls}, "tls")) as robot:
+        yield robot
 
+
+def test_client_is_known_by_its_certificate(certified: Robot, keys_folder: Path) -> None:
     def known_by(name: str) -> Credentials:
         return Credentials(
-            ca=str(tmp_path / "ca.pem"),
-            certificate=str(tmp_path / f"{name}.pem"),
-            key=str(tmp_path / f"{name}.key"),
+            ca=str(keys_folder / "ca.pem"),
+            certificate=str(keys_folder / f"{name}.pem"),
+            key=str(keys_folder / f"{name}.key"),
         )
 
-    with closing(Robot(tmp_path, {"tls": tls}, "tls")) as robot:
-        with joined(robot, known_by("tablet")) as tablet:
-            assert request(tablet, "go") == "go"
-            with pytest.raises(ControlError, match="no reply to deactivate"):
-                request(tablet, "deactivate")
-        with joined(robot, known_by("guest")) as guest:  # signed, but without a role
-            with pytest.raises(ControlError, match="no reply to parameters"):
-                request(guest, "parameters")
-            assert Connection(guest, 0).nodes() == []
-        for credentials in (known_by("rogue"), Credentials(ca=str(tmp_path / "ca.pem"))):
-            with pytest.raises(CairnError, match="no router answers"):
-                open_client([robot.endpoint], credentials)
+    with joined(certified, known_by("tablet")) as tablet:
+        assert request(tablet, "go") == "go"
+        with pytest.raises(ControlError, match="no reply to deactivate"):
+            request(tablet, "deactivate")
+    with joined(certified, known_by("guest")) as guest:  # signed, but without a role
+        with pytest.raises(ControlError, match="no reply to parameters"):
+            request(guest, "parameters")
+        assert Connection(guest, 0).nodes() == []
+    for credentials in (known_by("rogue"), Credentials(ca=str(keys_folder / "ca.pem"))):
+        with pytest.raises(CairnError, match="no router answers"):
+            open_client([certified.endpoint], credentials)
+
+
+def test_ros2_node_connects_with_the_session_settings_of_the_documentation(
+    certified: Robot, keys_folder: Path, tmp_path: Path
+) -> None:
+    page = Path(__file__).parents[3] / "docs" / "how-to" / "connect.md"
+    (shown,) = re.findall("ZENOH_CONFIG_OVERRIDE='(.*)'", page.read_text(encoding="utf-8"))
+    settings = (
+        shown.replace("tls/robot.example:7447", certified.endpoint)
+        .replace('"ca.pem"', f'"{keys_folder}/ca.pem"')
+        .replace("rviz.", f"{keys_folder}/tablet.")
+    )
+    override = {"ZENOH_CONFIG_OVERRIDE": settings}
+    with ros2_node(0, tmp_path, (PoseStamped, Twist), override) as ros2:
+        for topic, kind in (("goal_pose", PoseStamped), ("cmd_vel", Twist)):
+            ros2.request("advertise", topic=f"/robot/{topic}", type=type_name(kind), node="rviz")
+        name = type_name(PoseStamped)
+        ros2.request("subscribe", topic="/robot/map", type=name, node="rviz")
+        assert eventually(lambda: ros2.request("has_subscribers", topic="/robot/goal_pose"))
+        certified.goals.pending()
+
+        ros2.request("publish", topic="/robot/cmd_vel", value=to_plain(Twist()))
+        ros2.request("publish", topic="/robot/goal_pose", value=to_plain(GOAL))
+
+        assert eventually(lambda: GOAL in certified.goals.pending())
+        assert certified.commands.pending() == []
+        assert eventually(lambda: certified.map.has_subscribers)
+        certified.map.publish(GOAL)
+        assert ros2.request("receive", topic="/robot/map")["pose"] == to_plain(GOAL.pose)
 
 
 def test_endpoint_in_use_is_reported(robot: Robot, tmp_path: Path) -> None:

@@ -1,10 +1,6 @@
 """Messages and the graph are exchanged with zenoh-ros2-sdk, an independent client of rmw_zenoh."""
 
-import json
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
@@ -12,7 +8,7 @@ import pytest
 from cairn import RELIABLE, SENSOR, Component, In, Out, on
 from cairn.bus.codec import to_plain
 from cairn.bus.keys import EndpointEntity, NodeEntity
-from cairn.bus.type_hash import definition, type_hash
+from cairn.bus.type_hash import type_hash
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3
@@ -22,6 +18,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header, String
 from cairn.testing.launching import free_port
 from tests.cairn.bus.network import Network, eventually
+from tests.cairn.bus.ros2 import Ros2, ros2_node
 from tests.cairn.runtime.threaded import ThreadedComponent
 
 pytestmark = pytest.mark.processes
@@ -93,22 +90,6 @@ class Robot(Component):
         self.received["objects"] = message
 
 
-class Ros2:
-    """The other client's process."""
-
-    def __init__(self, process: "subprocess.Popen[str]") -> None:
-        self._process = process
-
-    def request(self, verb: str, **arguments: Any) -> Any:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps([verb, arguments]) + "\n")
-        self._process.stdin.flush()
-        answer = self._process.stdout.readline()
-        assert answer, "the other client has ended; its errors are above"
-        return json.loads(answer)
-
-
 @pytest.fixture(scope="module")
 def port() -> int:
     """The TCP port of the router: the other client has no Unix sockets."""
@@ -125,27 +106,14 @@ def network(port: int) -> Iterator[Network]:
 @pytest.fixture(scope="module")
 def ros2(network: Network, port: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros2]:
     definitions = tmp_path_factory.mktemp("definitions")
-    write_definitions(definitions)
-    program = str(Path(__file__).with_name("ros2_client.py"))
-    with subprocess.Popen(
-        [sys.executable, program, str(port), str(definitions)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            ros2 = Ros2(process)
-            for topic, message in MESSAGES.items():
-                name = type_name(type(message))
-                ros2.request(
-                    "advertise", topic=f"/robot/{topic}", type=name, node=f"talker_{topic}"
-                )
-                ros2.request(
-                    "subscribe", topic=f"/robot/out_{topic}", type=name, node=f"listener_{topic}"
-                )
-            yield ros2
-        finally:
-            process.kill()
+    with ros2_node(port, definitions, map(type, MESSAGES.values())) as ros2:
+        for topic, message in MESSAGES.items():
+            name = type_name(type(message))
+            ros2.request("advertise", topic=f"/robot/{topic}", type=name, node=f"talker_{topic}")
+            ros2.request(
+                "subscribe", topic=f"/robot/out_{topic}", type=name, node=f"listener_{topic}"
+            )
+        yield ros2
 
 
 @pytest.fixture(scope="module")
@@ -171,21 +139,6 @@ def known(network: Network, robot: ThreadedComponent, ros2: Ros2) -> Network:
     assert eventually(lambda: topics <= {name for name, _ in ros2.request("topics")})
     assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)
     return network
-
-
-def write_definitions(directory: Path) -> None:
-    """Return a folder with a .msg file per message type, as in a ROS 2 installation."""
-    for message in MESSAGES.values():
-        first, *others = definition(type(message)).split("=" * 80 + "\n")
-        texts = {type_name(type(message)): first}
-        for other in others:
-            title, _, text = other.partition("\n")
-            package, name = title.removeprefix("MSG: ").split("/")
-            texts[f"{package}/msg/{name}"] = text
-        for name, text in texts.items():
-            path = directory / f"{name}.msg"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
 
 
 def nodes(network: Network) -> set[str]:
