@@ -237,11 +237,30 @@ def _has_router(session: zenoh.Session, timeout_s: float) -> bool:
 
 
 def _no_router(connect: Sequence[str]) -> str:
-    refused = "" if all(map(socket_path, connect)) else _REFUSED
+    sockets = [path for path in map(socket_path, connect) if path is not None]
+    refused = "" if len(sockets) == len(connect) else _REFUSED
+    for path in sockets:
+        if not _may_open(path):
+            return (
+                f"no router answers at {path}: user {os.geteuid()} may not open it, only the user "
+                "who runs the deployment, and the group that it names (`bus.group`); join that "
+                "group, or give another endpoint by --connect or CAIRN_CONNECT"
+            )
     return (
         f"no router answers at {', '.join(connect)}: is a deployment running (`cairn up`)? "
         f"{refused}Give another endpoint by --connect or CAIRN_CONNECT"
     )
+
+
+def _may_open(socket: Path) -> bool:
+    """Return whether this user may connect to a socket, or it does not exist."""
+    try:
+        socket.stat()
+    except PermissionError:
+        return False
+    except OSError:
+        return True
+    return os.access(socket, os.R_OK | os.W_OK, effective_ids=True)
 
 
 def _open(config: zenoh.Config, failure: str) -> zenoh.Session:

@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from cairn import CairnError
 from cairn.bus.session import is_connected, open_client, open_router, process_of
 from cairn.testing.launching import new_endpoint, new_socket
 from tests.cairn.bus.network import eventually, router_at
@@ -53,3 +54,17 @@ def test_id_of_a_session_names_its_process() -> None:
 
 def test_id_of_a_foreign_session_is_named_as_such() -> None:
     assert process_of("4711") == "the foreign session 4711"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user for a moment")
+def test_socket_of_another_user_is_named_as_the_cause() -> None:
+    socket = new_socket()
+    with open_router(socket):
+        os.seteuid(65534)
+        try:
+            with pytest.raises(
+                CairnError, match=f"{socket}: user 65534 may not open it.*bus.group"
+            ):
+                open_client([f"unixsock-stream/{socket}"])
+        finally:
+            os.seteuid(0)
