@@ -89,8 +89,8 @@ def check_private(path: Path) -> None:
     if status.st_mode & (stat.S_IRWXO | stat.S_IWGRP):
         raise CairnError(
             f"{path}: its mode {stat.S_IMODE(status.st_mode):04o} lets other users in, who could "
-            f"then drive the robot; restrict it to yourself (chmod 700 {path}), or set {VARIABLE} "
-            "to another folder"
+            "then drive the robot; use a folder with nothing but sockets that only you may open "
+            f"(chmod 700), or set {VARIABLE} to one"
         )
     if parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX:
         raise CairnError(

@@ -1,6 +1,7 @@
 """The section `bus` of a deployment: where its router listens, and who may connect to it."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -24,6 +25,7 @@ from cairn.bus.credentials import (
 )
 from cairn.bus.endpoints import is_encrypted, is_loopback, parse_endpoint, socket_path
 from cairn.errors import CairnError
+from cairn.runtime_folder import check_private, group_id
 
 _REMEDY = (
     "add `users` with passwords, or `tls` with client certificates and `certificate_roles`, or, "
@@ -171,8 +173,9 @@ class BusSettings(_Section):
         )
 
     def file_problems(self) -> Iterator[tuple[tuple[str, ...], str]]:
-        """Yield each file that cannot be used, by its key below `bus`, with the reason."""
+        """Yield what this computer does not have as needed, by key below `bus`, with the reason."""
         checks: list[tuple[tuple[str, ...], str | None, Callable[[Path], object]]] = [
+            (("socket",), self.socket, _check_folder),
             (("password_file",), self.password_file, read_password),
             *(
                 (("users", name, "password_file"), user.password_file, read_password)
@@ -191,6 +194,11 @@ class BusSettings(_Section):
                     check(Path(path))
                 except CairnError as error:
                     yield key, str(error)
+        try:
+            if self.group is not None:
+                group_id(self.group)
+        except CairnError as error:
+            yield ("group",), str(error)
 
     @field_validator("socket", "group", "users", "listen", mode="after")
     @classmethod
@@ -232,6 +240,12 @@ class BusSettings(_Section):
                 "has signed the router's certificate"
             )
         return self
+
+
+def _check_folder(socket: Path) -> None:
+    """Raise `CairnError` if other users could open or replace a socket."""
+    with suppress(OSError):  # `cairn up` creates it
+        check_private(socket.parent)
 
 
 def _check_access(endpoint: str, bus: Mapping[str, object]) -> None:

@@ -71,7 +71,7 @@ def check_document(root: DocumentNode, unresolved: frozenset[KeyPath]) -> list[P
 
 
 def _file_problems(root: DocumentNode) -> Iterator[Problem]:
-    """Yield the passwords and certificates that cannot be used, if the section `bus` is valid."""
+    """Yield the secrets, certificates and folders that cannot be used, if `bus` is valid."""
     bus = root.find("bus")
     if bus is None:
         return

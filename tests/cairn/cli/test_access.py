@@ -1,5 +1,6 @@
 """Who may connect to a running deployment, and read what it writes."""
 
+import grp
 import os
 import subprocess
 import sys
@@ -111,8 +112,6 @@ def test_group_may_use_the_socket_and_the_rest_may_not(launch: Launching) -> Non
 
 def group_name() -> str:
     """Return the name of this user's group."""
-    import grp
-
     return grp.getgrgid(os.getegid()).gr_name
 
 

@@ -196,6 +196,30 @@ def test_administrators_may_do_everything() -> None:
             assert allowed(one, "administer", flow, message) == keys
 
 
+def test_socket_that_others_could_replace_and_unknown_group_are_problems_of_the_deployment(
+    tmp_path: Path,
+) -> None:
+    tmp_path.chmod(0o755)
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        dedent(f"""
+        cairn: 1
+        bus: {{socket: {tmp_path}/a.sock, group: no_such_group}}
+        components: {{talker: {{plugin: test_talker}}}}
+        """)
+    )
+
+    with pytest.raises(DeploymentError) as caught:
+        load_deployment(file)
+
+    assert [(one.path, one.at.line) for one in caught.value.problems] == [
+        ("bus.socket", 3),
+        ("bus.group", 3),
+    ]
+    assert "its mode 0755 lets other users in" in caught.value.problems[0].found
+    assert "groupadd no_such_group" in caught.value.problems[1].remedy
+
+
 def test_each_secret_or_certificate_that_cannot_be_used_is_a_problem_of_the_deployment(
     tmp_path: Path,
 ) -> None:
