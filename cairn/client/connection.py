@@ -15,9 +15,9 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 from cairn.bus import control, keys
 from cairn.bus.codec import Codec
 from cairn.bus.credentials import Credentials
-from cairn.bus.endpoints import endpoint_for
+from cairn.bus.endpoints import endpoint_for, socket_path
 from cairn.bus.graph import read_graph
-from cairn.bus.session import is_connected, open_client
+from cairn.bus.session import NO_CREDENTIALS, is_connected, open_client
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
@@ -42,8 +42,10 @@ class Connection:
         `CAIRN_PASSWORD_FILE`, `CAIRN_TLS_CA`, `CAIRN_TLS_CERTIFICATE` and `CAIRN_TLS_KEY` name.
         Raises `CairnError` if no router answers.
         """
-        credentials = Credentials.from_environment()
-        return cls(open_client([endpoint_for(endpoint, domain)], credentials), domain)
+        endpoint = endpoint_for(endpoint, domain)
+        local = socket_path(endpoint) is not None  # such a router refuses who presents a password
+        credentials = NO_CREDENTIALS if local else Credentials.from_environment()
+        return cls(open_client([endpoint], credentials), domain)
 
     def close(self) -> None:
         """Close the session."""

@@ -224,6 +224,8 @@ class BusSettings(_Section):
             raise ValueError("`user` is who joins the routers of `connect`; add `connect`")
         if (self.user is None) != (self.password_file is None):
             raise ValueError("`user` and `password_file` belong together; name both or none")
+        if self.user is not None and any(map(socket_path, self.connect)):
+            raise ValueError("a Unix socket of `connect` accepts no password; remove `user`")
         if self.users and not self.listen:
             raise ValueError(
                 "`users` connect to `listen`, which is empty; add an endpoint to `listen` "

@@ -2,13 +2,17 @@
 
 import os
 import threading
+from contextlib import closing
+from typing import Any
 
 import pytest
+import zenoh
 
 from cairn import CairnError
-from cairn.bus.session import is_connected, open_client, open_router, process_of
+from cairn.bus.session import is_connected, open_client, open_peer, open_router, process_of
+from cairn.bus.zenoh_bus import ZenohBus
 from cairn.testing.launching import new_endpoint, new_socket
-from tests.cairn.bus.network import eventually, router_at
+from tests.cairn.bus.network import Network, eventually, router_at
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -68,3 +72,17 @@ def test_socket_of_another_user_is_named_as_the_cause() -> None:
                 open_client([f"unixsock-stream/{socket}"])
         finally:
             os.seteuid(0)
+
+
+def test_longer_messages_than_allowed_are_discarded_and_the_link_stays(network: Network) -> None:
+    session = open_peer([network.endpoint], new_socket(), max_message_size=1 << 16)
+    with closing(ZenohBus(session)) as reader, closing(network.bus()) as writer:
+        received: Any = session.declare_subscriber("size", zenoh.handlers.RingChannel(10))
+        assert reader.wait_for_peers(LIMIT_S) == []
+        for size in (100_000, 10_000_000, 1_000):
+            writer.session.put(
+                "size", bytes(size), congestion_control=zenoh.CongestionControl.BLOCK
+            )
+
+        assert len(received.recv().payload) == 1_000
+        assert received.try_recv() is None

@@ -140,6 +140,7 @@ def test_user_on_the_network_does_what_the_role_allows(
     }
     assert remote("param", "list", "talker").code == 0
     assert remote("restart", "talker").code == 1
+    assert cairn("restart", "talker", connect=run.endpoint).code == 0
     log = [file.read_text(encoding="utf-8") for file in run.logs.iterdir()]
     assert run.stop() == 0
     assert "correct horse" not in "".join([*run.lines, *log])
@@ -150,3 +151,23 @@ def test_deployment_that_would_let_in_anyone_does_not_start(launch: Launching) -
 
     assert run.await_end() == 1
     run.await_line("could drive the robot; add `users` with passwords")
+
+
+def test_deployment_joins_another_one_with_a_password(launch: Launching, tmp_path: Path) -> None:
+    password = tmp_path / "password"
+    password.touch(mode=0o600)
+    password.write_text("correct horse\n")
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    users = f"bus.users={{fleet: {{role: administer, password_file: {password}}}}}"
+    user = ("--set", "bus.user=fleet", "--set", f"bus.password_file={password}")
+    first = launch(TALK, "--set", users, "--set", f"bus.listen=[{endpoint}]", robot="alpha")
+    first.await_line("received 1,")
+    second = launch(TALK, *user, robot="beta", connect=endpoint)
+    second.await_line("received 1,")
+
+    rows = cairn("ps", "--json", connect=first.endpoint).json
+    assert {"/alpha/talker", "/beta/talker"} <= {row["component"] for row in rows}
+    for log in second.logs.iterdir():
+        assert "WARNING" not in log.read_text(encoding="utf-8")
+    assert second.stop() == 0
+    assert first.stop() == 0

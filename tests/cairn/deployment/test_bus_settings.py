@@ -59,6 +59,7 @@ REMOTE = ["tls/0.0.0.0:7447"]
         ({"connect": LOCAL, "socket": "/run/a.sock"}, "`socket` has no effect"),
         ({"connect": LOCAL, "user": "anna"}, "`user` and `password_file` belong together"),
         ({"user": "anna", "password_file": "p"}, "add `connect`"),
+        ({"connect": ["/run/a.sock"], "user": "anna", "password_file": "p"}, "accepts no password"),
         ({"connect": ["tls/a.example:7447"]}, "needs `tls: {ca: FILE}`"),
         ({"socket": "a.sock"}, "is not an endpoint"),
         ({"socket": "tcp/127.0.0.1:7447"}, "is not the absolute path of a socket"),
