@@ -88,6 +88,9 @@ def up(
         live = sys.stdout.isatty() and not plain
         if not live:
             line(f"{title}; logs and report: {folder}")
+        if deployment.bus.listen and deployment.bus.allow_any_local_user and not lockstep:
+            reached = ", ".join(deployment.bus.listen)
+            note(f"any user and program of this computer may drive the robot through {reached}")
         if lockstep and not any(member.spec.significant for member in deployment.members()):
             note("no component is `significant`: only Ctrl-C ends this run")
         with LiveView(Console(), title) if live else PlainView(line, sys.stdout.fileno()) as view:

@@ -171,3 +171,13 @@ def test_deployment_joins_another_one_with_a_password(launch: Launching, tmp_pat
         assert "WARNING" not in log.read_text(encoding="utf-8")
     assert second.stop() == 0
     assert first.stop() == 0
+
+
+def test_endpoint_for_any_local_user_is_announced_and_needs_no_password(launch: Launching) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    run = launch(TALK, "--set", f"bus={{listen: [{endpoint}], allow_any_local_user: true}}")
+
+    run.await_line(f"any user and program of this computer may drive the robot through {endpoint}")
+    run.await_line("received 1,")
+    assert cairn("restart", "talker", connect=endpoint).code == 0
+    assert run.stop() == 0
