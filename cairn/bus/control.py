@@ -86,8 +86,8 @@ def request(
     if waited_s < timeout_s:
         raise NoReplyError(
             f"{component}: no reply to {verb}, and none will arrive, after {waited_s:.1f} s: "
-            "the component is not running, has just ended, or the link to it was lost; "
-            "`cairn ps` lists the running components"
+            "the component is not running, has just ended, the link to it was lost, or, over the "
+            "network, your role does not allow the request; `cairn ps` lists the running components"
         )
     raise NoReplyError(
         f"{component}: no reply to {verb} within {timeout_s:g} s: it hangs or is still busy; "

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import queue
+import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
@@ -24,6 +25,7 @@ from cairn.schemas.message import InvalidMessage, type_name
 
 STATUS_TOPIC = "component_status"
 
+_MATCH_LIMIT_S = 2.0
 _ANSWER_LIMIT_S = 5.0  # a component that has not answered by then hangs
 
 
@@ -136,6 +138,35 @@ class Connection:
             else:
                 samples.append(reply.ok)
         return samples, complete
+
+    def publisher(self, key: str, encoding: zenoh.Encoding) -> zenoh.Publisher:
+        """Declare a publisher, and wait until it reaches a subscriber.
+
+        Raises `CairnError` if it does not within 2 s: a router on the network does not announce
+        subscribers to users who may not publish to them.
+        """
+        publisher = self.session.declare_publisher(
+            key, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK
+        )
+        changed = threading.Event()
+        callback: Any = zenoh.handlers.Callback(lambda _: changed.set(), indirect=False)
+        listener = publisher.declare_matching_listener(callback)
+        deadline = time.monotonic() + _MATCH_LIMIT_S
+        try:
+            # zenoh's stub says that the status is a bool, but it is an object, which is always true
+            while not (matching := cast("Any", publisher.matching_status).matching):
+                if not changed.wait(max(0.0, deadline - time.monotonic())):
+                    break
+                changed.clear()
+        finally:
+            listener.undeclare()
+        if not matching:
+            publisher.undeclare()
+            raise CairnError(
+                f"{key}: no subscriber can be reached: the component has just ended, or, over the "
+                "network, your role does not allow publishing on this topic"
+            )
+        return publisher
 
     @contextmanager
     def listen(self, key: str, *, latched: bool = False) -> Iterator[queue.Queue[Any]]:

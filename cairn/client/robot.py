@@ -115,6 +115,7 @@ class Robot:
         self._codec = Codec()
         self._gid = secrets.token_bytes(16)
         self._published: Counter[str] = Counter()
+        self._publishers: dict[str, zenoh.Publisher] = {}
         self._subscriptions: set[Subscription[Any]] = set()
 
     def __enter__(self) -> Self:
@@ -234,7 +235,8 @@ class Robot:
     def publish(self, topic: str, message: Any) -> str:
         """Publish one message and return the topic's full name.
 
-        Raises `CairnError` if no component subscribes to the topic with this message type.
+        Raises `CairnError` if no component subscribes to the topic with this message type, or the
+        user on the network may not publish on it.
         """
         readers = [end for end in self.connection.endpoints() if end.kind == "MS"]
         topics = {end.topic for end in readers if end.type_name == type_name(type(message))}
@@ -245,15 +247,13 @@ class Robot:
                 f"{topic} is not published: nothing subscribes to it with "
                 f"{type_name(type(message))} ({error})"
             ) from error
+        key = keys.message_key(self.connection.domain, full, type(message))
+        if key not in self._publishers:
+            encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(type(message)))
+            self._publishers[key] = self.connection.publisher(key, encoding)
         self._published[full] += 1
         sent = keys.Attachment(self._published[full], time.time_ns(), self._gid)
-        self.connection.session.put(
-            keys.message_key(self.connection.domain, full, type(message)),
-            self._codec.encode(message),
-            encoding=zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(type(message))),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            attachment=sent.encode(),
-        )
+        self._publishers[key].put(self._codec.encode(message), attachment=sent.encode())
         return full
 
     def request(

@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from cairn import CairnError
 from cairn.bus.endpoints import socket_path
+from cairn.client import connect
+from cairn.schemas.geometry_msgs import Twist
 from cairn.testing.launching import Launching, Run, free_port, new_endpoint
 from tests.commands import Answer, cairn
 from tests.disk import open_to_others
@@ -139,7 +142,9 @@ def test_user_on_the_network_does_what_the_role_allows(
         "/robot/talker",
     }
     assert remote("param", "list", "talker").code == 0
-    assert remote("restart", "talker").code == 1
+    assert_words(remote("restart", "talker").err, "role does not allow")
+    with connect(endpoint) as robot, pytest.raises(CairnError, match="role does not allow"):
+        robot.publish("words", Twist())
     assert cairn("restart", "talker", connect=run.endpoint).code == 0
     log = [file.read_text(encoding="utf-8") for file in run.logs.iterdir()]
     assert run.stop() == 0
