@@ -11,6 +11,7 @@ import zenoh
 from cairn import CairnError
 from cairn.bus.session import is_connected, open_client, open_peer, open_router, process_of
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.runtime_folder import private_folder
 from cairn.testing.launching import new_endpoint, new_socket
 from tests.cairn.bus.network import Network, eventually, router_at
 from tests.patience import LIMIT_S
@@ -86,3 +87,18 @@ def test_longer_messages_than_allowed_are_discarded_and_the_link_stays(network: 
 
         assert len(received.recv().payload) == 1_000
         assert received.try_recv() is None
+
+
+def test_sockets_of_killed_peers_are_removed(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = new_socket().with_suffix(".folder")
+    monkeypatch.setenv("CAIRN_RUNTIME_DIR", str(folder))
+    peers = private_folder(private_folder(folder) / "peers")
+    for left in ("999999999-ab.sock", "999999999-ab.sock.lock", f"{os.getppid()}-cd.sock"):
+        (peers / left).touch()
+
+    with open_peer([network.endpoint]):
+        names = sorted(path.name.partition("-")[0] for path in peers.iterdir())
+        assert names == sorted(map(str, [os.getpid(), os.getpid(), os.getppid()]))
+    assert [path.name for path in peers.iterdir()] == [f"{os.getppid()}-cd.sock"]

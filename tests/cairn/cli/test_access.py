@@ -147,6 +147,9 @@ def test_user_on_the_network_does_what_the_role_allows(
         robot.publish("words", Twist())
     assert cairn("restart", "talker", connect=run.endpoint).code == 0
     log = [file.read_text(encoding="utf-8") for file in run.logs.iterdir()]
+    for pid in run.pids():
+        for file in ("environ", "cmdline"):
+            assert b"correct horse" not in Path(f"/proc/{pid}/{file}").read_bytes()
     assert run.stop() == 0
     assert "correct horse" not in "".join([*run.lines, *log])
 
