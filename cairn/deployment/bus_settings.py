@@ -275,6 +275,10 @@ def _check_access(endpoint: str, bus: Mapping[str, object]) -> None:
                 f"{endpoint} can be reached from other machines, and `allow_any_local_user` is for "
                 f"loopback only; {_REMEDY}"
             )
+        if is_encrypted(endpoint):
+            raise ValueError(
+                f"{endpoint}: with `allow_any_local_user` encryption protects nothing; use tcp/"
+            )
     elif certificate_roles and not is_encrypted(endpoint):
         raise ValueError(
             f"{endpoint} carries no certificates, by which `tls.certificate_roles` knows clients; "

@@ -40,6 +40,14 @@ REMOTE = ["tls/0.0.0.0:7447"]
         ),
         ({"listen": LOCAL, "allow_any_local_user": True, "users": USERS}, "asks for no password"),
         (
+            {
+                "listen": ["tls/127.0.0.1:1"],
+                "allow_any_local_user": True,
+                "tls": {"certificate": "c", "key": "k"},
+            },
+            "encryption protects nothing",
+        ),
+        (
             {"listen": REMOTE, "allow_remote": True, "users": USERS},
             "is encrypted and needs a certificate; add `tls: {certificate: FILE, key: FILE}`",
         ),
