@@ -8,6 +8,7 @@ from rich.table import Table
 
 BENCHMARKS = (
     "roundtrip",
+    "links",
     "latency",
     "startup",
     "lockstep",
