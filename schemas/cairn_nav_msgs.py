@@ -5,8 +5,17 @@ from math import isinf, isnan, nan
 from typing import Annotated, ClassVar, Final, NamedTuple
 
 from cairn.schemas.builtin_interfaces import Time
-from cairn.schemas.field_types import Bool, FiniteFloat64, Float64, Scalar, String, UInt8, UInt32
-from cairn.schemas.geometry_msgs import Pose, PoseWithCovariance
+from cairn.schemas.field_types import (
+    Bool,
+    FiniteFloat64,
+    Float64,
+    Scalar,
+    String,
+    UInt8,
+    UInt32,
+    UInt64,
+)
+from cairn.schemas.geometry_msgs import Pose, PoseWithCovariance, Twist
 from cairn.schemas.message import message, reject
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
@@ -61,6 +70,13 @@ class ReasonCode(IntEnum):
     NO_ROOM = 62
     """There is not enough free space to explore."""
     NO_PROGRESS = 63
+
+    # The velocity gate, between the sources of velocity commands and the base.
+    EMERGENCY_STOP = 70
+    """An emergency stop is engaged; the robot drives on after its release."""
+    OPERATOR_DRIVES = 71
+    """An operator or another source drives the robot; the navigator waits."""
+    NO_GATE_STATUS = 72
 
     # Missions.
     LOADING = 80
@@ -284,3 +300,50 @@ class Collision:
     x: FiniteFloat64 = 0.0
     y: FiniteFloat64 = 0.0
     speed: NotNegative = 0.0
+
+
+@message("cairn_nav_msgs/msg/TeleoperationCommand")
+class TeleoperationCommand:
+    """An operator's velocity command: accepted with the valid `lease` of the velocity gate alone.
+
+    The stamp is the time of the command by the robot's clock; late commands are refused.
+    """
+
+    header: Header = Header()
+    lease: UInt64 = 0
+    twist: Twist = Twist()
+
+
+@message("cairn_nav_msgs/msg/VelocityGateStatus")
+class VelocityGateStatus:
+    """What the velocity gate passes to the base, and what it holds back.
+
+    `source` is the source whose commands drive the robot (navigator, teleoperation, external), ""
+    without one; `operator` holds the operator's lease, "" without one. `stopped`: the gate holds
+    the robot; `reason` and `reason_code` (a `ReasonCode`) say why. `limits` are the limits that
+    were active since the last status. `requested_speed` and `speed` [m/s], `requested_turn` and
+    `turn` [rad/s] are those of the source's command and of the command to the base.
+
+    Counts since the gate's start: commands refused because they had no valid lease
+    (`refused_lease`), because they were late (`refused_late`), because the base cannot execute them
+    (`refused_invalid`), because their source is not enabled (`refused_disabled`); and commands
+    that were reduced to the limits (`clamped`).
+    """
+
+    header: Header = Header()
+    source: String = ""
+    operator: String = ""
+    emergency_stop: Bool = False
+    stopped: Bool = False
+    reason: String = ""
+    reason_code: ReasonNumber = 0
+    limits: tuple[String, ...] = ()
+    requested_speed: FiniteFloat64 = 0.0
+    requested_turn: FiniteFloat64 = 0.0
+    speed: FiniteFloat64 = 0.0
+    turn: FiniteFloat64 = 0.0
+    refused_lease: UInt32 = 0
+    refused_late: UInt32 = 0
+    refused_invalid: UInt32 = 0
+    refused_disabled: UInt32 = 0
+    clamped: UInt32 = 0

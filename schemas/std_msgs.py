@@ -18,3 +18,10 @@ class String:
     """A text."""
 
     data: field_types.String = ""
+
+
+@message("std_msgs/msg/Bool")
+class Bool:
+    """A truth value."""
+
+    data: field_types.Bool = False
