@@ -43,6 +43,8 @@ _DETOUR_M, _MOST_DETOURS = 2.0, 10
 # positions look alike, it takes some way until one of them stands out.
 _EXPLORE_M, _MOST_EXPLORE_M = 2.0, 8.0
 
+_WAITED_FOR = frozenset({ReasonCode.EMERGENCY_STOP, ReasonCode.OPERATOR_DRIVES})
+
 
 @dataclass
 class NavigatorStateMachine:
@@ -262,6 +264,9 @@ class NavigatorStateMachine:
             self._running_s = now_s
             return motion
         self._moving_s = now_s
+        if self.reason.code in _WAITED_FOR and silent_s <= self.limits.silent_s:
+            # A person has stopped the robot, or drives it: the goal waits as long as that takes.
+            self._running_s = self._progress_s = now_s
         if now_s - self._running_s > self.limits.stopped_s:
             self.fail(self.reason)
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from cairn import (
     LATCHED,
@@ -47,6 +48,7 @@ from cairn.schemas.cairn_nav_msgs import (
     NavCommand,
     Plan,
     ReasonCode,
+    VelocityGateStatus,
 )
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
@@ -66,6 +68,7 @@ _EXTRAPOLATION_S = 0.1
 # A step of odometry faster than this multiple [1] of the robot's limits is a jump.
 _JUMP_FACTOR = 2.0
 _HORIZON_S = 5.0  # of odometry
+_EXTERNAL = "external"  # the source of VelocityGateStatus that is no operator and no navigator
 
 
 class MotionControl(Component):
@@ -80,6 +83,7 @@ class MotionControl(Component):
     localization: In[LocalizationEstimate]
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR)
+    velocity_gate_status: In[VelocityGateStatus] = In(qos=LATCHED, optional=True)
     cmd_vel: Out[Twist] = Out(qos=SENSOR)
     motion_status: Out[MotionStatus]
 
@@ -106,6 +110,8 @@ class MotionControl(Component):
             code=ReasonCode.NO_NAV_COMMAND,
         )
         self._logged: tuple[int, MotionState] | None = None
+        self._gate: VelocityGateStatus | None = None
+        self._gate_at = self._gate_blocks_since = 0
         fastest, fastest_turn = self.config.speed, self.config.turn_speed
         self._tracker = PoseTracker(
             _HORIZON_S, _JUMP_FACTOR * fastest, _JUMP_FACTOR * fastest_turn, _EXTRAPOLATION_S
@@ -180,6 +186,14 @@ class MotionControl(Component):
         self._memory.set_predictions(self._movers.add_scan(stamp, rays, self._tracker.turn))
         self._view = _field_of_view(scan, self._mount)
         self._drive()
+
+    @on("velocity_gate_status")
+    def on_velocity_gate_status(self, status: VelocityGateStatus) -> None:
+        """Take whether the gate between this component and the base holds the robot."""
+        before, now = self._gate, self.clock.now()
+        if before is None or not (before.stopped and before.reason_code == ReasonCode.OBSTACLE):
+            self._gate_blocks_since = now
+        self._gate, self._gate_at = status, now
 
     @every(hz=_COMMAND_HZ)
     def publish_command(self) -> None:
@@ -292,6 +306,14 @@ class MotionControl(Component):
         if result.state is MotionState.DONE:
             self._done = True
             return result, STAND
+        if result.state is MotionState.MOVING and self._gate_blocks(now):
+            assert self._gate is not None
+            result = replace(
+                result,
+                state=MotionState.BLOCKED,
+                reason=f"stopped by the velocity gate: {self._gate.reason}",
+                code=ReasonCode.OBSTACLE,
+            )
         return result, self._limiter.command(result.target, now, (speed, turn), obstacles)
 
     def _must_stand(self, now: int) -> BehaviorResult | None:
@@ -308,7 +330,35 @@ class MotionControl(Component):
         follows = command.behavior == NavCommand.FOLLOW
         pose_known = not follows or self._tracker.pose_at(now) is not None
         code, reason = self._safety.reason(now, timeouts, follows, pose_known)
+        if not reason:
+            code, reason = self._held_by_gate(now)
         return _stopped(code, reason) if reason else None
+
+    def _held_by_gate(self, now: int) -> tuple[int, str]:
+        """Return why the velocity gate does not let this component drive; "" if it does."""
+        status = self._gate
+        if status is None:  # the deployment has no gate, or it has not started yet
+            return ReasonCode.NONE, ""
+        age = (now - self._gate_at) / SECOND
+        if age > self.config.timeouts.velocity_gate_status:
+            topic = self.velocity_gate_status.topic
+            return ReasonCode.NO_GATE_STATUS, f"no status of the velocity gate on {topic}"
+        if status.stopped and status.reason_code != ReasonCode.OBSTACLE:
+            return status.reason_code, f"stopped by the velocity gate: {status.reason}"
+        if status.operator:
+            driver = f"operator {status.operator} drives"
+        elif status.source == _EXTERNAL:
+            driver = "commands of another program drive the robot"
+        else:
+            return ReasonCode.NONE, ""
+        return ReasonCode.OPERATOR_DRIVES, f"stopped by the velocity gate: {driver}"
+
+    def _gate_blocks(self, now: int) -> bool:
+        """Return whether the gate has seen an obstacle for so long that the robot is blocked."""
+        status = self._gate
+        if status is None or not status.stopped or status.reason_code != ReasonCode.OBSTACLE:
+            return False
+        return now - self._gate_blocks_since >= Follow.PATIENCE_NS
 
     def _without_plan(self) -> BehaviorResult:
         plan = self._plan

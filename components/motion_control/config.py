@@ -21,6 +21,12 @@ class Timeouts(Config):
     nav_command: float = Field(
         1.5, gt=0, le=10, description="Maximum age of the navigation command [s]."
     )
+    velocity_gate_status: float = Field(
+        3.0,
+        gt=0,
+        le=30,
+        description="Maximum age of the velocity gate's status, if there is a gate [s].",
+    )
 
 
 class MotionControlConfig(Config):

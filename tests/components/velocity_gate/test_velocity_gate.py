@@ -1,0 +1,249 @@
+"""The velocity gate as a component: sources, lease, emergency stop, obstacles."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cairn import CairnError, from_ns
+from cairn.components.velocity_gate.component import VelocityGate
+from cairn.planar.messages import pose_message
+from cairn.planar.poses import Pose, compose
+from cairn.schemas.cairn_nav_msgs import ReasonCode, TeleoperationCommand, VelocityGateStatus
+from cairn.schemas.geometry_msgs import PoseWithCovariance, Twist, TwistWithCovariance, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Bool, Header
+from cairn.testing.lockstep import ComponentHarness
+
+AHEAD = Twist(linear=Vector3(x=0.4))
+
+
+class GatedRobot:
+    """The gate, and an ideal base that follows it; points [m] are what the scanner sees."""
+
+    def __init__(self, *, restarts: int = 0, **parameters: Any) -> None:
+        self.gate = ComponentHarness(VelocityGate, parameters, start_s=100.0, restarts=restarts)
+        self.pose: Pose = (0.0, 0.0, 0.0)
+        self.points = np.empty((0, 2))
+        self.command = (0.0, 0.0)
+        self.scans = True
+        self.gap = math.inf
+        self._tick = 0
+
+    @property
+    def status(self) -> VelocityGateStatus:
+        """The newest status."""
+        status = self.gate.component._status
+        assert isinstance(status, VelocityGateStatus)
+        return status
+
+    def step(self, *messages: tuple[str, Any], seconds: float = 0.02) -> None:
+        """Let time pass, with these messages every 20 ms."""
+        for _ in range(round(seconds / 0.02)):
+            self._sense()
+            for topic, message in messages:
+                self.gate.publish(topic, message)
+            self.gate.run_for(0.02)
+            for twist in self.gate.take("cmd_vel"):
+                self.command = (twist.linear.x, twist.angular.z)
+            speed, turn = self.command
+            self.pose = compose(self.pose, (0.02 * speed, 0.0, 0.02 * turn))
+            if self.points.shape[0]:
+                apart = np.hypot(*(self.points - self.pose[:2]).T)
+                self.gap = min(self.gap, float(apart.min()) - 0.22)
+
+    def teleoperate(self, lease: int, speed: float, age_s: float = 0.0) -> TeleoperationCommand:
+        """Return a command of an operator."""
+        stamp = from_ns(self.gate.now_ns - round(age_s * 1e9))
+        return TeleoperationCommand(
+            header=Header(stamp=stamp), lease=lease, twist=Twist(linear=Vector3(x=speed))
+        )
+
+    def _sense(self) -> None:
+        stamp = from_ns(self.gate.now_ns)
+        twist = Twist(linear=Vector3(x=self.command[0]), angular=Vector3(z=self.command[1]))
+        self.gate.publish(
+            "odom",
+            Odometry(
+                header=Header(stamp=stamp, frame_id="odom"),
+                child_frame_id="base_link",
+                pose=PoseWithCovariance(pose=pose_message(self.pose)),
+                twist=TwistWithCovariance(twist=twist),
+            ),
+        )
+        if self.scans and self._tick % 5 == 0:
+            self.gate.publish("scan", self._scan(stamp))
+        self._tick += 1
+
+    def _scan(self, stamp: Any) -> LaserScan:
+        angles = np.linspace(-0.75 * math.pi, 0.75 * math.pi, 541)
+        ranges = np.full(angles.size, np.inf)
+        x, y, theta = self.pose
+        for px, py in self.points:
+            apart = math.hypot(px - x, py - y)
+            bearing = (math.atan2(py - y, px - x) - theta + math.pi) % (2 * math.pi) - math.pi
+            near = np.abs(angles - bearing) < 0.01 + 0.02 / max(apart, 0.05)
+            ranges[near] = np.minimum(ranges[near], apart)
+        return LaserScan(
+            header=Header(stamp=stamp, frame_id="laser"),
+            angle_min=float(np.float32(angles[0])),
+            angle_max=float(np.float32(angles[-1])),
+            angle_increment=float(np.float32(angles[1] - angles[0])),
+            range_max=10.0,
+            ranges=ranges.astype(np.float32),
+        )
+
+
+def test_command_passes_and_ceases_with_its_source() -> None:
+    robot = GatedRobot()
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    assert robot.command == (0.4, 0.0)
+    assert robot.status.source == "navigator"
+
+    robot.step(seconds=0.8)
+
+    assert robot.command == (0.0, 0.0)
+    assert robot.status.source == ""
+
+
+def test_robot_stands_without_scans_and_names_the_topic() -> None:
+    robot = GatedRobot()
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    robot.scans = False
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=0.7)
+    assert robot.command == (0.0, 0.0)
+    assert robot.status.reason_code == ReasonCode.NO_SCAN
+    assert "scan" in robot.status.reason
+
+
+def test_operator_with_the_lease_drives_and_others_are_refused() -> None:
+    robot = GatedRobot()
+    robot.step(seconds=0.2)
+    lease = robot.gate.request("acquire_lease", operator="anna", seconds=2.0)["lease"]
+    with pytest.raises(CairnError, match="held by anna"):
+        robot.gate.request("acquire_lease", operator="bert", seconds=2.0)
+
+    for _ in range(25):
+        robot.step(
+            ("teleoperation", robot.teleoperate(lease + 1, 0.3)),
+            ("navigator_cmd_vel", AHEAD),
+        )
+    assert robot.command == (0.0, 0.0)  # the robot is reserved for the operator
+    assert robot.status.operator == "anna"
+
+    robot.step(("teleoperation", robot.teleoperate(lease, 0.2, age_s=0.5)))
+    for _ in range(25):
+        robot.step(("teleoperation", robot.teleoperate(lease, 0.2)))
+    assert robot.command == pytest.approx((0.2, 0.0))
+    assert robot.status.refused_lease == 25
+    assert robot.status.refused_late == 1
+
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=2.0)
+    assert robot.status.operator == ""  # expired by itself
+    assert robot.status.source == "navigator"
+
+    taken = robot.gate.request("take_over_lease", operator="bert", seconds=2.0)["lease"]
+    robot.gate.request("release_lease", lease=taken)
+    with pytest.raises(CairnError, match="acquire it again"):
+        robot.gate.request("renew_lease", lease=lease, seconds=2.0)
+
+
+def test_emergency_stop_is_latched_and_survives_a_restart(tmp_path: Path) -> None:
+    file = tmp_path / "gate.json"
+    robot = GatedRobot(state_file=str(file))
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    robot.gate.publish("emergency_stop", Bool(data=True))
+    robot.gate.publish("emergency_stop", Bool(data=False))
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=0.02)
+    assert robot.command == (0.0, 0.0)
+
+    again = GatedRobot(state_file=str(file), restarts=1)
+    again.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    assert again.command == (0.0, 0.0)
+    assert again.status.reason_code == ReasonCode.EMERGENCY_STOP
+
+    assert again.gate.request("release_stop")["emergency_stop"] is False
+    again.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    assert again.command == (0.4, 0.0)
+    assert json.loads(file.read_text())["engaged"] is False
+
+
+@pytest.mark.parametrize("content", [None, "", "[[[", '{"engaged": 0}'])
+def test_unknown_state_of_the_emergency_stop_counts_as_engaged(
+    tmp_path: Path, content: str | None
+) -> None:
+    file = tmp_path / "gate.json"
+    if content is not None:
+        file.write_text(content)
+    robot = GatedRobot(state_file=str(file), restarts=1)
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=0.5)
+    assert robot.command == (0.0, 0.0)
+    assert robot.status.emergency_stop
+
+
+def test_pressed_button_cannot_be_released_by_request() -> None:
+    robot = GatedRobot(hardware_stop_timeout=1.0)
+    robot.gate.publish("hardware_stop", Bool(data=True))
+    with pytest.raises(CairnError, match="release the button first"):
+        robot.gate.request("release_stop")
+    robot.gate.publish("hardware_stop", Bool(data=False))
+    robot.gate.request("release_stop")
+    robot.step(seconds=0.5)
+    assert not robot.status.emergency_stop
+    robot.step(seconds=1.0)
+    assert "silent" in robot.status.reason
+
+
+def test_commands_that_the_base_cannot_execute_are_refused() -> None:
+    robot = GatedRobot()
+    sideways = Twist(linear=Vector3(x=0.2, y=0.1))
+    robot.step(("navigator_cmd_vel", sideways), ("external_cmd_vel", AHEAD), seconds=0.6)
+    assert robot.command == (0.0, 0.0)
+    assert robot.status.refused_invalid > 0
+    assert robot.status.refused_disabled > 0
+    robot.step(("navigator_cmd_vel", Twist(linear=Vector3(x=5.0))), seconds=1.5)
+    assert robot.command[0] == pytest.approx(0.6)
+    assert robot.status.clamped > 0
+
+
+def test_obstacle_put_before_the_robot_stops_it_within_a_scan_period() -> None:
+    robot = GatedRobot()
+    robot.step(("navigator_cmd_vel", Twist(linear=Vector3(x=0.6))), seconds=1.5)
+    robot.points = np.array([[robot.pose[0] + 0.35, 0.0]])
+    robot.step(("navigator_cmd_vel", Twist(linear=Vector3(x=0.6))), seconds=0.12)
+    assert robot.command[0] < 0.35  # with room to stop in 0.13 m
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    assert robot.gap > 0.0
+    assert robot.status.reason_code == ReasonCode.OBSTACLE
+    robot.step(("navigator_cmd_vel", Twist(linear=Vector3(x=-0.1))), seconds=1.0)
+    assert robot.command[0] < 0.0  # back over ground that was seen
+
+
+def test_autonomous_sources_do_not_reverse_onto_unseen_ground() -> None:
+    robot = GatedRobot()
+    back = Twist(linear=Vector3(x=-0.2))
+    robot.step(("navigator_cmd_vel", back), seconds=1.0)
+    assert robot.command == (0.0, 0.0)
+    lease = robot.gate.request("acquire_lease", operator="anna", seconds=5.0)["lease"]
+    for _ in range(30):
+        robot.step(("teleoperation", robot.teleoperate(lease, -0.3)))
+    assert robot.command[0] == pytest.approx(-0.1, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_commands_among_random_obstacles_touch_nothing(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    robot = GatedRobot()
+    points = random.uniform(-2.5, 2.5, (25, 2))
+    robot.points = points[np.hypot(points[:, 0], points[:, 1]) > 0.4]
+    for _ in range(25):
+        speed, turn = random.uniform(-0.6, 0.9), random.uniform(-2, 2)
+        command = Twist(linear=Vector3(x=float(speed)), angular=Vector3(z=float(turn)))
+        robot.step(("navigator_cmd_vel", command), seconds=float(random.uniform(0.04, 0.8)))
+    assert robot.gap > -0.002
