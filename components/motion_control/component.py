@@ -68,7 +68,7 @@ _EXTRAPOLATION_S = 0.1
 # A step of odometry faster than this multiple [1] of the robot's limits is a jump.
 _JUMP_FACTOR = 2.0
 _HORIZON_S = 5.0  # of odometry
-_EXTERNAL = "external"  # the source of VelocityGateStatus that is no operator and no navigator
+_EXTERNAL = "external"  # source of a VelocityGateStatus: another program
 
 
 class MotionControl(Component):

@@ -1,1 +1,1 @@
-"""Velocity gate: the one component that commands the base, whoever wants to drive the robot."""
+"""Velocity gate: the one component that commands the base, for all sources of commands."""

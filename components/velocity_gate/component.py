@@ -189,7 +189,7 @@ class VelocityGate(Component):
         now = self.clock.now()
         if not self._lease.is_valid(command.lease, now):
             holder = self._lease.operator(now)
-            state = f"{holder} has it" if holder else "nobody has it"
+            state = f"{holder} has it" if holder else "it is free"
             self._refuse(
                 "lease",
                 f"teleoperation without the valid lease ({state}) on {self.teleoperation.topic}",

@@ -82,7 +82,7 @@ class SourceSelector:
 class OperatorLease:
     """The right to drive by teleoperation: one operator has it, for a limited time.
 
-    `new_id` returns a random number above 0 below 2^63 that nobody can guess.
+    `new_id` returns a random number from 1 to 2^63 that cannot be guessed.
     """
 
     def __init__(self, new_id: Callable[[], int]) -> None:
@@ -92,7 +92,7 @@ class OperatorLease:
         self._granted = self._ends = 0
 
     def operator(self, now: int) -> str:
-        """Return the name of the operator who has the lease; "" if nobody has it."""
+        """Return the name of the operator who has the lease; "" if it is free."""
         # If time was set back, the lease is over: how long it was held is not known.
         if self._id and not self._granted <= now < self._ends:
             self._id, self._operator = 0, ""
@@ -114,7 +114,7 @@ class OperatorLease:
         return self._grant(operator, seconds, now)
 
     def take_over(self, operator: str, seconds: float, now: int) -> tuple[int, str]:
-        """Grant the lease whoever has it; return its id and the name of the previous holder."""
+        """Grant the lease, also if another operator has it; return its id and the name of the previous holder."""
         _check(operator, seconds)
         before = self.operator(now)
         return self._grant(operator, seconds, now), before
@@ -133,7 +133,7 @@ class OperatorLease:
     def _require(self, lease: int, now: int) -> None:
         if not self.is_valid(lease, now):
             holder = self.operator(now)
-            state = f"{holder} has the lease now" if holder else "nobody has the lease"
+            state = f"{holder} has the lease now" if holder else "it is free"
             raise CairnError(f"this operator's lease is not valid ({state}); acquire it again")
 
     def _grant(self, operator: str, seconds: float, now: int) -> int:
