@@ -114,7 +114,7 @@ class OperatorLease:
         return self._grant(operator, seconds, now)
 
     def take_over(self, operator: str, seconds: float, now: int) -> tuple[int, str]:
-        """Grant the lease, also if another operator has it; return its id and the name of the previous holder."""
+        """Grant the lease, also if it is held; return its id and the previous holder."""
         _check(operator, seconds)
         before = self.operator(now)
         return self._grant(operator, seconds, now), before
