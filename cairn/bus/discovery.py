@@ -4,20 +4,29 @@ A message published before the link to a subscriber is established, or before th
 declaration has arrived, is lost without a trace. Therefore every process answers queries at a key
 of its own. A query travels behind the declarations on the same link, so when the reply has
 arrived, both sides know all declarations of each other.
+
+Only a process of the same run is waited for: its session id proves that it is one
+(`cairn.bus.session`), and so do its replies. All other sessions together, such as those of ROS 2
+nodes, are waited for shortly, and those that do not answer not even shortly for a while: each
+process hands on which these are.
 """
 
 import json
+import secrets
 import threading
 import time
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
 from typing import Any, cast
 
 import zenoh
 
 from cairn.bus.keys import router_key, session_key
-from cairn.bus.session import CAIRN_ID_PREFIX, process_of
+from cairn.bus.session import CAIRN_ID_PREFIX, is_member, process_id, process_of
 
 _ANSWER_POLL_S = 0.1
 """Interval for checking whether a process that has not answered yet still exists."""
@@ -28,14 +37,35 @@ _LINK_POLL_S = 0.05
 _ROUTER_TIMEOUT_S = 1.0
 """A router that has not answered by then is treated as one without an admin space."""
 
+_OTHERS_LIMIT_S = 0.5
+"""Sessions that are not of this run, and stopped processes, are waited for at most so long."""
+
+_SILENT_S = 60.0
+"""A session that has not answered is not waited for again during this time."""
+
+_MAX_SILENT = 256
+"""So many sessions that have not answered are remembered."""
+
+_MAX_OTHERS = 1000
+"""So many sessions that are not of this run are waited for."""
+
+_MAX_THREADS = 32
+
+_TAG_BYTES = 16
+_NONCE_BYTES = 16
+
 
 class DiscoveryBarrier:
     """Answers the discovery queries of other processes and queries them in turn."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, secret: str = "") -> None:
+        """`secret` is that of the run; without one, all processes of Cairn count as its own."""
         self._session = session
-        self._links = PeerLinks(session)
-        own_key = session_key(str(session.info.zid()))
+        self._secret = secret
+        self._zid = str(session.info.zid())
+        self._silent = _SilentSessions()
+        self._links = PeerLinks(session, secret)
+        own_key = session_key(self._zid)
         self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
             own_key, zenoh.handlers.RingChannel(256)
         )
@@ -45,18 +75,21 @@ class DiscoveryBarrier:
         self._thread.start()
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
-        """Wait until every process on the bus and this one know all declarations of each other.
+        """Wait until every process of the run and this one know all declarations of each other.
 
-        Returns the processes that were not reached within the timeout, such as "process 4711".
+        Returns the processes that were not reached within the timeout, such as "process 4711", and
+        the other sessions that were not reached within half a second.
         """
         deadline = time.monotonic() + timeout_s
-        peers = sorted(self._links.peers(timeout_s))
-        if not peers:
-            return []
-        # In parallel, or one process that hangs would use up the time that the others need.
-        with ThreadPoolExecutor(len(peers), "cairn wait for peers") as pool:
-            reached = list(pool.map(lambda zid: self._reach(zid, deadline), peers))
-        return [process_of(zid) for zid, known in zip(peers, reached, strict=True) if not known]
+        peers = self._links.peers(timeout_s)
+        own = sorted(zid for zid in peers if is_member(zid, self._secret))
+        unreached = self._reach_own(own, deadline)
+        others = sorted(peers.difference(own, self._silent.left_s()))[:_MAX_OTHERS]
+        silent = self._reach_others(others, min(deadline, time.monotonic() + _OTHERS_LIMIT_S))
+        self._silent.add(dict.fromkeys(silent, _SILENT_S))
+        return [process_of(zid) for zid in unreached] + [
+            f"session {zid}, which is not of this run" for zid in silent
+        ]
 
     def close(self) -> None:
         """Stop answering."""
@@ -64,24 +97,80 @@ class DiscoveryBarrier:
         self._thread.join(timeout=2.0)
         self._links.close()
 
+    def _reach_own(self, peers: Sequence[str], deadline: float) -> list[str]:
+        """Wait for processes of this run; return those that were not reached."""
+        if not peers:
+            return []
+        # In parallel, or one process that hangs would use up the time that the others need.
+        with ThreadPoolExecutor(min(len(peers), _MAX_THREADS), "cairn wait for peers") as pool:
+            reached = list(pool.map(lambda zid: self._reach(zid, deadline), peers))
+        return [zid for zid, known in zip(peers, reached, strict=True) if not known]
+
     def _reach(self, zid: str, deadline: float) -> bool:
-        if not self._links.wait_for_link(zid, deadline):
+        stopped_limit = time.monotonic() + _OTHERS_LIMIT_S
+
+        def is_over() -> bool:
+            now = time.monotonic()
+            return now >= deadline or (now >= stopped_limit and self._is_stopped(zid))
+
+        if not self._links.wait_for_link(zid, deadline, is_over):
             return self._has_left(zid, deadline)
-        if not zid.startswith(CAIRN_ID_PREFIX):
-            return True  # not a process of Cairn, so it does not answer
         with QueryableWatcher(self._session, session_key(zid)) as watcher:
             while not watcher.wait(min(_ANSWER_POLL_S, _remaining(deadline))):
                 if self._has_left(zid, deadline):
                     return True
-                if time.monotonic() >= deadline:
+                if is_over():
                     return False
-            replies = self._session.get(session_key(zid), timeout=_remaining(deadline))
-            answered = any(reply.ok is not None for reply in replies)
-            return answered or self._has_left(zid, deadline)
+        nonce = secrets.token_bytes(_NONCE_BYTES)
+        query = _Query(self._session, session_key(zid), _remaining(deadline), nonce)
+        while not query.ended.wait(_ANSWER_POLL_S):
+            if self._has_left(zid, deadline):
+                return True
+            if is_over():
+                return False
+        for payload in query.payloads():
+            silent = payload[_TAG_BYTES:]
+            if not self._secret:  # a program outside the run cannot check the reply
+                return True
+            if secrets.compare_digest(payload[:_TAG_BYTES], self._tag(zid, nonce, silent)):
+                self._silent.add(_parsed_silent(silent))
+                return True
+        return self._has_left(zid, deadline)
+
+    def _reach_others(self, peers: Sequence[str], deadline: float) -> list[str]:
+        """Wait for sessions that are not of this run; return those that were not reached."""
+        left = list(peers)
+        while left:
+            linked = self._links.linked()
+            left = [zid for zid in left if zid not in linked or zid.startswith(CAIRN_ID_PREFIX)]
+            if linked.intersection(left):  # processes of another run
+                query = _Query(self._session, session_key("*"), _remaining(deadline), b"")
+                query.ended.wait(_remaining(deadline))
+                answered = query.keys()
+                left = [zid for zid in left if session_key(zid) not in answered]
+            remaining = deadline - time.monotonic()
+            if left and remaining <= 0:
+                present = self._links.present(_ROUTER_TIMEOUT_S).peers
+                return [zid for zid in left if zid in present]
+            self._links.wait_for_change(min(_LINK_POLL_S, max(0.0, remaining)))
+        return []
 
     def _has_left(self, zid: str, deadline: float) -> bool:
         # A process that shuts down stops answering before its link is closed.
         return self._links.has_left(zid, _remaining(deadline))
+
+    def _is_stopped(self, zid: str) -> bool:
+        """Return whether a process of this run, which is on this machine, is stopped by a signal.
+
+        It will not answer until it is continued.
+        """
+        if not self._secret:
+            return False  # perhaps another machine's
+        try:
+            status = Path(f"/proc/{process_id(zid)}/stat").read_bytes()
+        except OSError:
+            return False
+        return status.rpartition(b")")[2].split()[:1] in ([b"T"], [b"t"])
 
     def _answer(self, own_key: str) -> None:
         channel = self._queryable.handler
@@ -90,8 +179,66 @@ class DiscoveryBarrier:
                 query = channel.recv()
             except zenoh.ZError:  # the queryable was undeclared
                 return
+            nonce = b"" if query.payload is None else query.payload.to_bytes()[:_NONCE_BYTES]
+            silent = json.dumps(self._silent.left_s()).encode()
             with query, suppress(zenoh.ZError):  # the process that asked may have ended
-                query.reply(own_key, b"")
+                query.reply(own_key, self._tag(self._zid, nonce, silent) + silent)
+
+    def _tag(self, zid: str, nonce: bytes, silent: bytes) -> bytes:
+        """Return what proves that a reply comes from a process of this run."""
+        key = self._secret.encode()[:64]
+        text = b"discovery reply " + zid.encode() + b" " + nonce + silent
+        return blake2b(text, key=key, digest_size=_TAG_BYTES).digest()
+
+
+class _SilentSessions:
+    """Sessions that did not answer lately, and are therefore not waited for; for any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._until: dict[str, float] = {}
+
+    def add(self, left_s: Mapping[str, float]) -> None:
+        """Remember these for their times [s]; those of sessions known already do not change."""
+        now = time.monotonic()
+        with self._lock:
+            self._until = {zid: until for zid, until in self._until.items() if until > now}
+            for zid, for_s in left_s.items():
+                if len(self._until) < _MAX_SILENT:
+                    self._until.setdefault(zid, now + for_s)
+
+    def left_s(self) -> dict[str, float]:
+        """Return those remembered, with the time [s] for which they still are."""
+        now = time.monotonic()
+        with self._lock:
+            return {zid: until - now for zid, until in self._until.items() if until > now}
+
+
+class _Query:
+    """A query whose replies are collected, so that its caller can watch for other events."""
+
+    def __init__(
+        self, session: zenoh.Session, key: str, timeout_s: float, payload: bytes | None = None
+    ) -> None:
+        self.ended = threading.Event()
+        self._replies: list[zenoh.Reply] = []
+        handler = zenoh.handlers.Callback(self._replies.append, self.ended.set, indirect=False)
+        session.get(
+            key,
+            cast("Any", handler),
+            payload=payload,
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=timeout_s,
+        )
+
+    def payloads(self) -> list[bytes]:
+        """Return the payloads of the replies so far."""
+        return [reply.ok.payload.to_bytes() for reply in list(self._replies) if reply.ok]
+
+    def keys(self) -> set[str]:
+        """Return the keys of the replies so far."""
+        return {str(reply.ok.key_expr) for reply in list(self._replies) if reply.ok}
 
 
 class PeerLinks:
@@ -101,8 +248,9 @@ class PeerLinks:
     each directly. Until that link is established, neither side knows the other's declarations.
     """
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, secret: str = "") -> None:
         self._session = session
+        self._secret = secret
         self._zid = str(session.info.zid())
         self._changed = threading.Condition()
         callback: Any = zenoh.handlers.Callback(self._on_link_event, indirect=False)
@@ -114,32 +262,50 @@ class PeerLinks:
 
         Those are the ones linked already and the peers in the description of a router.
         """
-        return (self._linked() | self._ask_routers(timeout_s).peers) - {self._zid}
+        return (self.linked() | self._ask_routers(timeout_s).peers) - {self._zid}
 
-    def has_left(self, zid: str, timeout_s: float) -> bool:
-        """Return whether no router knows a process any more.
+    def linked(self) -> set[str]:
+        """Return the ids of the sessions to which a direct link exists."""
+        info = self._session.info
+        return {str(zid) for zid in (*info.peers_zid(), *info.routers_zid())}
 
-        If a router does not describe its links, or there is none, the process must not be linked
-        either. Otherwise a link proves nothing: in zenoh 1.10 one that is established while the
-        other side closes its session outlives that session. False, as it is not certain, if a
-        router does not answer within the timeout.
+    def present(self, timeout_s: float) -> "_RouterAnswers":
+        """Return the processes that a router knows.
+
+        If a router does not describe its links, or there is none, those linked are among them.
+        Otherwise a link proves nothing: in zenoh 1.10 one that is established while the other side
+        closes its session outlives that session.
         """
         answer = self._ask_routers(timeout_s)
-        known = answer.peers if answer.described else answer.peers | self._linked()
-        return answer.complete and zid not in known
+        if not answer.described:
+            answer.peers.update(self.linked())
+        return answer
 
-    def wait_for_link(self, zid: str, deadline: float) -> bool:
-        """Wait for the link to a process, until `deadline` (monotonic) [s].
+    def has_left(self, zid: str, timeout_s: float) -> bool:
+        """Return whether a process is not `present` any more.
+
+        False, as it is not certain, if a router does not answer within the timeout.
+        """
+        answer = self.present(timeout_s)
+        return answer.complete and zid not in answer.peers
+
+    def wait_for_link(self, zid: str, deadline: float, is_over: Callable[[], bool]) -> bool:
+        """Wait for the link to a process, until `deadline` (monotonic) [s] or until `is_over()`.
 
         Returns False at once if the router no longer knows the process.
         """
-        while zid not in self._linked():
+        while zid not in self.linked():
             remaining = deadline - time.monotonic()
-            if remaining <= 0 or self.has_left(zid, remaining):
+            if remaining <= 0 or is_over() or self.has_left(zid, remaining):
                 return False
             with self._changed:
-                self._changed.wait_for(lambda: zid in self._linked(), min(remaining, _LINK_POLL_S))
+                self._changed.wait_for(lambda: zid in self.linked(), min(remaining, _LINK_POLL_S))
         return True
+
+    def wait_for_change(self, timeout_s: float) -> None:
+        """Wait for a link that opens or closes, at most `timeout_s` [s]."""
+        with self._changed:
+            self._changed.wait(timeout_s)
 
     def close(self) -> None:
         """Stop following link events."""
@@ -148,25 +314,31 @@ class PeerLinks:
     def _join(self) -> None:
         # At first this process does not know the router's admin space, nor the router this
         # process. Once the router has answered, both do, and so do all that ask the router.
-        for router in self._session.info.routers_zid():
-            with QueryableWatcher(self._session, router_key(str(router))) as watcher:
-                watcher.wait(_ROUTER_TIMEOUT_S)
+        deadline = time.monotonic() + _ROUTER_TIMEOUT_S
+        for router in self._routers():
+            with QueryableWatcher(self._session, router_key(router)) as watcher:
+                watcher.wait(_remaining(deadline))
         self.peers(_ROUTER_TIMEOUT_S)
 
-    def _ask_routers(self, timeout_s: float) -> "_RouterAnswers":
+    def _routers(self) -> list[str]:
+        """Return the router of this run; if it is not linked to one, all routers."""
         routers = [str(zid) for zid in self._session.info.routers_zid()]
+        return [zid for zid in routers if self._secret and is_member(zid, self._secret)] or routers
+
+    def _ask_routers(self, timeout_s: float) -> "_RouterAnswers":
+        routers = self._routers()
         peers, complete, described = set(routers), True, bool(routers)
-        for router in routers:
-            replies = list(self._session.get(router_key(router), timeout=timeout_s))
-            complete &= all(reply.ok is not None for reply in replies)
-            lists = [_peers_of_router(one.ok.payload.to_bytes()) for one in replies if one.ok]
+        deadline = time.monotonic() + timeout_s
+        # In parallel: several that do not answer must not use up several timeouts.
+        queries = [_Query(self._session, router_key(router), timeout_s) for router in routers]
+        for query in queries:
+            query.ended.wait(_remaining(deadline))
+            payloads = query.payloads()
+            complete &= bool(payloads)
+            lists = [_peers_of_router(payload) for payload in payloads]
             described &= any(known is not None for known in lists)
             peers.update(*(known for known in lists if known is not None))
         return _RouterAnswers(peers, complete, described)
-
-    def _linked(self) -> set[str]:
-        info = self._session.info
-        return {str(zid) for zid in (*info.peers_zid(), *info.routers_zid())}
 
     def _on_link_event(self, _: Any) -> None:
         with self._changed:
@@ -242,6 +414,14 @@ def _peers_of_router(description: bytes) -> set[str] | None:
         return {str(one["peer"]) for one in sessions if one["whatami"] == "peer"}
     except (ValueError, KeyError, TypeError):
         return None  # a router of another version: only the direct links are known
+
+
+def _parsed_silent(left_s: bytes) -> dict[str, float]:
+    """Return the silent sessions, with their times [s], in a reply of a process of this run."""
+    try:
+        return {str(zid): min(float(for_s), _SILENT_S) for zid, for_s in json.loads(left_s).items()}
+    except (ValueError, TypeError, AttributeError):  # of another version
+        return {}
 
 
 def _remaining(deadline: float) -> float:

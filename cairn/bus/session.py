@@ -40,8 +40,12 @@ _JOIN_TIMEOUT_S = 10.0
 CAIRN_ID_PREFIX = "ca1c0de5"
 """Prefix of the session ids of components and routers, which answer discovery queries.
 
-The process id follows, so that a process that does not answer can be named without asking it.
+The process id follows, so that a process that does not answer can be named without asking it, and
+a random number. The last four bytes prove that the session is one of the run: a tag of the others,
+keyed by the run's secret.
 """
+
+_PID_DIGITS, _TAG_DIGITS = 8, 8
 
 LEASE_MS = 5000
 """The link to a silent peer is closed after this time; that to a killed process at once.
@@ -68,8 +72,9 @@ def open_peer(
     socket: Path | None = None,
     credentials: Credentials = NO_CREDENTIALS,
     max_message_size: int = MAX_MESSAGE_SIZE,
+    secret: str = "",
 ) -> zenoh.Session:
-    """Open the session of a component's process.
+    """Open the session of a component's process, of the run with this secret.
 
     It connects to the router at `connect` and, as the router announces other processes, to each
     of them directly; those links outlive the router. The others reach it at `socket`, by default
@@ -80,7 +85,7 @@ def open_peer(
     settings = credentials.session_settings(dictionary) | _limits(max_message_size)
     try:
         session = _open(
-            _config("peer", [UNIX + str(socket)], connect, settings),
+            _config("peer", [UNIX + str(socket)], connect, settings, secret),
             f"cannot open a session to {connect}",
         )
     finally:
@@ -130,6 +135,7 @@ def open_router(
     listen: Sequence[str] = (),
     group: str | None = None,
     max_message_size: int = MAX_MESSAGE_SIZE,
+    secret: str = "",
 ) -> zenoh.Session:
     """Open the session that is the deployment's router, at a Unix socket in a private folder.
 
@@ -139,7 +145,7 @@ def open_router(
     private_folder(socket.parent, group)
     endpoints = [UNIX + str(check_length(socket)), *listen]
     session = _open(
-        _config("router", endpoints, (), _limits(max_message_size)),
+        _config("router", endpoints, (), _limits(max_message_size), secret),
         f"cannot listen on {', '.join(endpoints)}: probably another deployment or a ROS 2 router "
         "uses it; stop that one, join it (`--set bus.connect=[...]`), or use another domain "
         "(`--set domain=N`) or socket (`--set bus.socket=PATH`)",
@@ -207,10 +213,43 @@ class Gateway:
 
 def process_of(zid: str) -> str:
     """Return the name of the process that has the session with this id, for messages."""
-    if not zid.startswith(CAIRN_ID_PREFIX):
-        return f"the foreign session {zid}"
-    digits = zid.removeprefix(CAIRN_ID_PREFIX)[:8]
-    return f"process {int(digits, 16)}"
+    pid = process_id(zid)
+    return f"the foreign session {zid}" if pid is None else f"process {pid}"
+
+
+def process_id(zid: str) -> int | None:
+    """Return the process id in a session id; None if the session is not one of Cairn.
+
+    Unless `is_member` holds, it proves nothing.
+    """
+    digits = zid.removeprefix(CAIRN_ID_PREFIX)[:_PID_DIGITS]
+    try:
+        return int(digits, 16) if zid.startswith(CAIRN_ID_PREFIX) else None
+    except ValueError:
+        return None
+
+
+def is_member(zid: str, secret: str) -> bool:
+    """Return whether a session id proves that the session belongs to the run with this secret.
+
+    Without a secret, every session of Cairn counts.
+    """
+    if not secret:
+        return zid.startswith(CAIRN_ID_PREFIX)
+    head, tag = zid[:-_TAG_DIGITS], zid[-_TAG_DIGITS:]
+    known = zid.startswith(CAIRN_ID_PREFIX) and zid.isascii()
+    return known and secrets.compare_digest(tag, _tag(head, secret))
+
+
+def session_id(secret: str) -> str:
+    """Return a new session id for this process; it proves that the session is of this run."""
+    head = f"{CAIRN_ID_PREFIX}{os.getpid():0{_PID_DIGITS}x}{secrets.token_hex(4)}"
+    return head + (_tag(head, secret) if secret else secrets.token_hex(_TAG_DIGITS // 2))
+
+
+def _tag(head: str, secret: str) -> str:
+    text = b"session id " + head.encode()
+    return blake2b(text, key=secret.encode()[:64], digest_size=_TAG_DIGITS // 2).hexdigest()
 
 
 def is_connected(session: zenoh.Session) -> bool:
@@ -281,6 +320,7 @@ def _config(
     listen: Sequence[str],
     connect: Sequence[str],
     more: Mapping[str, Any],
+    secret: str = "",
 ) -> zenoh.Config:
     config = zenoh.Config()
     settings = {
@@ -307,7 +347,7 @@ def _config(
         **more,
     }
     if kind in ("router", "peer"):  # those that answer discovery queries
-        settings["id"] = f"{CAIRN_ID_PREFIX}{os.getpid():08x}{secrets.token_hex(8)}"
+        settings["id"] = session_id(secret)
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -32,14 +32,17 @@ from cairn.schemas.message import InvalidMessage, type_name
 class ZenohBus:
     """Connects the components of one process to all others through one Zenoh session."""
 
-    def __init__(self, session: zenoh.Session, domain: int = 0) -> None:
-        """Take over an open session (`cairn.bus.session`), which `close` closes."""
+    def __init__(self, session: zenoh.Session, domain: int = 0, secret: str = "") -> None:
+        """Take over an open session (`cairn.bus.session`), which `close` closes.
+
+        `secret` is that of the run, with which the session was opened.
+        """
         self.session = session
         self.domain = domain
         self.codec = Codec()
         self._ids = itertools.count()
         self.graph = GraphWatcher(session, domain)
-        self._barrier = DiscoveryBarrier(session)
+        self._barrier = DiscoveryBarrier(session, secret)
         self._closed = False
 
     def node(self, name: str, report: Callable[[str], None]) -> "ZenohNode":

@@ -37,10 +37,11 @@ def main(argument: dict[str, Any]) -> None:
     try:
         context = launch.context
         socket = peer_socket(Path(context.socket_folder), launch.name)
+        secret = context.session_secret
         session = open_peer(
-            context.endpoints, socket, context.credentials, context.max_message_size
+            context.endpoints, socket, context.credentials, context.max_message_size, secret
         )
-        with closing(ZenohBus(session, context.domain)) as bus:
+        with closing(ZenohBus(session, context.domain, secret)) as bus:
             report = _run(launch, bus)
     except CairnError as error:
         report = ExitReport(False, str(error))

@@ -1,5 +1,6 @@
 """Runs a deployment in real processes: the router, the zygote, and the root of the tree."""
 
+import secrets
 import shutil
 import signal
 import time
@@ -83,6 +84,7 @@ def run_processes(
     bus_settings, folder = deployment.bus, zygote.socket_path.parent
     if bus_settings.connect:
         _check_robot_name_is_free(deployment)
+    secret = secrets.token_hex(16)
     launch = LaunchRequest(
         name=ROOT,
         spec=deployment.root(),
@@ -97,10 +99,11 @@ def run_processes(
             credentials=bus_settings.credentials if bus_settings.connect else NO_CREDENTIALS,
             max_message_size=bus_settings.max_message_size,
             log_folder=str(log_folder),
+            session_secret=secret,
         ),
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
-    with _opened_bus(deployment, folder) as bus:
+    with _opened_bus(deployment, folder, secret) as bus:
         root = ComponentHost(launch, bus)
         root.start()
         loop = MainLoop(root)
@@ -143,7 +146,7 @@ def run_processes(
 
 
 @contextmanager
-def _opened_bus(deployment: Deployment, folder: Path) -> Iterator[ZenohBus]:
+def _opened_bus(deployment: Deployment, folder: Path, secret: str) -> Iterator[ZenohBus]:
     """Open the bus of the root: the deployment's router and gateway, or a link to a router."""
     settings = deployment.bus
     with ExitStack() as stack:
@@ -153,12 +156,13 @@ def _opened_bus(deployment: Deployment, folder: Path) -> Iterator[ZenohBus]:
                 peer_socket(folder, ROOT),
                 settings.credentials,
                 settings.max_message_size,
+                secret,
             )
         else:
             socket = router_socket(deployment)
             listen = settings.listen if settings.allow_any_local_user else ()
-            session = open_router(socket, listen, settings.group, settings.max_message_size)
-        bus = stack.enter_context(closing(ZenohBus(session, deployment.domain)))
+            session = open_router(socket, listen, settings.group, settings.max_message_size, secret)
+        bus = stack.enter_context(closing(ZenohBus(session, deployment.domain, secret)))
         if (gateway := gateway_of(deployment)) is not None:
             stack.enter_context(closing(gateway.open(router_socket(deployment), folder)))
         yield bus

@@ -1,6 +1,6 @@
 """What is needed to run one component: its part of the deployment, and which start this is."""
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from cairn.bus.credentials import Credentials
 from cairn.bus.session import MAX_MESSAGE_SIZE, NO_CREDENTIALS
@@ -23,6 +23,7 @@ class RunContext(BaseModel):
     credentials: Credentials = NO_CREDENTIALS
     max_message_size: int = MAX_MESSAGE_SIZE  # bytes
     log_folder: str = ""
+    session_secret: str = Field("", repr=False)  # proves which sessions are of this run
 
 
 class LaunchRequest(BaseModel):

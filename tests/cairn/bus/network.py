@@ -22,12 +22,14 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.testing.launching import new_endpoint
 from tests.patience import LIMIT_S
 
+SECRET = "of the run"
 
-def router_at(endpoint: str, *listen: str) -> zenoh.Session:
+
+def router_at(endpoint: str, *listen: str, secret: str = "") -> zenoh.Session:
     """Open a router at the endpoint of a Unix socket, and at more endpoints."""
     path = socket_path(endpoint)
     assert path is not None
-    return open_router(path, listen)
+    return open_router(path, listen, secret=secret)
 
 
 class Network:
@@ -36,12 +38,12 @@ class Network:
     def __init__(self, *listen: str) -> None:
         self._stack = ExitStack()
         self.endpoint = new_endpoint()
-        self.router = ZenohBus(router_at(self.endpoint, *listen))
+        self.router = ZenohBus(router_at(self.endpoint, *listen, secret=SECRET), secret=SECRET)
         self._stack.callback(self.router.close)
 
     def bus(self) -> ZenohBus:
         """Return the bus of one more process."""
-        bus = ZenohBus(open_peer([self.endpoint]))
+        bus = ZenohBus(open_peer([self.endpoint], secret=SECRET), secret=SECRET)
         self._stack.callback(bus.close)
         return bus
 

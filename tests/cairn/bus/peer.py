@@ -1,4 +1,4 @@
-"""A process on the bus for the tests: `peer.py ENDPOINT NAME`.
+"""A process on the bus for the tests: `peer.py ENDPOINT NAME SECRET`.
 
 It waits for its peers, publishes one word on /robot/word, and prints "ready" with the peers that it
 did not reach. Then it publishes one word per line of its standard input, and prints "received WORD"
@@ -16,9 +16,9 @@ from cairn.schemas.std_msgs import String
 LIMIT_S = 120.0
 
 
-def main(endpoint: str, name: str) -> None:
+def main(endpoint: str, name: str, secret: str) -> None:
     session.LEASE_MS = 3_600_000
-    bus = ZenohBus(session.open_peer([endpoint]))
+    bus = ZenohBus(session.open_peer([endpoint], secret=secret), secret=secret)
     node = bus.node(f"/robot/{name}", print_line)
     arrived = threading.Semaphore(0)
     answers = node.subscribe("/robot/answer", String, RELIABLE, arrived.release)
