@@ -1,5 +1,6 @@
 """The graph: which nodes are on the bus and what they publish and subscribe, from their tokens."""
 
+import logging
 import threading
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -11,6 +12,14 @@ from cairn.errors import CairnError
 
 _MAX_PENDING = 10_000
 """Changes of the graph that wait to be processed."""
+
+_MAX_TOKENS = 20_000
+"""A graph that is larger is not read completely: a robot has some hundreds of tokens."""
+
+_MAX_ENDPOINTS = 10_000
+"""So many endpoints a process remembers: the newest."""
+
+_log = logging.getLogger("cairn.graph")
 
 
 def read_graph(
@@ -30,6 +39,9 @@ def read_graph(
                 "or is stopped; end that `cairn up`, and start it again"
             )
         tokens.append(str(reply.ok.key_expr))
+        if len(tokens) == _MAX_TOKENS:
+            _log.warning("graph too large: only the first %d tokens are read", _MAX_TOKENS)
+            break
     return list(_parsed(sorted(tokens)))
 
 
@@ -83,6 +95,8 @@ class GraphWatcher:
                         continue
                     known = token in self._endpoints
                     self._endpoints[token] = entity
+                    if len(self._endpoints) > _MAX_ENDPOINTS:
+                        del self._endpoints[next(iter(self._endpoints))]
                     callbacks = [] if known else list(self._callbacks)
                 for on_endpoint in callbacks:
                     on_endpoint(entity)

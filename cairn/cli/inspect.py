@@ -7,7 +7,7 @@ import json as json_module
 import queue
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Annotated, Any
 
@@ -33,6 +33,9 @@ _COLUMNS = {
     "received": "received", "dropped": "dropped", "memory_mib": "MiB", "cpu_s": "CPU s",
     "note": "note",
 }  # fmt: skip
+_MAX_ROWS = 1000
+_MAX_NAMES = 50  # publishers or subscribers of one topic
+_MAX_DEPTH = 50  # of the tree of components
 _SHOWN = 36  # elements of a sequence: a covariance is complete
 
 topic = typer.Typer(help="List, print and time the messages on the bus.")
@@ -50,17 +53,26 @@ def ps(
     MiB is the memory that the process adds (PSS), shared by the components in it.
     """
     with connect_to(connect, domain, robot) as client:
-        statuses = client.connection.statuses()
-    check_robot(robot, (full.split("/")[1] for full in statuses))
+        statuses = client.connection.read_statuses()
+    answered, silent = statuses.answered, statuses.silent
+    names = [*answered, *silent]
+    check_robot(robot, (full.split("/")[1] for full in names))
     found = {
-        full: status
-        for full, status in sorted(statuses.items())
+        full: answered.get(full)
+        for full in sorted(names)
         if not robot or full.split("/")[1] == robot
     }
+    tree = list(itertools.islice(_as_tree(found), _MAX_ROWS))
     rows = [
-        _row(full, found[full], depth) if full in found else _row_of_absent(full, depth)
-        for full, depth in _as_tree(found)
+        _row(full, answered[full], depth)
+        if full in answered
+        else _row_of_absent(full, depth, silent)
+        for full, depth in tree
     ]
+    if statuses.left_out:
+        note(f"{statuses.left_out} more announced components do not answer; they are left out")
+    if len(tree) == _MAX_ROWS:
+        note(f"only the first {_MAX_ROWS} components are listed; choose a robot with --robot")
     robots = {row["robot"] for row in rows}
     shown = {key: title for key, title in _COLUMNS.items() if key != "robot" or len(robots) > 1}
     if json:
@@ -88,12 +100,15 @@ def graph(
         {
             "topic": one.name,
             "type": one.type_name,
-            "publishers": [_short(name, one.name) for name in one.publishers],
-            "subscribers": [_short(name, one.name) for name in one.subscribers],
+            "publishers": _listed(one.publishers, one.name),
+            "subscribers": _listed(one.subscribers, one.name),
         }
         for one in topics
         if all_ or not (one.name == ROSOUT or one.name.rpartition("/")[2] == STATUS_TOPIC)
     ]
+    if len(rows) > _MAX_ROWS:
+        note(f"{len(rows) - _MAX_ROWS} topics are left out; choose a robot with --robot")
+        del rows[_MAX_ROWS:]
     columns = ("topic", "type", "publishers", "subscribers")
     show(rows, columns, as_json=json, nothing="there is no topic")
 
@@ -244,21 +259,22 @@ def _identity(entry: Log) -> tuple[object, ...]:
     return (entry.stamp.sec, entry.stamp.nanosec, entry.name, entry.msg)
 
 
-def _as_tree(statuses: dict[str, ComponentStatus]) -> Iterator[tuple[str, int]]:
+def _as_tree(statuses: Mapping[str, ComponentStatus | None]) -> Iterator[tuple[str, int]]:
     """Yield full name and depth of each component, below its supervisor in the order of start.
 
-    Those that are not loaded are among them.
+    Those that are not loaded are among them, and those without a status, as they do not answer.
     """
     left = dict(statuses)
 
     def below(full: str, depth: int) -> Iterator[tuple[str, int]]:
         yield full, depth
         status = left.pop(full, None)
-        for child in status.children if status is not None else ():
+        children = () if status is None or depth == _MAX_DEPTH else status.children
+        for child in children:
             yield from below(f"{full.rpartition('/')[0]}/{child}", depth + 1)
 
     for full, status in statuses.items():
-        if not status.parent and full in left:
+        if status is not None and not status.parent and full in left:
             yield from below(full, 0)
     for full in statuses:  # those whose supervisor does not answer
         if full in left:
@@ -288,11 +304,22 @@ def _row(full: str, status: ComponentStatus, depth: int) -> dict[str, Any]:
     }
 
 
-def _row_of_absent(full: str, depth: int) -> dict[str, Any]:
-    _, robot, name = full.split("/")
+def _row_of_absent(full: str, depth: int, silent: Mapping[str, int | None]) -> dict[str, Any]:
+    robot, _, name = full.removeprefix("/").rpartition("/")
     row = dict.fromkeys(_row(full, ComponentStatus(header=Header(), component=name), depth))
+    state = "no answer" if full in silent else "not loaded"
+    pid = silent.get(full)
     return {**row, "component": full, "robot": robot, "tree": "  " * depth + name,
-            "state": "not loaded"}  # fmt: skip
+            "state": state, "pid": pid, "note": _note_on(pid)}  # fmt: skip
+
+
+def _note_on(pid: int | None) -> str:
+    """Return what is known of a process that does not answer."""
+    try:
+        stopped = pid is not None and psutil.Process(pid).status() == psutil.STATUS_STOPPED
+    except psutil.Error:
+        return ""
+    return "its process was stopped by a signal such as SIGSTOP" if stopped else ""
 
 
 def _load(pid: int) -> dict[str, float | None]:
@@ -304,6 +331,12 @@ def _load(pid: int) -> dict[str, float | None]:
         # On another machine, of another user, or just ended: its process cannot be read.
         return {"memory_mib": None, "cpu_s": None}
     return {"memory_mib": round(memory, 1), "cpu_s": round(times.user + times.system, 2)}
+
+
+def _listed(nodes: Sequence[str], topic: str) -> list[str]:
+    names = [_short(name, topic) for name in nodes[:_MAX_NAMES]]
+    more = len(nodes) - len(names)
+    return [*names, f"... and {more} more"] if more else names
 
 
 def _short(node: str, topic: str) -> str:

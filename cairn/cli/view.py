@@ -32,6 +32,7 @@ from cairn.schemas.rosgraph_msgs import Clock
 _FINISH_LIMIT_S = 10.0  # what this process publishes comes back in milliseconds
 _STATUS_POLL_S = 0.02  # statuses wait for the next refresh
 _LINES = 12
+_MAX_COMPONENTS = 200  # further ones, of forged statuses, are not shown
 _PERIOD_S = 0.25
 _STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim"}
 
@@ -106,7 +107,8 @@ class LiveView:
 
     def status(self, status: ComponentStatus) -> None:
         """Keep the status for the table."""
-        self._statuses[status.component] = status
+        if status.component in self._statuses or len(self._statuses) < _MAX_COMPONENTS:
+            self._statuses[status.component] = status
 
     def time(self, now: int) -> None:
         """Keep the time for the heading."""

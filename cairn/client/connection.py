@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import queue
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import zenoh
@@ -18,7 +20,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.credentials import Credentials
 from cairn.bus.endpoints import endpoint_for, socket_path
 from cairn.bus.graph import read_graph
-from cairn.bus.session import NO_CREDENTIALS, is_connected, open_client
+from cairn.bus.session import NO_CREDENTIALS, is_connected, open_client, process_id
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
@@ -27,6 +29,27 @@ STATUS_TOPIC = "component_status"
 
 _MATCH_LIMIT_S = 2.0
 _ANSWER_LIMIT_S = 5.0  # a component that has not answered by then hangs
+
+
+_STATUS_LIMIT_S = 1.0  # four times the period of heartbeats
+_MAX_ROBOTS = 50  # whose statuses are read at once
+_MAX_SILENT = 100  # components without an answer that are listed
+
+
+@dataclass(frozen=True)
+class Statuses:
+    """The components on the bus.
+
+    Attributes:
+        answered: last status by full name.
+        silent: announced, but without an answer, by full name: the process id in the session id,
+            which may be forged; None if it is not a session of Cairn.
+        left_out: number of further ones that are not listed, because they are too many.
+    """
+
+    answered: dict[str, ComponentStatus]
+    silent: dict[str, int | None]
+    left_out: int
 
 
 @dataclass(frozen=True)
@@ -74,33 +97,51 @@ class Connection:
         ]
 
     def statuses(self) -> dict[str, ComponentStatus]:
-        """Return the last status of every component that answers, by full name."""
+        """Return the last status of every component that answers within 1 s, by full name."""
+        return self.read_statuses().answered
+
+    def read_statuses(self) -> Statuses:
+        """Return the last status of every component, and which have not answered within 1 s."""
         codec = Codec()
         status_type = type_name(ComponentStatus)
-        publishers = {
-            keys.gid(keys.token_key(endpoint)): endpoint
+        announced = [
+            endpoint
             for endpoint in self.endpoints()
             if endpoint.kind == "MP" and endpoint.type_name == status_type
+        ]
+        # Tokens may be forged: those of processes that exist here come first.
+        announced.sort(key=lambda one: (not _runs_here(one.node.zid), one.topic, one.node.name))
+        topics = list(dict.fromkeys(one.topic for one in announced))[:_MAX_ROBOTS]
+        publishers = {
+            keys.gid(keys.token_key(one)): one for one in announced if one.topic in topics
         }
-        found: dict[str, ComponentStatus] = {}
-        deadline = time.monotonic() + _ANSWER_LIMIT_S
-        for topic in sorted({endpoint.topic for endpoint in publishers.values()}):
-            key = keys.message_key(self.domain, topic, ComponentStatus)
-            missing = {gid for gid, endpoint in publishers.items() if endpoint.topic == topic}
-            with self.listen(key, latched=True) as samples:
-                while missing:
-                    try:
-                        sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
-                    except queue.Empty:
-                        break
-                    sent = attachment_of(sample)
-                    if sent is None or sent.gid not in missing:
-                        continue  # a foreign publisher without rmw_zenoh's numbering
-                    missing.discard(sent.gid)
-                    with suppress(InvalidMessage):  # components count these at their ports
-                        status = codec.decode(ComponentStatus, sample.payload.to_bytes())
-                        found[publishers[sent.gid].node.name] = status
-        return found
+        missing = dict(publishers)
+        answered: dict[str, ComponentStatus] = {}
+        samples: queue.Queue[Any] = queue.Queue()
+        deadline = time.monotonic() + _STATUS_LIMIT_S
+        with ExitStack() as stack:
+            for topic in topics:
+                key = keys.message_key(self.domain, topic, ComponentStatus)
+                stack.enter_context(self.listen(key, latched=True, samples=samples))
+            while missing:
+                try:
+                    sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
+                except queue.Empty:
+                    break
+                sent = attachment_of(sample)
+                if sent is None or missing.pop(sent.gid, None) is None:
+                    continue  # a foreign publisher without rmw_zenoh's numbering
+                with suppress(InvalidMessage):  # components count these at their ports
+                    status = codec.decode(ComponentStatus, sample.payload.to_bytes())
+                    answered[publishers[sent.gid].node.name] = status
+        silent = {
+            one.node.name: process_id(one.node.zid)
+            for one in missing.values()
+            if one.node.name not in answered
+        }
+        listed = dict(itertools.islice(silent.items(), _MAX_SILENT))
+        left_out = len(silent) - len(listed) + len(announced) - len(publishers)
+        return Statuses(answered, listed, left_out)
 
     def request(
         self,
@@ -169,9 +210,14 @@ class Connection:
         return publisher
 
     @contextmanager
-    def listen(self, key: str, *, latched: bool = False) -> Iterator[queue.Queue[Any]]:
-        """Yield a queue of all samples on a key from now on; with the latched ones if asked."""
-        samples: queue.Queue[Any] = queue.Queue()
+    def listen(
+        self, key: str, *, latched: bool = False, samples: queue.Queue[Any] | None = None
+    ) -> Iterator[queue.Queue[Any]]:
+        """Yield a queue of all samples on a key from now on; with the latched ones if asked.
+
+        `samples` is the queue, by default a new one.
+        """
+        samples = queue.Queue() if samples is None else samples
         handler = zenoh.handlers.Callback(samples.put, indirect=False)
         subscriber = self.subscriber(key, handler, latched=latched)
         try:
@@ -185,6 +231,12 @@ class Connection:
             return self.session.declare_subscriber(key, handler)
         history = HistoryConfig(detect_late_publishers=True)
         return declare_advanced_subscriber(self.session, key, handler, history=history)
+
+
+def _runs_here(zid: str) -> bool:
+    """Return whether a session id names a process that exists on this machine."""
+    pid = process_id(zid)
+    return pid is not None and Path(f"/proc/{pid}").exists()
 
 
 def attachment_of(sample: Any) -> keys.Attachment | None:

@@ -4,14 +4,22 @@ import json
 import re
 import subprocess
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
 
 import pytest
 import zenoh
 
+from cairn import LATCHED
 from cairn.bus import keys
 from cairn.bus.discovery import QueryableWatcher
-from cairn.bus.session import open_client, open_peer
+from cairn.bus.session import CAIRN_ID_PREFIX, open_client, open_peer
+from cairn.bus.type_hash import type_hash
+from cairn.client import connect
 from cairn.runtime.rosout import ROSOUT
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.commands import Answer, await_status
@@ -41,6 +49,33 @@ def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
     assert all(row.split()[1] == "active" for row in rows if row != rows[3])
     # On a busy computer a note may say that a component is silent.
     assert header.index("note") + len("not loaded") <= 100
+
+
+def test_ps_lists_what_does_not_answer_without_waiting_for_it(command: Command, rover: Run) -> None:
+    session_of = f"{CAIRN_ID_PREFIX}{1:08x}0000000000000001"
+    ghost = keys.NodeEntity(0, session_of, 0, "/rover/ghost")
+    topic = "/rover/component_status"
+    with open_peer([rover.endpoint]) as session, ExitStack() as stack:
+        hashed = type_hash(ComponentStatus)
+        for number in range(300):
+            name = f"/rover/ghost{number}" if number else "/rover/ghost"
+            node = replace(ghost, node_id=number, name=name)
+            kind = type_name(ComponentStatus)
+            end = keys.EndpointEntity(node, 1, "MP", topic, kind, hashed, LATCHED)
+            token = session.liveliness().declare_token(keys.token_key(end))
+            stack.callback(token.undeclare)
+        with connect(rover.endpoint) as robot:
+            await_all(lambda: len(robot.connection.endpoints()) >= 300)
+        began = time.monotonic()
+        answer = command("ps", "--json")
+        took_s = time.monotonic() - began
+
+    rows = {row["component"]: row for row in answer.json}
+    assert (rows["/rover/ghost"]["state"], rows["/rover/ghost"]["pid"]) == ("no answer", 1)
+    assert rows["/rover/talker"]["state"] == "active"
+    assert sum(row["state"] == "no answer" for row in rows.values()) == 100
+    assert "200 more announced components do not answer" in answer.err
+    assert took_s < 4.0  # 5 s and more, if it waited for each robot's
 
 
 def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: Run) -> None:
@@ -169,6 +204,13 @@ def test_logs_follow_continues_until_ctrl_c(rover: Run) -> None:
         follower.send_signal(2)
         assert follower.wait(LIMIT_S) == 130
         assert follower.stderr.read() == ""
+
+
+def await_all(holds: Callable[[], bool]) -> None:
+    """Wait until it holds."""
+    deadline = time.monotonic() + LIMIT_S
+    while not holds():
+        assert time.monotonic() < deadline
 
 
 def count_in(line: str) -> int:
