@@ -1,4 +1,8 @@
-"""One child of a supervisor: how it starts and stops, when it hangs, when it is killed."""
+"""One child of a supervisor: how it starts and stops, when it hangs, when it is killed.
+
+A child is judged only by the heartbeats that it sends its supervisor itself, and all that have
+arrived are read before it is judged. Time in which the supervisor could not run does not count.
+"""
 
 import logging
 from collections.abc import Callable
@@ -8,12 +12,12 @@ from typing import Literal, Protocol
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
-from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.runtime.lifecycle import LifecycleState
+from cairn.supervision.child_channel import Heartbeat, Verb
 
-Verb = Literal["configure", "activate", "deactivate", "shutdown"]
-State = Literal["unloaded", "starting", "active", "stopping", "ended"]
+State = Literal["unloaded", "starting", "active", "held", "stopping", "ended"]
 StartResult = Literal[
-    "active",
+    "active",  # or in the state in which it is held
     "canceled",  # a stop was requested; the child may still run
     "refused",  # the component reported that it cannot start; nothing of it runs
     "unavailable",  # it was killed or did not answer in time; nothing of it runs
@@ -25,6 +29,16 @@ _KILL_LIMIT_S = 5.0  # for the kernel to end a killed process and its group
 _SILENCE_S = 3.0
 """A process may be silent for so long beyond its limit for one handler: it may get no processor."""
 _UNKILLABLE = "does not end even when killed"
+_STARTING: tuple[tuple[LifecycleState, Verb], ...] = (
+    (LifecycleState.UNCONFIGURED, "configure"),
+    (LifecycleState.INACTIVE, "activate"),
+)
+_STOPPING: tuple[tuple[LifecycleState, Verb], ...] = (
+    (LifecycleState.ACTIVE, "deactivate"),
+    (LifecycleState.INACTIVE, "cleanup"),
+)
+_STARTING_CALLS = ("on_configure", "on_activate")
+_STOPPING_CALLS = ("on_deactivate", "on_cleanup", "on_shutdown")
 
 
 class ZygoteLost(CairnError):  # noqa: N818 - an event as much as an error
@@ -44,6 +58,17 @@ class ChildHandle(Protocol):
         Raises `CairnError` with the component's own error if it refuses, `ChildUnavailable` with
         the cause if it has ended or does not answer within `timeout_s` seconds.
         """
+        ...
+
+    def heartbeat(self) -> Heartbeat | None:
+        """Return the newest heartbeat since the last call, None if there is none; do not wait.
+
+        Raises `ChildUnavailable` if the child has sent something else than messages.
+        """
+        ...
+
+    def is_stopped(self) -> bool:
+        """Return whether a signal such as SIGSTOP has stopped its process."""
         ...
 
     def terminate(self) -> None:
@@ -81,7 +106,7 @@ class SupervisorHost(Protocol):
         ...
 
     def awake(self) -> float:
-        """Return the monotonic time [s] without pauses of the machine."""
+        """Return the monotonic time [s] in which this process could run."""
         ...
 
     def post(self, call: Callable[[], None]) -> None:
@@ -121,13 +146,17 @@ class Child:
         self.incarnation = 0
         self.reason = ""
         self.state: State = "unloaded"
+        self.target = LifecycleState.ACTIVE
+        """The state of its life cycle in which it should be; see `hold`."""
         self.stop_failure = ""
         """Why the last stop was not clean, "" if it was."""
         self._parent = parent
         self._host = host
         self._log = log
         self._on_exit = on_exit
-        self._heartbeat: tuple[ComponentStatus, float] | None = None  # the last, and when it came
+        self._heartbeat: Heartbeat | None = None  # the last one of this incarnation
+        self._heartbeat_at = 0.0  # awake time [s] when it was read, or the child became active
+        self._deviates = False
         self._unkillable: ChildHandle | None = None
 
     def status(self) -> ChildStatus:
@@ -135,24 +164,23 @@ class Child:
         return ChildStatus(self.name, self.state, self.incarnation, self.reason)
 
     def start(self, canceled: Callable[[], bool]) -> StartResult:
-        """Launch, configure and activate the child; if that fails, `reason` has the cause.
+        """Launch the child and bring it to its target; if that fails, `reason` has the cause.
 
         Raises `ZygoteLost`.
         """
         if self._unkillable is not None and self._unkillable.wait(0) is None:
             return "unkillable"
-        deadline = self._host.now() + self.spec.start_limit_s
+        deadline = self._host.awake() + self.spec.start_limit_s
         self.incarnation += 1
         self.state = "starting"
         self._log_event(logging.DEBUG, "starting")
         try:
             self._host.report_progress(f"launching {self.name}")
             self.handle = self._host.launch_child(self._launch_request(), self._on_exit)
-            verbs: tuple[Verb, ...] = ("configure", "activate")
-            for verb in verbs:
+            for verb in self._verbs_from(LifecycleState.UNCONFIGURED):
                 if canceled():
                     return "canceled"
-                left_s = deadline - self._host.now()
+                left_s = deadline - self._host.awake()
                 if left_s <= 0:
                     raise ChildUnavailable(f"it was not active after {self.spec.start_limit_s:g} s")
                 self._host.report_progress(f"starting {self.name}: {verb}")
@@ -169,8 +197,8 @@ class Child:
                 self._force_end(self.handle, self.handle.terminate, self.handle.kill)
             self.handle, self.state = None, "ended"
             return "unavailable" if isinstance(error, ChildUnavailable) else "refused"
-        self.state = "active"
-        self._log_event(logging.INFO, "active")
+        self._heartbeat, self._heartbeat_at, self._deviates = None, self._host.awake(), False
+        self._note_target_reached()
         return "active"
 
     def poll(self) -> ExitReport | None:
@@ -183,33 +211,128 @@ class Child:
                 self._note_exit(logging.WARNING, "failed", report)
         return report
 
-    def receive(self, status: ComponentStatus) -> None:
-        """Keep a heartbeat of the child."""
-        self._heartbeat = (status, self._host.awake())
+    def check(self, canceled: Callable[[], bool]) -> ExitReport | None:
+        """Kill the child if it hangs, and restore its state if it deviates from its target.
 
-    def kill_if_hung(self) -> ExitReport | None:
-        """Kill the child if it hangs: too long in one handler, or silent too long.
-
-        Both times exclude pauses of the machine. Returns None if it does not hang, or has sent no
-        heartbeat yet.
+        It hangs if it is too long in one handler, or if its process is silent for too long. It is
+        killed as well if it has sent something invalid, or cannot be restored. Returns how it
+        ended; None if it runs.
         """
-        if self.state != "active" or self.handle is None or self._heartbeat is None:
+        if self.handle is None or self.state not in ("active", "held"):
             return None
-        status, received_at = self._heartbeat
-        silent_s = self._host.awake() - received_at
-        if status.state != "active" or status.restarts + 1 != self.incarnation:
-            return None  # from before the last restart
-        if status.handler and status.handler_s > self.spec.handler_limit_s:
-            where, hung_s = status.handler, status.handler_s + silent_s
-        elif silent_s > self.spec.hang_timeout_s + _SILENCE_S and self.spec.placement == "process":
-            where, hung_s = _where_silent(status), silent_s
+        try:
+            heartbeat = self.handle.heartbeat()
+        except ChildUnavailable as error:
+            return self._kill("failed", f"{error}; killed")
+        if heartbeat is not None:
+            self._heartbeat, self._heartbeat_at = heartbeat, self._host.awake()
+        hang = self._hang()
+        if hang:
+            return self._kill("hung", f"{hang}; killed")
+        return self._restore(canceled) if heartbeat is not None else None
+
+    def hold(self, state: LifecycleState) -> None:
+        """Bring the child to a state of its life cycle and keep it there; ACTIVE releases it.
+
+        A restart by the supervisor's own policy does not change that. Raises `CairnError` with the
+        component's own error if it refuses, or if it does not run.
+        """
+        if self.handle is None:
+            raise CairnError(f"{self.name}: it does not run; load it first")
+        self.target = state
+        self._log_event(logging.INFO, "held by request", str(state))
+        self._reach_target(self.handle)
+
+    def _hang(self) -> str:
+        """Return for how long and where the child hangs, "" if it does not."""
+        assert self.handle is not None
+        heartbeat, silent_s = self._heartbeat, self._host.awake() - self._heartbeat_at
+        handler = heartbeat.handler if heartbeat is not None else ""
+        if heartbeat is not None and handler and heartbeat.handler_s > self._limit_s(handler):
+            return f"hung for {heartbeat.handler_s + silent_s:.1f} s in {handler}"
+        ending = heartbeat is not None and heartbeat.state is LifecycleState.FINALIZED
+        limit_s = self.spec.stop_limit_s if ending else self.spec.hang_timeout_s
+        if silent_s <= limit_s + _SILENCE_S:
+            return ""
+        if self.handle.is_stopped():
+            where = "a process that was stopped by a signal such as SIGSTOP"
+        elif ending:
+            where = "the end of its process"
         else:
+            where = f"{handler or 'a call'} that lets no other thread of its process run"
+        return f"hung for {silent_s:.1f} s in {where}"
+
+    def _limit_s(self, handler: str) -> float:
+        """Return the time limit [s] of a handler, or of a transition that the child makes."""
+        if handler in _STARTING_CALLS:
+            return max(self.spec.start_limit_s, self.spec.handler_limit_s)
+        if handler in _STOPPING_CALLS:
+            return max(self.spec.stop_limit_s, self.spec.handler_limit_s)
+        return self.spec.handler_limit_s
+
+    def _restore(self, canceled: Callable[[], bool]) -> ExitReport | None:
+        """Bring the child back to its target if two heartbeats in a row deviate from it.
+
+        One may: a component that recovers from an error is unconfigured for a moment. The call that
+        it makes meanwhile has a time limit of its own.
+        """
+        assert self.handle is not None
+        assert self._heartbeat is not None
+        state = self._heartbeat.state
+        deviated = self._deviates
+        self._deviates = (
+            state not in (self.target, LifecycleState.FINALIZED) and not self._heartbeat.handler
+        )
+        if not (self._deviates and deviated):
             return None
-        self.reason = f"hung for {hung_s:.1f} s in {where}; killed"
+        self._deviates = False
+        deviation = f"{state} instead of {self.target}"
+        self._log_event(logging.WARNING, "deviates", f"{deviation}; restoring it")
+        try:
+            self._reach_target(self.handle)
+        except CairnError as error:
+            # It may have recovered by itself, or stop, or have ended.
+            if self._state_of(self.handle) is self.target or canceled():
+                return None
+            cause = f"{deviation}, and cannot be restored: {self._without_name(error)}"
+            return self.poll() or self._kill("failed", f"{cause}; killed")
+        return None
+
+    def _kill(self, event: str, reason: str) -> ExitReport:
+        assert self.handle is not None
+        self.reason = reason
         self._force_end(self.handle, self.handle.kill)
         report = ExitReport(False, self.reason)
-        self._note_exit(logging.ERROR, "hung", report)
+        self._note_exit(logging.ERROR, event, report)
         return report
+
+    def _reach_target(self, handle: ChildHandle) -> None:
+        """Make the transitions from the child's state to its target; raise the first error."""
+        for verb in self._verbs_from(self._state_of(handle)):
+            limit_s = self._limit_s(f"on_{verb}")
+            self._host.report_progress(f"bringing {self.name} to {self.target}: {verb}")
+            handle.request(verb, limit_s)
+        self._note_target_reached()
+
+    def _state_of(self, handle: ChildHandle) -> LifecycleState:
+        """Return the state that the child has reported last; its target if it has not yet."""
+        heartbeat = handle.heartbeat()
+        if heartbeat is not None:
+            self._heartbeat, self._heartbeat_at = heartbeat, self._host.awake()
+        return self.target if self._heartbeat is None else self._heartbeat.state
+
+    def _verbs_from(self, state: LifecycleState) -> list[Verb]:
+        """Return the transitions that lead from a state to the target."""
+        order = (LifecycleState.UNCONFIGURED, LifecycleState.INACTIVE, LifecycleState.ACTIVE)
+        if state not in order:  # it has ended
+            return []
+        at, to = order.index(state), order.index(self.target)
+        upwards = [verb for start, verb in _STARTING if at <= order.index(start) < to]
+        return upwards or [verb for start, verb in _STOPPING if to < order.index(start) <= at]
+
+    def _note_target_reached(self) -> None:
+        self.state = "active" if self.target is LifecycleState.ACTIVE else "held"
+        self._log_event(logging.INFO, self.target.value)
 
     def stop(self) -> None:
         """Deactivate and shut down the child; terminate and kill it if that fails."""
@@ -219,13 +342,13 @@ class Child:
             return
         report = handle.wait(0)
         if report is None:
-            deadline = self._host.now() + self.spec.stop_limit_s
+            deadline = self._host.awake() + self.spec.stop_limit_s
             verbs: tuple[Verb, ...] = ("deactivate", "shutdown")
             for verb in verbs if self.state == "active" else verbs[1:]:
                 # Otherwise the step before has ended the child, or has used up the time.
-                if handle.wait(0) is None and self._host.now() < deadline:
+                if handle.wait(0) is None and self._host.awake() < deadline:
                     self._stop_step(handle, verb, deadline)
-            report = handle.wait(max(0.0, deadline - self._host.now()))
+            report = handle.wait(max(0.0, deadline - self._host.awake()))
         if report is None:
             self.reason = self.stop_failure
             report = self._force_end(handle, handle.terminate, handle.kill)
@@ -250,7 +373,7 @@ class Child:
         self._log_event(logging.DEBUG, "stopping", verb)
         self._host.report_progress(f"stopping {self.name}: {verb}")
         try:
-            handle.request(verb, deadline - self._host.now())
+            handle.request(verb, deadline - self._host.awake())
         except ChildUnavailable as error:
             if handle.wait(0) is None:  # otherwise its exit report has the reason
                 self._note_stop_failure(f"{verb}: {error}")
@@ -293,14 +416,3 @@ class Child:
     def _without_name(self, error: Exception) -> str:
         return str(error).removeprefix(f"{self.name}: ")
 
-
-def _where_silent(status: ComponentStatus) -> str:
-    """Return where a component hangs whose process does not even send heartbeats."""
-    import psutil  # imported here to keep `from cairn import Supervisor` light
-
-    try:
-        if psutil.Process(status.pid).status() == psutil.STATUS_STOPPED:
-            return "a process that was stopped by a signal such as SIGSTOP"
-    except psutil.Error:  # another user's, or just gone
-        pass
-    return f"{status.handler or 'a call'} that lets no other thread of its process run"

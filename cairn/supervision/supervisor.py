@@ -13,6 +13,8 @@ Log lines begin with an event in stable words, then the child's name, then the r
 | `child ended: NAME: REASON` | INFO | it has finished of its own accord |
 | `child failed: NAME: REASON` | WARNING | it has failed, or was killed from outside |
 | `child hung: NAME: REASON` | ERROR | its supervisor has killed it as hung |
+| `child deviates: NAME: REASON` | WARNING | it is not in its state; its supervisor restores that |
+| `child held by request: NAME: STATE` | INFO | it is kept in that state until `active` is |
 | `child start failed: NAME: REASON` | ERROR | it did not become active |
 | `child stop failed: NAME: REASON` | WARNING | a step of stopping failed; a harder one follows |
 | `restarting child NAME: REASON (2 of 3 restarts in 10 s)` | INFO | follows a failure or an end |
@@ -25,13 +27,12 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
 
-from cairn.bus.qos import LATCHED
 from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
-from cairn.runtime.ports import In, every, on
-from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.ports import every
 from cairn.supervision.child import Child, ChildStatus, StartResult, SupervisorHost
 from cairn.supervision.restart_policy import Decision, RestartPolicy
 
@@ -55,8 +56,6 @@ class Supervisor(Component):
 
     is_supervisor: ClassVar[bool] = True
     clock_source: ClassVar[Literal["deployment", "system"]] = "system"
-
-    component_status: In[ComponentStatus] = In(qos=LATCHED.with_depth(500), optional=True)
 
     children: "ChildGroup"
 
@@ -98,15 +97,10 @@ class Supervisor(Component):
             raise CairnError(f"{self.name}: {error}") from error
         return {status.name: status.state for status in self.children.status()}[name]
 
-    @on("component_status")
-    def on_heartbeat(self, status: ComponentStatus) -> None:
-        """Keep the heartbeat of a child."""
-        self.children.receive(status)
-
     @every(hz=2)
     def check_children(self) -> None:
-        """Kill children that hang, and restart what has ended."""
-        self.children.kill_hung()
+        """Kill children that hang, restore those that deviate, and restart what has ended."""
+        self.children.check()
         self._reconcile()
 
     def _reconcile(self) -> None:
@@ -205,18 +199,23 @@ class ChildGroup:
                 )
                 self._apply(decision, child)
 
-    def receive(self, heartbeat: ComponentStatus) -> None:
-        """Keep a heartbeat, if it is that of a child."""
-        child = self._children.get(heartbeat.component)
-        if child is not None:
-            child.receive(heartbeat)
+    def check(self) -> None:
+        """Kill the children that hang, and restore those that are not in the state they should be.
 
-    def kill_hung(self) -> None:
-        """Kill the children that hang; `reconcile` is then due. Raises the same as `reconcile`."""
+        `reconcile` is then due. Raises the same as `reconcile`.
+        """
         for child in self._children.values():
-            report = None if self.stop_requested else child.kill_if_hung()
+            report = None if self.stop_requested else child.check(lambda: self.stop_requested)
             if report is not None:
                 self._on_exit(child, report)
+
+    def hold(self, name: str, state: LifecycleState) -> None:
+        """Bring a child to a state of its life cycle and keep it there; ACTIVE releases it.
+
+        Loading, unloading and restarting it releases it, too. Raises `UnknownChild`; `CairnError`
+        with the component's own error if it refuses, or if it does not run.
+        """
+        self._child(name).hold(state)
 
     def load(self, name: str) -> None:
         """Start a child that is not loaded; no effect if it is loaded.
