@@ -17,10 +17,12 @@ from cairn.errors import CairnError
 from cairn.placement.launcher import ProcessHandle
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
+from cairn.runtime.lifecycle import LifecycleState, Transition
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.rosout import RosoutHandler
 from cairn.runtime.runtime import Runtime
 from cairn.supervision.child import ChildHandle, ChildUnavailable, ZygoteLost
+from cairn.supervision.child_channel import Heartbeat, sendable
 from cairn.supervision.supervisor import Supervisor
 from cairn.supervision.zygote_client import ZygoteClient
 
@@ -43,6 +45,7 @@ class ComponentHost:
         self.ended = threading.Event()
         self.on_exit: Callable[[], object] = self.ended.is_set
         self._name = launch.name
+        self._parent = launch.parent
         self._bus = bus
         self._loop = ThreadLoop()
         self._loop_end: Future[ExitReport] = Future()  # done after the answer to its last call
@@ -71,7 +74,7 @@ class ComponentHost:
             context.domain,
             full_name(context.robot, launch.name),
             self._loop.post,
-            self.runtime.request,
+            self._answer_control,
         )
         self._thread = threading.Thread(target=self._run, name=launch.name, daemon=True)
 
@@ -89,7 +92,7 @@ class ComponentHost:
         return time.monotonic()
 
     def awake(self) -> float:
-        """Return the monotonic time [s] without pauses of the machine."""
+        """Return the monotonic time [s] in which this process could run."""
         return self._clock.now()
 
     def report_progress(self, step: str) -> None:
@@ -107,7 +110,7 @@ class ComponentHost:
             return host
         if self._zygote is None:
             self._zygote = ZygoteClient(Path(launch.context.zygote), self._log_lost_zygote)
-        self._starting = handle = ProcessHandle(launch, self._bus.session)
+        self._starting = handle = ProcessHandle(launch)
         if self._starts_canceled:  # since the supervisor checked it; `handle` was not known yet
             raise CairnError("a stop was requested")
         handle.launch(self._zygote, on_exit)
@@ -134,6 +137,17 @@ class ComponentHost:
         self._loop.post(call)
         return answer
 
+    def heartbeat(self) -> Heartbeat:
+        """Return the state of the component and what it does now; from any thread."""
+        status = self.runtime.status()
+        return Heartbeat(
+            LifecycleState(status.state), sendable(status.handler), max(0.0, status.handler_s)
+        )
+
+    def is_stopped(self) -> bool:
+        """Return False: it runs in this process, which runs."""
+        return False
+
     def request(self, verb: str, timeout_s: float) -> Any:
         """Make a control request and return the answer.
 
@@ -141,7 +155,13 @@ class ComponentHost:
         time, or has ended and will not answer.
         """
         answer = self.send_request(verb)
-        done = wait_for((answer, self._loop_end), timeout_s, FIRST_COMPLETED).done
+        deadline = self._clock.now() + timeout_s  # which a pause of this process uses up in part
+        while True:
+            left_s = deadline - self._clock.now()
+            step_s = max(0.0, min(left_s, PERIOD_S))
+            done = wait_for((answer, self._loop_end), step_s, FIRST_COMPLETED).done
+            if done or left_s <= 0:
+                break
         if answer in done:
             return answer.result()
         if self._loop_end in done:
@@ -193,6 +213,16 @@ class ComponentHost:
         if self._zygote is not None:
             self._zygote.close()
 
+    def _answer_control(self, verb: str, arguments: Mapping[str, Any]) -> Any:
+        """Answer a request from the bus; its supervisor alone may change the life cycle."""
+        if verb in set(Transition):
+            supervisor = self._parent or "its supervisor"
+            raise CairnError(
+                f"{self._name}: rejected {verb}: only its supervisor makes transitions of its life "
+                f"cycle; request `hold` (name, state), `restart` or `unload` of {supervisor}"
+            )
+        return self.runtime.request(verb, arguments)
+
     def _run(self) -> None:
         try:
             self._loop.run()
@@ -215,19 +245,14 @@ class ComponentHost:
 class PauseAwareClock:
     """Counts the seconds in which this process could run; a thread of its own observes that.
 
-    Of a pause, in which the machine did not let this process run, only `PAUSE_S` count: a component
-    that is silent or does not return meanwhile does not hang. A call that lets no other thread run
-    is not a pause: it uses processor time itself.
+    Of a time in which that thread could not run only `PAUSE_S` count, whatever the cause: the
+    machine paused, the process was stopped or got no processor, or a call let no other thread run.
+    What waits or is waited for meanwhile does not hang. A component that lets no other thread run
+    sends no heartbeats meanwhile, by which its supervisor finds it.
     """
 
-    def __init__(
-        self,
-        monotonic: Callable[[], float] = time.monotonic,
-        processor_time: Callable[[], float] = time.process_time,
-    ) -> None:
+    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._monotonic = monotonic
-        self._processor_time = processor_time
-        self._used_s = processor_time()
         self._last = (0.0, monotonic())  # counted so far, and when; replaced as one
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="cairn clock", daemon=True)
@@ -244,12 +269,8 @@ class PauseAwareClock:
     def update(self) -> None:
         """Count the time since the last update; of a pause only `PAUSE_S`."""
         counted_s, at = self._last
-        now, used_s = self._monotonic(), self._processor_time()
-        passed_s = now - at
-        if passed_s > PAUSE_S and used_s - self._used_s < passed_s / 2:
-            passed_s = PAUSE_S
-        self._used_s = used_s
-        self._last = (counted_s + passed_s, now)
+        now = self._monotonic()
+        self._last = (counted_s + min(now - at, PAUSE_S), now)
 
     def close(self) -> None:
         """Stop observing."""

@@ -2,12 +2,17 @@
 
 import faulthandler
 import logging
+import os
 import queue
 import signal
+import socket
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -19,6 +24,7 @@ from cairn.placement.component_host import ComponentHost
 from cairn.placement.launcher import TRACEBACK_SIGNAL
 from cairn.process_exit import ExitReport, end_process, log_reason
 from cairn.runtime.launch_request import LaunchRequest
+from cairn.supervision.child_channel import Answer, ChildChannel, Request, sendable
 
 LOG_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 HEARTBEAT_S = 0.25
@@ -27,8 +33,12 @@ _SWITCH_INTERVAL_S = 0.0005
 _WAKE_UP = 0  # not the number of any signal
 
 
-def main(argument: dict[str, Any]) -> None:
-    """Run the component of the launch request `argument` until it ends or SIGTERM comes."""
+def main(argument: dict[str, Any], end: socket.socket) -> None:
+    """Run the component of the launch request `argument` until it ends or SIGTERM comes.
+
+    `end` is this process's end of the channel to its supervisor.
+    """
+    os.register_at_fork(after_in_child=end.close)  # a forked helper must not hold it
     launch = LaunchRequest.model_validate(argument)
     logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
     faulthandler.register(TRACEBACK_SIGNAL, all_threads=True)
@@ -36,13 +46,13 @@ def main(argument: dict[str, Any]) -> None:
     report = ExitReport(False, "it could not join the bus")
     try:
         context = launch.context
-        socket = peer_socket(Path(context.socket_folder), launch.name)
+        path = peer_socket(Path(context.socket_folder), launch.name)
         secret = context.session_secret
         session = open_peer(
-            context.endpoints, socket, context.credentials, context.max_message_size, secret
+            context.endpoints, path, context.credentials, context.max_message_size, secret
         )
         with closing(ZenohBus(session, context.domain, secret)) as bus:
-            report = _run(launch, bus)
+            report = _run(launch, bus, ChildChannel(end))
     except CairnError as error:
         report = ExitReport(False, str(error))
         if error.__cause__ is not None:  # an exception of the plugin: its author needs the trace
@@ -52,13 +62,35 @@ def main(argument: dict[str, Any]) -> None:
     end_process(report.exit_code)
 
 
-def _run(launch: LaunchRequest, bus: ZenohBus) -> ExitReport:
+def _run(launch: LaunchRequest, bus: ZenohBus, channel: ChildChannel) -> ExitReport:
     with closing(ComponentHost(launch, bus)) as host:
         host.start()
         loop = MainLoop(host)
-        with loop.stop_signals(signal.SIGTERM, signal.SIGINT):
-            loop.run()
+        with loop.stop_signals(signal.SIGTERM, signal.SIGINT), _answering(host, channel):
+            loop.run(lambda: channel.send_heartbeat(host.heartbeat()))
     return host.exit_report or ExitReport(False, "its loop ended without a report")
+
+
+@contextmanager
+def _answering(host: ComponentHost, channel: ChildChannel) -> Iterator[None]:
+    """Answer the requests of the supervisor within the context, on a thread."""
+
+    def answer(request: Request, made: "Future[Any]") -> None:
+        error = made.exception()
+        channel.send_heartbeat(host.heartbeat())  # with the new state, before the answer
+        channel.send_answer(Answer(request.number, "" if error is None else sendable(str(error))))
+
+    def serve() -> None:
+        while (request := channel.receive()) is not None:
+            host.send_request(request.verb).add_done_callback(partial(answer, request))
+
+    thread = threading.Thread(target=serve, name="cairn supervision", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        channel.stop_receiving()
+        thread.join()
 
 
 class MainLoop:

@@ -1,26 +1,25 @@
-"""Launches a component in a process of its own, and makes requests to it over the bus."""
+"""Launches a component in a process of its own, and makes requests to it over its channel."""
 
-import queue
 import re
 import signal
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import zenoh
-
-from cairn.bus.bus import full_name
-from cairn.bus.control import NoReplyError, request
-from cairn.bus.discovery import QueryableWatcher
-from cairn.bus.keys import control_key
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.process_exit import ExitLog, ExitReport
 from cairn.runtime.launch_request import LaunchRequest
-from cairn.supervision.child import ChildUnavailable, Verb
+from cairn.supervision.child import ChildUnavailable
+from cairn.supervision.child_channel import (
+    Heartbeat,
+    InvalidPacket,
+    SupervisorChannel,
+    Verb,
+    channel_pair,
+)
 from cairn.supervision.zygote_client import ChildProcess, ZygoteClient
 
 ENTRY = "cairn.placement.component_process:main"
@@ -32,36 +31,35 @@ _TRACEBACK_POLL_S = 0.01
 _TRACEBACK = b"(most recent call first)"
 _KILL_LIMIT_S = 5.0
 _EXIT_AFTER_ERROR_S = 0.2  # a component that refuses a request ends soon after
-_LEAVING_LIMIT_S = 5.0  # between leaving the bus and the end of the process, in either order
+_LEAVING_LIMIT_S = 5.0  # between the end of its channel and that of the process
+_POLL_S = 0.05
+_LONGEST_STEP_S = 0.25
+"""A wait is made in steps of `_POLL_S`; one that took longer, because this process could not run,
+counts as at most so long."""
 
 
 class ProcessHandle:
     """A component in a process of its own, which `launch` starts; see `ChildHandle`."""
 
-    def __init__(self, launch: LaunchRequest, session: zenoh.Session) -> None:
-        context = launch.context
+    def __init__(self, launch: LaunchRequest) -> None:
         self._launch = launch
-        self._session = session
-        self._name = full_name(context.robot, launch.name)
-        self._log = ExitLog(Path(context.log_folder) / f"{launch.name}.log")
-        self._watcher = QueryableWatcher(session, control_key(context.domain, self._name))
+        self._log = ExitLog(Path(launch.context.log_folder) / f"{launch.name}.log")
+        self._channel: SupervisorChannel  # set by `launch`
+        self._reported = 0  # heartbeats that `heartbeat` has returned
         self._process: ChildProcess | None = None
         self._starting = True
-        self._answer: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
+        self._canceled = False
 
     def launch(self, zygote: ZygoteClient, on_exit: Callable[[], None]) -> None:
-        """Start the process and wait until it accepts requests.
+        """Start the process and wait until it accepts requests: for its first heartbeat.
 
         See `SupervisorHost.launch_child`.
         """
         launch, timeout_s = self._launch, self._launch.spec.start_limit_s
         fresh = launch.spec.interpreter == "fresh"
-        with self._watcher as watcher:
-            if not watcher.wait_gone(min(timeout_s, _LEAVING_LIMIT_S)):
-                raise ChildUnavailable(
-                    f"another component on this bus answers as {self._name}; stop that one, or "
-                    "give this robot another name (`--set robot=NAME`)"
-                )
+        own, passed = channel_pair()
+        self._channel = SupervisorChannel(own)
+        with passed:
             self._process = process = zygote.spawn(
                 launch.name,
                 ENTRY,
@@ -69,55 +67,65 @@ class ProcessHandle:
                 self._log.file,
                 fresh=fresh,
                 needs=[] if fresh else [load_plugin(launch.spec.plugin).__module__],
+                channel=passed,
                 timeout_s=timeout_s,
             )
-            process.on_exit(lambda _: watcher.give_up())
-            process.on_exit(lambda _: on_exit())
-            if watcher.wait(timeout_s):
+        process.on_exit(lambda _: on_exit())
+        try:
+            if self._receive_until(lambda: self._channel.heartbeat is not None, timeout_s):
                 return
-        exited = process.wait(0)
+        except ChildUnavailable:
+            process.kill()
+            process.wait(_KILL_LIMIT_S)
+            raise
+        exited = process.wait(_LEAVING_LIMIT_S if self._channel.closed else 0)
         if exited is None:
             process.kill()
             if process.wait(_KILL_LIMIT_S) is None:
                 return  # with its time used up; `Child` must not start another one meanwhile
             raise ChildUnavailable(
-                f"it did not join the bus within {timeout_s:g} s; log: {self._log.file}"
+                f"it did not accept requests within {timeout_s:g} s; log: {self._log.file}"
             )
         reason = self._log.report(exited.pid, exited.code).reason
         raise ChildUnavailable(reason) if exited.code < 0 else CairnError(reason)
 
     def request(self, verb: Verb, timeout_s: float) -> None:
         """Have it make a transition; see `ChildHandle`. `cancel_start` cuts a start short."""
-        deadline = time.monotonic() + timeout_s
         self._starting = verb in ("configure", "activate")
-        # The request is made on another thread, so that `cancel_start` can cut the wait short.
-        answer: queue.SimpleQueue[Exception | None] = queue.SimpleQueue()
-        self._answer = answer
-        threading.Thread(
-            target=self._request, args=(verb, timeout_s, answer), name=verb, daemon=True
-        ).start()
-        error = answer.get()  # `_request` keeps the time limit
-        if isinstance(error, NoReplyError):
-            # That it has left the bus is known before its exit.
-            left_s = max(0.0, deadline - time.monotonic())
-            report = self.wait(min(left_s, _LEAVING_LIMIT_S))
-            if report is None and time.monotonic() >= deadline:
-                raise ChildUnavailable(f"no answer within {timeout_s:.1f} s")
+        if self._channel.request(verb):
+            self._receive_until(lambda: self._channel.answer is not None, timeout_s)
+        answer = self._channel.answer
+        if answer is None:
+            if self._starting and self._canceled:
+                raise CairnError("a stop was requested")
+            # The end of the channel is known before the exit.
+            report = self.wait(_LEAVING_LIMIT_S if self._channel.closed else 0)
             if report is None:
-                raise ChildUnavailable(str(error))
+                raise ChildUnavailable(f"no answer within {timeout_s:.1f} s{self._where()}")
             if not report.normal or verb != "shutdown":
                 raise ChildUnavailable(report.reason)
-        elif error is not None:  # the component's own
+        elif answer.error:  # the component's own
             self.wait(_EXIT_AFTER_ERROR_S)
-            raise error
+            raise CairnError(answer.error)
         self._starting = verb == "configure"  # the next step follows
 
     def cancel_start(self) -> None:
         """Cut short the start in progress, and ask the process to end; from any thread."""
         if self._starting:
-            self._watcher.give_up()
-            self._answer.put(CairnError("a stop was requested"))
+            self._canceled = True
             self.terminate()
+
+    def heartbeat(self) -> Heartbeat | None:
+        """Return the newest heartbeat since the last call; see `ChildHandle`."""
+        self._receive(0.0)
+        if self._channel.heartbeats == self._reported:
+            return None
+        self._reported = self._channel.heartbeats
+        return self._channel.heartbeat
+
+    def is_stopped(self) -> bool:
+        """Return whether a signal such as SIGSTOP has stopped its process."""
+        return self._process is not None and _threads_of(self._process.pid).stopped
 
     def terminate(self) -> None:
         """Ask its process to end."""
@@ -142,17 +150,39 @@ class ProcessHandle:
     def wait(self, timeout_s: float) -> ExitReport | None:
         """Wait for its end; see `ChildHandle`."""
         exited = None if self._process is None else self._process.wait(timeout_s)
-        return None if exited is None else self._log.report(exited.pid, exited.code)
+        if exited is None:
+            return None
+        self._channel.close()
+        return self._log.report(exited.pid, exited.code)
 
-    def _request(
-        self, verb: Verb, timeout_s: float, answer: "queue.SimpleQueue[Exception | None]"
-    ) -> None:
-        domain, timeout_s = self._launch.context.domain, max(0.01, timeout_s)
+    def _receive_until(self, arrived: Callable[[], bool], timeout_s: float) -> bool:
+        """Receive messages until `arrived()`; return whether it has.
+
+        It has not when the time is up, when a start is canceled, or when the process has ended.
+        """
+        while True:
+            ended = self._process is None or self._process.exit.done()
+            began = time.monotonic()
+            self._receive(0.0 if ended else min(timeout_s, _POLL_S))
+            if arrived():
+                return True
+            if ended or self._channel.closed or (self._starting and self._canceled):
+                return False
+            timeout_s -= min(time.monotonic() - began, _LONGEST_STEP_S)
+            if timeout_s <= 0:
+                return False
+
+    def _receive(self, timeout_s: float) -> None:
         try:
-            request(self._session, domain, self._name, verb, timeout_s=timeout_s)
-            answer.put(None)
-        except Exception as error:
-            answer.put(error)
+            self._channel.receive(timeout_s)
+        except InvalidPacket as error:
+            raise ChildUnavailable(
+                f"its channel to its supervisor is disturbed: {error}"
+            ) from error
+
+    def _where(self) -> str:
+        heartbeat = self._channel.heartbeat
+        return f"; it is in {heartbeat.handler}" if heartbeat and heartbeat.handler else ""
 
 
 @dataclass(frozen=True)

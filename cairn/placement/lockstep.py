@@ -15,7 +15,8 @@ from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.runtime import Runtime
-from cairn.supervision.child import ChildHandle, Verb
+from cairn.supervision.child import ChildHandle
+from cairn.supervision.child_channel import Heartbeat, Verb
 from cairn.supervision.supervisor import Supervisor
 
 _HEARTBEAT_NS = SECOND
@@ -293,6 +294,14 @@ class _LockstepHost:
     def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still
         """Make a transition at once."""
         self.runtime.request(verb, {})
+
+    def heartbeat(self) -> Heartbeat:
+        """Return its state; no call is in progress."""
+        return Heartbeat(self.runtime.state)
+
+    def is_stopped(self) -> bool:
+        """Return False: it has no process of its own."""
+        return False
 
     def terminate(self) -> None:
         """Shut it down."""

@@ -40,6 +40,13 @@ _TARGETS = {
     (LifecycleState.ACTIVE, Transition.SHUTDOWN): LifecycleState.FINALIZED,
 }
 
+STATE_AFTER = {
+    transition.value: target
+    for (_, transition), target in _TARGETS.items()
+    if transition is not Transition.SHUTDOWN
+}
+"""The state to which each transition leads in which a component stays."""
+
 
 def target_state(state: LifecycleState, transition: Transition) -> LifecycleState:
     """Return the state that a transition leads to if it succeeds.

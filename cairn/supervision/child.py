@@ -415,4 +415,3 @@ class Child:
 
     def _without_name(self, error: Exception) -> str:
         return str(error).removeprefix(f"{self.name}: ")
-

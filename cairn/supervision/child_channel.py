@@ -45,7 +45,7 @@ class Answer:
     """
 
     number: int
-    error: str = Field("", max_length=_LONGEST_TEXT)
+    error: Annotated[str, Field(max_length=_LONGEST_TEXT)] = ""
     kind: Literal["answer"] = "answer"
 
 
@@ -54,7 +54,7 @@ class Heartbeat:
     """Child: its state, and the current handler ("" if none) with its running time [s]."""
 
     state: LifecycleState
-    handler: str = Field("", max_length=_LONGEST_TEXT)
+    handler: Annotated[str, Field(max_length=_LONGEST_TEXT)] = ""
     handler_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
     kind: Literal["heartbeat"] = "heartbeat"
 
@@ -163,14 +163,10 @@ class ChildChannel:
         """Send an answer; it is dropped if the supervisor has not read for long."""
         _send(self._end, answer, _SEND_LIMIT_S)
 
-    def shut_down(self) -> None:
-        """End the channel in both directions, and the wait in `receive`."""
-        with suppress(OSError):
-            self._end.shutdown(socket.SHUT_RDWR)
-
-    def close(self) -> None:
-        """Close this end."""
-        self._end.close()
+    def stop_receiving(self) -> None:
+        """Have `receive` return None from now on; messages can still be sent."""
+        with suppress(OSError):  # the supervisor has ended
+            self._end.shutdown(socket.SHUT_RD)
 
 
 def sendable(text: str) -> str:

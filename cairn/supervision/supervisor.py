@@ -36,6 +36,9 @@ from cairn.runtime.ports import every
 from cairn.supervision.child import Child, ChildStatus, StartResult, SupervisorHost
 from cairn.supervision.restart_policy import Decision, RestartPolicy
 
+HELD_STATES = ("unconfigured", "inactive", "active")
+"""The states of its life cycle in which a child can be held."""
+
 
 class StartFailed(CairnError):  # noqa: N818 - reads as what happened
     """A child loaded on request did not become active and is unloaded again."""
@@ -85,11 +88,15 @@ class Supervisor(Component):
         return False
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Load, unload or restart the child `name`; return its state."""
-        if verb not in ("load", "unload", "restart") or set(arguments) != {"name"}:
+        """Load, unload, restart the child `name`, or hold it in a `state`; return its state."""
+        expected = {"load": {"name"}, "unload": {"name"}, "restart": {"name"}}
+        expected["hold"] = {"name", "state"}
+        if set(arguments) != expected.get(verb):
             return super().on_request(verb, arguments)
         name = str(arguments["name"])
         try:
+            if verb == "hold":
+                return self.children.hold(name, str(arguments["state"]))
             getattr(self.children, verb)(name)
         except Escalate as error:
             # The request is answered, but the failure is the supervisor's own.
@@ -209,13 +216,19 @@ class ChildGroup:
             if report is not None:
                 self._on_exit(child, report)
 
-    def hold(self, name: str, state: LifecycleState) -> None:
-        """Bring a child to a state of its life cycle and keep it there; ACTIVE releases it.
+    def hold(self, name: str, state: str) -> str:
+        """Bring a child to a state of its life cycle and keep it there; "active" releases it.
 
-        Loading, unloading and restarting it releases it, too. Raises `UnknownChild`; `CairnError`
-        with the component's own error if it refuses, or if it does not run.
+        Returns the state. Unloading and restarting it on request releases it, too. Raises
+        `UnknownChild`; `CairnError` for an unknown state, if the child does not run, or with the
+        component's own error if it refuses.
         """
-        self._child(name).hold(state)
+        child = self._child(name)
+        if state not in HELD_STATES:
+            choice = ", ".join(HELD_STATES)
+            raise CairnError(f"{name}: cannot be held in state {state}; choose one of: {choice}")
+        child.hold(LifecycleState(state))
+        return state
 
     def load(self, name: str) -> None:
         """Start a child that is not loaded; no effect if it is loaded.
@@ -246,7 +259,7 @@ class ChildGroup:
         child = self._child(name)
         self._policy.unload(name)
         child.stop()
-        child.state = "unloaded"
+        child.state, child.target = "unloaded", LifecycleState.ACTIVE
 
     def restart(self, name: str) -> None:
         """Stop and start a child, or load it. Raises `UnknownChild` and the same as `reconcile`."""
@@ -256,6 +269,7 @@ class ChildGroup:
             return
         self._policy.unload(name)
         child.stop()
+        child.target = LifecycleState.ACTIVE
         self._policy.load(name)
         self.reconcile()
 
@@ -265,7 +279,7 @@ class ChildGroup:
             self._policy.unload(name)
         for child in reversed(self._children.values()):
             child.stop()
-            child.state = "unloaded"
+            child.state, child.target = "unloaded", LifecycleState.ACTIVE
 
     def check_stops(self) -> None:
         """Raise `CairnError` if a child has failed while it was stopped.

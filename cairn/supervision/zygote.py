@@ -18,6 +18,7 @@ import struct
 import sys
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -48,6 +49,7 @@ _GROUP_LIMIT_S = 1.0  # killed helpers of an ended process may take this long to
 _END_LIMIT_S = 5.0
 _TRACEBACK_LINES = 12
 _LONGEST_LINE = 16 << 20  # bytes; a deployment's largest argument is some kilobytes
+_DESCRIPTORS = 16  # of one client that wait for the end of their message
 _UCRED = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 # Python itself ignores the first two and expects that; the others cannot be changed.
 _UNCHANGED_SIGNALS = {signal.SIGPIPE, signal.SIGXFSZ, signal.SIGKILL, signal.SIGSTOP}
@@ -57,7 +59,9 @@ _UNCHANGED_SIGNALS = {signal.SIGPIPE, signal.SIGXFSZ, signal.SIGKILL, signal.SIG
 class Spawn:
     """Client: start a process of this name that calls `entry` with `argument`.
 
-    The zygote refuses if one of the modules in `needs` could not be imported.
+    With `channel`, a file descriptor of a socket accompanies the message; the process calls `entry`
+    with that socket as well. The zygote refuses if one of the modules in `needs` could not be
+    imported.
     """
 
     request: int  # from 1
@@ -67,6 +71,7 @@ class Spawn:
     log_file: str
     fresh: bool
     needs: tuple[str, ...]
+    channel: bool = False
     kind: Literal["spawn"] = "spawn"
 
 
@@ -137,7 +142,8 @@ def main() -> None:
     if spawn is None:
         _remove_socket(socket_path)
     else:
-        _run_entry(spawn.name, spawn.entry, spawn.argument)
+        request, channel = spawn
+        _run_entry(request.name, request.entry, request.argument, channel)
 
 
 def preload(modules: Iterable[str]) -> dict[str, str]:
@@ -188,10 +194,13 @@ class Zygote:
         self._watch(self._signals, self._on_signal)
         self._watch(self._listener, self._accept)
         self._serving = True
-        self._forked: Spawn | None = None  # in a forked child: what to run
+        self._forked: tuple[Spawn, int | None] | None = None  # in a forked child: what to run
 
-    def serve(self) -> Spawn | None:
-        """Serve until asked to end (returns None); in a forked child, return what to run."""
+    def serve(self) -> tuple[Spawn, int | None] | None:
+        """Serve until asked to end (returns None).
+
+        In a forked child, return what to run, and the descriptor of its channel if it has one.
+        """
         become_subreaper()
         for number in (signal.SIGCHLD, signal.SIGTERM):
             signal.signal(number, lambda *_: None)  # the wake-up socket reports them
@@ -249,6 +258,14 @@ class Zygote:
             self._abandon(connection)
 
     def _spawn(self, connection: "ClientConnection", request: Spawn) -> None:
+        channel = connection.take_descriptor() if request.channel else None
+        try:
+            self._fork(connection, request, channel)
+        finally:
+            if channel is not None and os.getpid() == self._pid:
+                os.close(channel)
+
+    def _fork(self, connection: "ClientConnection", request: Spawn, channel: int | None) -> None:
         log = os.open(request.log_file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o640)
         every = signal.valid_signals()
         unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, every)  # until the child is ready
@@ -259,7 +276,7 @@ class Zygote:
                 return
             pid = os.fork()
             if pid == 0:
-                self._become_child(request, log)
+                self._become_child(request, log, channel)
                 return
             with contextlib.suppress(PermissionError, ProcessLookupError):  # done already, or over
                 os.setpgid(pid, pid)  # the child does the same: the first of the two counts
@@ -280,17 +297,17 @@ class Zygote:
         reason = f"{text.partition(chr(10))[0]} (log {request.log_file})"
         connection.send(Answer(request.request, error=reason))
 
-    def _become_child(self, request: Spawn, log: int) -> None:
+    def _become_child(self, request: Spawn, log: int, channel: int | None) -> None:
         """Detach this process, a fork, from the zygote, and have `serve` return what it runs."""
         try:
             _detach(self._pid, log)
             for connection in self._connections:
-                connection.socket.close()
+                connection.close()
             for inherited in (self._selector, self._listener, self._signals, self._wakeup):
                 inherited.close()
             if request.fresh:
-                _run_in_fresh_interpreter(request)
-            self._serving, self._forked = False, request
+                _run_in_fresh_interpreter(request, channel)
+            self._serving, self._forked = False, (request, channel)
         except BaseException:  # must not return into the zygote's loop
             traceback.print_exc()
             sys.stderr.flush()
@@ -324,7 +341,7 @@ class Zygote:
 
     def _close_if_done(self, connection: "ClientConnection") -> None:
         if connection.gone and connection not in self._owners.values():
-            connection.socket.close()
+            connection.close()
             self._connections.discard(connection)
 
     def _on_signal(self) -> None:
@@ -377,25 +394,47 @@ class ClientConnection:
         self.pid = pid
         self.gone = False  # sends no more requests; its processes are being killed
         self._received = b""  # the beginning of a line
+        self._descriptors: deque[int] = deque()  # of `Spawn` messages that are not complete yet
         client.setblocking(False)
 
     def receive(self) -> list[bytes]:
         """Return the lines that are complete now; set `gone` at the end.
 
-        Raises `ValueError` if a line is too long.
+        Raises `ValueError` if a line is too long, or too many descriptors came with it.
         """
+        data, descriptors = b"", list[int]()
         try:
-            data = self.socket.recv(1 << 16)
+            data, descriptors, _, _ = socket.recv_fds(
+                self.socket, 1 << 16, _DESCRIPTORS + 1, socket.MSG_CMSG_CLOEXEC
+            )
         except BlockingIOError:
             return []
         except OSError:
-            data = b""
+            pass
+        self._descriptors.extend(descriptors)
+        if len(self._descriptors) > _DESCRIPTORS:
+            raise ValueError(f"more than {_DESCRIPTORS} file descriptors")
         if not data:
             self.gone = True
         *lines, self._received = (self._received + data).split(b"\n")
         if len(self._received) > _LONGEST_LINE:
             raise ValueError(f"a line exceeds {_LONGEST_LINE} bytes")
         return lines
+
+    def take_descriptor(self) -> int:
+        """Return the descriptor that came with a message; the caller closes it.
+
+        Raises `OSError` if there is none.
+        """
+        if not self._descriptors:
+            raise OSError("no file descriptor came with the message")
+        return self._descriptors.popleft()
+
+    def close(self) -> None:
+        """Close the connection, and the descriptors that came over it and were not used."""
+        while self._descriptors:
+            os.close(self._descriptors.popleft())
+        self.socket.close()
 
     def send(self, answer: Answer | Exited) -> None:
         """Send an answer; disconnect a client that has not read hundreds of them: it hangs."""
@@ -432,23 +471,34 @@ def _detach(zygote: int, log: int) -> None:
     signal.pthread_sigmask(signal.SIG_SETMASK, [])
 
 
-def _run_entry(name: str, entry: str, argument: dict[str, Any]) -> None:
+def _run_entry(name: str, entry: str, argument: dict[str, Any], channel: int | None) -> None:
     """Set up the interpreter of a detached process and call `entry` ("package.module:function").
 
-    An exception of the entry ends the process with a traceback and exit code 1.
+    With a `channel`, the entry gets it as second argument, a socket. An exception of the entry ends
+    the process with a traceback and exit code 1.
     """
     setproctitle(f"cairn: {name}")
     cast("Any", sys.stdout).reconfigure(line_buffering=True)
     faulthandler.enable()
     gc.enable()
     module, _, function = entry.partition(":")
-    getattr(importlib.import_module(module), function)(argument)
+    call = getattr(importlib.import_module(module), function)
+    if channel is None:
+        call(argument)
+    else:
+        call(argument, socket.socket(fileno=channel))
 
 
-def _run_in_fresh_interpreter(spawn: Spawn) -> NoReturn:
-    """Replace the calling process, already detached, by a new interpreter that runs the entry."""
+def _run_in_fresh_interpreter(spawn: Spawn, channel: int | None) -> NoReturn:
+    """Replace the calling process, already detached, by a new interpreter that runs the entry.
+
+    The argument may contain secrets: it is passed in memory, not in arguments or the environment.
+    """
     passed = os.memfd_create(spawn.name)
-    os.write(passed, json.dumps([spawn.name, spawn.entry, spawn.argument]).encode())
+    with open(passed, "wb", closefd=False) as file:
+        file.write(json.dumps([spawn.name, spawn.entry, spawn.argument, channel]).encode())
+    if channel is not None:
+        os.set_inheritable(channel, True)
     os.lseek(passed, 0, os.SEEK_SET)
     os.dup2(passed, 0)
     bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path)]
@@ -457,9 +507,11 @@ def _run_in_fresh_interpreter(spawn: Spawn) -> NoReturn:
 
 def run_passed_entry() -> None:
     """Run, in a fresh interpreter, the entry that was passed on standard input."""
-    name, entry, argument = json.loads(sys.stdin.buffer.read())
+    name, entry, argument, channel = json.loads(sys.stdin.buffer.read())
     _close_input()
-    _run_entry(name, entry, argument)
+    if channel is not None:
+        os.set_inheritable(channel, False)  # helper processes must not inherit it
+    _run_entry(name, entry, argument, channel)
 
 
 def _close_input() -> None:

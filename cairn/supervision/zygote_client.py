@@ -211,13 +211,15 @@ class ZygoteClient:
         *,
         fresh: bool = False,
         needs: Sequence[str] = (),
+        channel: socket.socket | None = None,
         timeout_s: float = 10.0,
     ) -> ChildProcess:
         """Start a process that calls `entry` ("package.module:function") with a JSON-able dict.
 
         Its output is appended to the log file. It ends with exit code 0 when the entry returns, 1
         with a traceback in the log when it raises. With `fresh` it gets a new interpreter instead
-        of a fork of the zygote; otherwise the zygote must have imported the modules in `needs`.
+        of a fork of the zygote; otherwise the zygote must have imported the modules in `needs`. The
+        entry gets a copy of the socket `channel`, if there is one, as second argument.
 
         Raises `ZygoteLost`, `CairnError` with the reason if the zygote refuses, `ChildUnavailable`
         at the time limit; if the process is started after that, it is killed. Raises `TypeError` or
@@ -225,13 +227,14 @@ class ZygoteClient:
         """
         number = next(self._numbers)
         log = os.fspath(log_file)
-        request = Spawn(number, name, entry, dict(argument), log, fresh, tuple(needs))
+        passed = channel is not None
+        request = Spawn(number, name, entry, dict(argument), log, fresh, tuple(needs), passed)
         answer: Future[ChildProcess] = Future()
         with self._lock:
             if self._closed is not None:
                 raise self._closed
             self._pending[number] = answer
-        self._send(request)
+        self._send(request, channel)
         return self._wait(number, answer, timeout_s, f"start {name}")
 
     def close(self, timeout_s: float = 5.0) -> None:
@@ -259,12 +262,14 @@ class ZygoteClient:
                 "reduce the load of this computer"
             ) from None
 
-    def _send(self, request: Spawn | Signal) -> None:
+    def _send(self, request: Spawn | Signal, channel: socket.socket | None = None) -> None:
         line = encode(request)
+        descriptors = [] if channel is None else [channel.fileno()]
         try:
             with self._lock:
                 if self._closed is None:  # otherwise all processes are killed anyway
-                    self._socket.sendall(line)
+                    sent = socket.send_fds(self._socket, [line], descriptors)
+                    self._socket.sendall(line[sent:])
         except OSError:  # ended, or stuck with half a line sent: the reader reports it
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)

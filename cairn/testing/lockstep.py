@@ -40,7 +40,7 @@ from cairn.placement.lockstep import LockstepExecutor, LockstepRun
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest, RunContext
-from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.runtime.ports import ports_of
 from cairn.runtime.runtime import Runtime
 
@@ -379,10 +379,16 @@ class DeploymentHarness(Lockstep):
     def request(self, component: str, verb: str, **arguments: Any) -> Any:
         """Return a component's reply to a request, after everything that it causes at once.
 
-        Raises `CairnError` if the component does not run or rejects the request.
+        A transition of the life cycle is requested of its supervisor, which holds the component in
+        the new state until another one is requested. Raises `CairnError` if the component does not
+        run or rejects the request.
         """
         self.start()
-        answer = self.run.runtime(component).request(verb, arguments)
+        runtime = self.run.runtime(component)
+        if verb in STATE_AFTER:
+            arguments = {"name": component, "state": STATE_AFTER[verb].value}
+            runtime, verb = self.run.runtime(runtime.launch.parent), "hold"
+        answer = runtime.request(verb, arguments)
         self.run_for(0.0)
         return answer
 

@@ -23,6 +23,7 @@ from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.clock import to_ns
+from cairn.runtime.lifecycle import STATE_AFTER
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rosgraph_msgs import Clock
@@ -45,7 +46,6 @@ RETAINED = LATCHED.with_depth(100)
 _STATUS = "component_status"
 _REQUEST_S = 15.0
 _PEERS_S = 20.0
-_TRANSITIONS = ("configure", "activate", "deactivate", "cleanup")
 _STEPS = {"unconfigured": ("configure", "activate"), "inactive": ("activate",), "active": ()}
 
 
@@ -247,19 +247,25 @@ class RunningDeployment:
     ) -> Any:
         """Return a component's reply to a request (life cycle, parameters, its own).
 
-        After a transition of the life cycle `status` reports the new state. Raises `ControlError`
-        with the component's reason if it rejects the request, `NoReplyError` if no reply arrives in
-        time.
+        A transition of the life cycle is requested of its supervisor, which holds the component in
+        the new state until another one is requested. After it `status` reports that state.
+
+        Raises `ControlError` with the component's reason if it rejects the request, `NoReplyError`
+        if no reply arrives in time.
         """
+        to = component
+        if verb in STATE_AFTER:
+            to = self.status(component).parent
+            arguments = {"name": component, "state": STATE_AFTER[verb].value}
         reply = request(
             self._bus.session,
             self._bus.domain,
-            full_name(self.name, component),
-            verb,
+            full_name(self.name, to),
+            "hold" if verb in STATE_AFTER else verb,
             arguments,
             timeout_s=limit_s,
         )
-        if verb in _TRANSITIONS:
+        if verb in STATE_AFTER:
             # The status is another message than the reply, and may arrive later.
             replied = time.time_ns()
             self.await_status(

@@ -3,14 +3,12 @@
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import zenoh
 
-from cairn.bus.session import open_router
 from cairn.deployment.model import ChildSpec
 from cairn.errors import Escalate
 from cairn.placement.launcher import TRACEBACK_SIGNAL, ProcessHandle
@@ -19,7 +17,6 @@ from cairn.supervision.child import ChildHandle
 from cairn.supervision.supervisor import ChildGroup
 from cairn.supervision.zygote import Exited, Signal
 from cairn.supervision.zygote_client import ChildProcess
-from cairn.testing.launching import new_socket
 from tests.cairn.supervision.scripted_children import World
 from tests.wording import words_in_order
 
@@ -46,15 +43,14 @@ class UnkillableProcess(ChildProcess):
 class UnkillableWorld(World):
     """Launches such processes; it is the zygote as well."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.session = session
         self.spawned = 0
 
     def launch_child(  # type: ignore[override]  # a process, not a scripted child
         self, launch: LaunchRequest, on_exit: Callable[[], None]
     ) -> ChildHandle:
-        handle = ProcessHandle(launch, self.session)
+        handle = ProcessHandle(launch)
         handle.launch(self, on_exit)  # type: ignore[arg-type]  # only `spawn` is called
         return handle
 
@@ -63,16 +59,10 @@ class UnkillableWorld(World):
         return UnkillableProcess(self, log)
 
 
-@pytest.fixture
-def session() -> Iterator[zenoh.Session]:
-    with open_router(new_socket()) as session:
-        yield session
-
-
 def test_process_that_neither_joins_the_bus_nor_can_be_killed_is_not_started_twice(
-    session: zenoh.Session, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    world = UnkillableWorld(session)
+    world = UnkillableWorld()
     child = ChildSpec(plugin=f"{__name__}:Unused", interpreter="fresh", start_timeout_s=0.05)
     launch = LaunchRequest(
         name="root",
@@ -110,7 +100,7 @@ class BusyProcess(ChildProcess):
 
 
 def test_hung_process_is_killed_when_its_stacks_are_logged(
-    session: zenoh.Session, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     launch = LaunchRequest(
         name="base",
@@ -118,7 +108,7 @@ def test_hung_process_is_killed_when_its_stacks_are_logged(
         context=RunContext(log_folder=str(tmp_path)),
     )
     process = BusyProcess(tmp_path / "base.log")
-    handle = ProcessHandle(launch, session)
+    handle = ProcessHandle(launch)
     handle.launch(process, lambda: None)  # type: ignore[arg-type]  # only `spawn` is called
 
     handle.kill()

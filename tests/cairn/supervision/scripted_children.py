@@ -8,11 +8,12 @@ from cairn import CairnError
 from cairn.deployment.model import ChildSpec, Supervision
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
-from cairn.schemas.cairn_msgs import ComponentStatus
-from cairn.schemas.std_msgs import Header
-from cairn.supervision.child import ChildUnavailable, Verb
+from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
+from cairn.supervision.child import ChildUnavailable
+from cairn.supervision.child_channel import Heartbeat, Verb
 from cairn.supervision.supervisor import ChildGroup
 
+_READY = Heartbeat(LifecycleState.UNCONFIGURED)
 Step = Callable[["ScriptedChild", float], None]  # called with the step's time limit [s]
 
 
@@ -64,10 +65,29 @@ class ScriptedChild:
     incarnation: int
     script: dict[str, Step]
     end: ExitReport | None = None
+    state: LifecycleState = LifecycleState.UNCONFIGURED
+    sent: Heartbeat | None = _READY  # that was not read yet
+    garbage: str = ""
+    stopped: bool = False
 
     def request(self, verb: Verb, timeout_s: float) -> None:
         self.world.limits.append((f"{verb} {self.name}", timeout_s))
         self._step(verb, timeout_s, ends if verb == "shutdown" else is_ignored)
+        self.state = STATE_AFTER.get(verb, LifecycleState.FINALIZED)
+        self.sent = Heartbeat(self.state)
+
+    def beat(self, handler: str = "", handler_s: float = 0.0) -> None:
+        """Send a heartbeat: the child is within that handler for so many seconds."""
+        self.sent = Heartbeat(self.state, handler, handler_s)
+
+    def heartbeat(self) -> Heartbeat | None:
+        if self.garbage:
+            raise ChildUnavailable(self.garbage)
+        sent, self.sent = self.sent, None
+        return sent
+
+    def is_stopped(self) -> bool:
+        return self.stopped
 
     def terminate(self) -> None:
         self._step("terminate", 0.0, ends)
@@ -162,17 +182,3 @@ class World:
         spec = ChildSpec(plugin="supervisor", supervision=supervision, children=specs)
         launch = LaunchRequest(name="mobile_supervisor", spec=spec)
         return ChildGroup(launch, self, self.log.logger, on_exit=lambda: None)
-
-
-def heartbeat(
-    child: str, incarnation: int = 1, handler: str = "", handler_s: float = 0.0
-) -> ComponentStatus:
-    """The heartbeat of an active child, within that handler for so many seconds."""
-    return ComponentStatus(
-        header=Header(),
-        component=child,
-        state="active",
-        restarts=incarnation - 1,
-        handler=handler,
-        handler_s=handler_s,
-    )

@@ -6,8 +6,9 @@ from cairn import CairnError
 from cairn.deployment.model import ChildSpec, Supervision
 from cairn.errors import Escalate
 from cairn.process_exit import ExitReport
+from cairn.runtime.lifecycle import LifecycleState
 from cairn.supervision.child import ZygoteLost
-from cairn.supervision.supervisor import StartFailed, UnknownChild
+from cairn.supervision.supervisor import ChildGroup, StartFailed, UnknownChild
 from tests.wording import assert_words, words_in_order
 
 from .scripted_children import (
@@ -17,7 +18,6 @@ from .scripted_children import (
     does_not_answer,
     ends,
     fails,
-    heartbeat,
     is_ignored,
     takes,
 )
@@ -81,11 +81,13 @@ def test_ended_child_is_restarted_and_the_reason_is_kept(world: World) -> None:
 def test_hang_of_an_earlier_incarnation_has_no_effect(world: World) -> None:
     supervisor = world.supervisor("base")
     supervisor.start_all()
+    world.children["base"].beat("drive", 4.0)
+    supervisor.check()
     world.children["base"].end = CRASH
+    world.now_s += 20.0
     supervisor.reconcile()
     world.take_steps()
-    supervisor.receive(heartbeat("base", incarnation=1, handler="drive", handler_s=10.0))
-    supervisor.kill_hung()
+    supervisor.check()
     supervisor.reconcile()
     assert world.steps == []
     assert supervisor.status()[0].incarnation == 2
@@ -116,9 +118,11 @@ def test_hung_child_is_killed_and_its_handler_named(world: World) -> None:
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     world.take_steps()
-    supervisor.receive(heartbeat("scanner", handler="read_scan", handler_s=5.25))
-    world.now_s += 0.5
-    supervisor.kill_hung()
+    world.children["scanner"].beat("read_scan", 4.75)
+    supervisor.check()
+    assert world.steps == []
+    world.children["scanner"].beat("read_scan", 5.75)
+    supervisor.check()
     supervisor.reconcile()
     assert world.steps == ["kill scanner", *START_SCANNER]
     reason = supervisor.status()[1].reason
@@ -126,28 +130,136 @@ def test_hung_child_is_killed_and_its_handler_named(world: World) -> None:
     assert_words(reason, "hung", "5.8 s", "read_scan", "killed")
 
 
-def test_child_that_works_or_has_sent_no_heartbeat_is_not_killed(world: World) -> None:
+def test_child_whose_process_is_silent_is_killed(world: World) -> None:
     supervisor = world.supervisor("base", "scanner")
     supervisor.start_all()
     world.take_steps()
-    world.now_s += 100.0
-    supervisor.receive(heartbeat("scanner", handler="read_scan", handler_s=4.75))
-    supervisor.receive(heartbeat("stranger", handler="work", handler_s=100.0))
-    world.now_s += 7.5
-    supervisor.kill_hung()
+    world.children["base"].beat("drive")
+    supervisor.check()
+    world.now_s += 8.25
+    world.children["scanner"].stopped = True
+    supervisor.check()
+    assert world.steps == ["kill base", "kill scanner"]
+    assert_words(supervisor.status()[0].reason, "hung", "8.2 s", "drive", "killed")
+    assert_words(supervisor.status()[1].reason, "hung", "SIGSTOP", "killed")
+
+
+def test_heartbeats_that_wait_for_a_busy_supervisor_count_before_it_judges(world: World) -> None:
+    supervisor = world.supervisor("base")
+    supervisor.start_all()
+    supervisor.check()
+    world.take_steps()
+    world.children["base"].beat("drive", 1.0)
+    world.now_s += 60.0
+    supervisor.check()
     assert world.steps == []
 
 
-def test_child_whose_process_is_silent_is_killed(world: World) -> None:
-    supervisor = world.supervisor("base", replay=ChildSpec(plugin="test", placement="in_process"))
+@pytest.mark.parametrize(
+    ("handler", "state", "limit_s"),
+    [
+        ("on_configure", LifecycleState.UNCONFIGURED, 60.0),
+        ("on_deactivate", LifecycleState.ACTIVE, 7.0),
+        ("on_error", LifecycleState.ACTIVE, 5.0),
+    ],
+)
+def test_child_that_hangs_in_a_transition_of_its_own_is_killed(
+    world: World, handler: str, state: LifecycleState, limit_s: float
+) -> None:
+    supervisor = world.supervisor(base=ChildSpec(plugin="test", stop_timeout_s=7.0))
     supervisor.start_all()
     world.take_steps()
-    supervisor.receive(heartbeat("base", handler="drive"))
-    supervisor.receive(heartbeat("replay"))
-    world.now_s += 8.25
-    supervisor.kill_hung()
+    world.children["base"].state = state
+    world.children["base"].beat(handler, limit_s - 0.1)
+    supervisor.check()
+    assert world.steps == []
+    world.children["base"].beat(handler, limit_s + 0.1)
+    supervisor.check()
     assert world.steps == ["kill base"]
-    assert_words(supervisor.status()[0].reason, "hung", "8.2 s", "drive", "killed")
+    assert_words(supervisor.status()[0].reason, "hung", handler)
+
+
+def test_child_that_disturbs_its_channel_is_killed_with_the_reason(world: World) -> None:
+    supervisor = world.supervisor("base")
+    supervisor.start_all()
+    world.take_steps()
+    world.children["base"].garbage = "a message is invalid"
+    supervisor.check()
+    supervisor.reconcile()
+    assert world.steps == ["kill base", *START_BASE]
+    assert "ERROR child failed: base: a message is invalid; killed" in world.log.lines
+
+
+def deviate(world: World, group: ChildGroup, state: LifecycleState) -> None:
+    """Have the base report twice that it is in a state."""
+    world.children["base"].state = state
+    for _ in range(2):
+        world.children["base"].beat()
+        group.check()
+
+
+def test_child_that_stays_inactive_is_activated_again(world: World) -> None:
+    supervisor = world.supervisor("base")
+    supervisor.start_all()
+    world.take_steps()
+    deviate(world, supervisor, LifecycleState.INACTIVE)
+    assert world.steps == ["activate base"]
+    assert any(
+        line.startswith("WARNING child deviates: base: inactive instead of active")
+        for line in world.log.lines
+    )
+    supervisor.check()
+    assert world.steps == ["activate base"]
+
+
+def test_child_that_is_unconfigured_for_a_moment_is_left_alone(world: World) -> None:
+    supervisor = world.supervisor("base")
+    supervisor.start_all()
+    world.take_steps()
+    base = world.children["base"]
+    for state in (LifecycleState.UNCONFIGURED, LifecycleState.ACTIVE) * 2:
+        base.state = state
+        base.beat()
+        supervisor.check()
+    assert world.steps == []
+
+
+def test_child_that_cannot_be_restored_is_restarted(world: World) -> None:
+    supervisor = world.supervisor("base")
+    world.script("base", {})
+    supervisor.start_all()
+    world.children["base"].script["configure"] = fails("no device")
+    world.take_steps()
+    deviate(world, supervisor, LifecycleState.UNCONFIGURED)
+    supervisor.reconcile()
+    assert world.steps == ["configure base", "kill base", *START_BASE]
+    reason = supervisor.status()[0].reason
+    assert_words(reason, "unconfigured instead of active", "no device")
+
+
+def test_held_child_stays_in_its_state_until_it_is_released(world: World) -> None:
+    supervisor = world.supervisor("base", "scanner")
+    supervisor.start_all()
+    world.take_steps()
+    supervisor.hold("base", "unconfigured")
+    assert world.take_steps() == ["deactivate base", "cleanup base"]
+    deviate(world, supervisor, LifecycleState.UNCONFIGURED)
+    assert world.take_steps() == []
+    world.children["base"].end = CRASH
+    supervisor.reconcile()
+    assert world.take_steps() == ["launch base"]
+    supervisor.hold("base", "active")
+    assert world.take_steps() == ["configure base", "activate base"]
+    supervisor.hold("base", "inactive")
+    supervisor.restart("base")
+    assert [child.state for child in supervisor.status()] == ["active", "active"]
+    with pytest.raises(
+        CairnError, match=words_in_order("finalized", "unconfigured, inactive, active")
+    ):
+        supervisor.hold("base", "finalized")
+    supervisor.unload("scanner")
+    with pytest.raises(CairnError, match="does not run"):
+        supervisor.hold("scanner", "inactive")
 
 
 def test_restarted_child_that_fails_to_configure_is_ended_and_tried_again(world: World) -> None:
@@ -272,8 +384,8 @@ def test_child_that_cannot_be_killed_escalates_instead_of_running_twice(
     scanner = ChildSpec(plugin="test", placement="in_process")
     supervisor = world.supervisor("base", scanner=scanner)
     supervisor.start_all()
-    supervisor.receive(heartbeat("scanner", handler="read_scan", handler_s=6.0))
-    supervisor.kill_hung()
+    world.children["scanner"].beat("read_scan", 6.0)
+    supervisor.check()
     assert (
         "WARNING child stop failed: scanner: it is placed in its supervisor's process"
         in world.log.lines
