@@ -37,6 +37,14 @@ def test_overlay_removes_the_camera() -> None:
     assert robot.member("map_builder").spec.parameters["grid_file"]
 
 
+def test_service_bounds_memory_processes_and_log_messages() -> None:
+    unit = (DEPLOY / "robot" / "cairn@.service").read_text(encoding="utf-8")
+    settings = dict(line.split("=", 1) for line in unit.splitlines() if "=" in line)
+
+    bounds = {"MemoryMax", "TasksMax", "LogRateLimitIntervalSec", "LogRateLimitBurst"}
+    assert bounds <= settings.keys()
+
+
 def _components(deployment: Deployment) -> dict[str, dict[str, Any]]:
     return {
         member.name: {
