@@ -163,6 +163,13 @@ class Deployment(_Section):
     external_topics: tuple[Topic, ...] = Field(
         (), strict=False, description="Topics published by programs outside the deployment."
     )
+    stop_limit_s: float = Field(
+        10.0,
+        ge=2,
+        le=3600,
+        allow_inf_nan=False,
+        description="Limit for stopping everything on a signal [s]; what still runs is killed.",
+    )
     supervision: Supervision = Field(
         default_factory=Supervision, description="For the components directly below the root."
     )

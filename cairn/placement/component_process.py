@@ -2,6 +2,7 @@
 
 import faulthandler
 import logging
+import math
 import os
 import queue
 import signal
@@ -104,22 +105,30 @@ class MainLoop:
         # Signal numbers, or `_WAKE_UP`. Unlike an Event it may be used by a signal handler at any
         # moment.
         self._inbox: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._stopping_since = math.inf
         host.on_exit = self.wake_up
 
-    def run(self, on_turn: Callable[[], None] = lambda: None, *, force: bool = False) -> bool:
+    def run(
+        self,
+        on_turn: Callable[[], None] = lambda: None,
+        *,
+        force: bool = False,
+        stop_limit_s: float = math.inf,
+    ) -> bool:
         """Publish heartbeats until the component has ended, and call `on_turn` with each of them.
 
         `on_turn` is called a last time after the end. With `force`, a second stop signal ends the
-        loop before the component has ended; then the result is False.
+        loop before the component has ended, and so does `stop_limit_s` [s] after the first; then
+        the result is False.
         """
-        stopping = False
         due = time.monotonic()
         while not self._host.ended.is_set():
             if self._received_signal(due - time.monotonic()):
-                if stopping and force:
+                if self._stopping_since < math.inf and force:
                     return False
-                stopping = True
                 self.stop()
+            if time.monotonic() - self._stopping_since > stop_limit_s:
+                return False
             if time.monotonic() >= due:
                 due = time.monotonic() + HEARTBEAT_S
                 self._host.publish_heartbeats()
@@ -133,6 +142,7 @@ class MainLoop:
 
     def stop(self) -> None:
         """Have the component shut down; starts in progress below it are cut short."""
+        self._stopping_since = min(self._stopping_since, time.monotonic())
         self._host.request_stop()
         self._host.terminate()
 

@@ -36,6 +36,8 @@ from cairn.runtime_folder import run_folder
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
+_FORCE_S = 1.0
+"""What has not stopped this time before the deployment's limit is killed."""
 
 
 class RunView(Protocol):
@@ -122,10 +124,12 @@ def run_processes(
             with loop.stop_signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 root.send_request("configure")
                 root.send_request("activate")
-                if not loop.run(on_turn, force=True):
+                limit_s = deployment.stop_limit_s
+                if not loop.run(on_turn, force=True, stop_limit_s=limit_s - _FORCE_S):
                     zygote.close()
                     raise CairnError(
-                        "stopped by force, on a second signal; nothing is left running"
+                        "stopped by force, on a second signal or because not everything had "
+                        f"stopped within {limit_s:g} s (stop_limit_s); nothing is left running"
                     )
             monitor.finish()
         finally:

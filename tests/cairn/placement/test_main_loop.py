@@ -1,0 +1,35 @@
+"""The main loop of a process that stops ends in time, whatever its component does."""
+
+import signal
+import threading
+from typing import cast
+
+from cairn.placement.component_host import ComponentHost
+from cairn.placement.component_process import MainLoop
+
+
+class HangingHost:
+    """A host whose component never ends."""
+
+    def __init__(self) -> None:
+        self.ended = threading.Event()
+        self.stops = 0
+
+    def request_stop(self) -> None:
+        self.stops += 1
+
+    def terminate(self) -> None:
+        """Do nothing: the component hangs."""
+
+    def publish_heartbeats(self) -> None:
+        """Do nothing: nothing listens."""
+
+
+def test_component_that_hangs_ends_the_loop_at_the_stop_limit() -> None:
+    host = HangingHost()
+    loop = MainLoop(cast("ComponentHost", host))
+    with loop.stop_signals(signal.SIGUSR2):
+        signal.raise_signal(signal.SIGUSR2)
+
+        assert not loop.run(force=True, stop_limit_s=0.1)
+    assert host.stops == 1
