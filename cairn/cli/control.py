@@ -1,7 +1,8 @@
-"""`cairn load|unload|restart|param`: change a running deployment."""
+"""`cairn stop|load|unload|restart|param`: change a running deployment."""
 
 from __future__ import annotations
 
+import getpass
 import json as json_module
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -19,6 +20,27 @@ param = typer.Typer(help="Read and change the parameters of running components."
 
 Child = Annotated[str, typer.Argument(help="Name of the component.", metavar="NAME")]
 Component = Annotated[str, typer.Argument(help="Name of the component.", metavar="COMPONENT")]
+
+
+def stop(
+    release: Annotated[
+        bool, typer.Option("--release", help="Release the emergency stop; goals go on.")
+    ] = False,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: RobotName = "",
+) -> None:
+    """Engage the emergency stop at the velocity gate, or release it.
+
+    The exit status is 1 if the gate does not confirm it within a second.
+    """
+    with connect_to(connect, domain, robot, notify=note) as client:
+        if release:
+            client.release_stop()
+            line("emergency stop released")
+        else:
+            status = client.stop(f"requested by {getpass.getuser()} (cairn stop)")
+            line(f"{status.reason}; release it with `cairn stop --release`")
 
 
 def load(

@@ -23,9 +23,11 @@ from cairn.client.connection import (
     resolve,
 )
 from cairn.client.navigation import NavigationGoal, Navigator
+from cairn.client.velocity_gate import Teleoperation, find_gate, set_emergency_stop
 from cairn.errors import CairnError
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.cairn_nav_msgs import VelocityGateStatus
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rcl_interfaces import Log
 
@@ -348,6 +350,34 @@ class Robot:
     def navigator(self) -> Navigator:
         """Return the robot's supervisor that accepts goals, once it answers."""
         return Navigator.find(self.connection, self._robot, self._notify)
+
+    def stop(self, reason: str = "requested by a client") -> VelocityGateStatus:
+        """Engage the emergency stop at the velocity gate; return the gate's confirmation.
+
+        Raises `CairnError` with a remedy if the gate does not confirm it within a second.
+        """
+        return set_emergency_stop(self, self._robot, reason)
+
+    def release_stop(self) -> VelocityGateStatus:
+        """Release the emergency stop; a goal that is under way goes on."""
+        return set_emergency_stop(self, self._robot, None)
+
+    def teleoperation(self, operator: str, *, take_over: bool = False) -> Teleoperation:
+        """Acquire the operator's lease for driving; use the result in a `with` statement.
+
+        Raises `CairnError` if another operator has it, unless it is taken over, which needs the
+        role administer.
+        """
+        gate, _ = find_gate(self, self._robot)
+        topic = f"{gate.rpartition('/')[0]}/teleoperation"
+        return Teleoperation(
+            lambda verb, arguments: self.connection.request(
+                gate, verb, arguments, timeout_s=_REPLY_LIMIT_S
+            ),
+            lambda command: self.publish(topic, command),
+            operator,
+            take_over=take_over,
+        )
 
     def _manage(self, verb: str, component: str) -> str:
         supervisor, child = self._supervisor_of(component)

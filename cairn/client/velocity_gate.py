@@ -1,0 +1,128 @@
+"""A client of the velocity gate: the emergency stop, and driving as an operator."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Self
+
+from cairn.client.connection import resolve
+from cairn.clock import from_ns
+from cairn.errors import CairnError
+from cairn.schemas.cairn_nav_msgs import TeleoperationCommand, VelocityGateStatus
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.message import type_name
+from cairn.schemas.std_msgs import Header
+
+if TYPE_CHECKING:
+    from cairn.client.robot import Robot
+
+CONFIRM_S = 1.0
+"""The gate must confirm an emergency stop within this time [s]."""
+_LEASE_S = 10.0
+_PERIOD_S = 0.05  # of commands that last
+_REMEDY = (
+    "press the robot's own emergency stop, or end the deployment: the base stops 0.3 s after the "
+    "last command"
+)
+
+
+def find_gate(robot: Robot, name: str) -> tuple[str, str]:
+    """Return the full names of the robot's velocity gate and of its status topic.
+
+    Raises `CairnError` if it runs no gate.
+    """
+    kind = type_name(VelocityGateStatus)
+    writers = {
+        end.node.name: end.topic
+        for end in robot.connection.endpoints()
+        if end.kind == "MP" and end.type_name == kind
+    }
+    if not writers:
+        raise CairnError(f"no velocity gate runs on the bus; {_REMEDY}")
+    gate = resolve(writers, next(iter(writers)).rpartition("/")[2], name)
+    return gate, writers[gate]
+
+
+def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityGateStatus:
+    """Engage the emergency stop for a reason, or release it (None); return the confirming status.
+
+    The request goes to the gate itself, not to its supervisor. Raises `CairnError` if the gate
+    does not confirm it within `CONFIRM_S`.
+    """
+    gate, topic = find_gate(robot, name)
+    engage = reason is not None
+    verb, arguments = ("stop", {"reason": reason}) if engage else ("release_stop", {})
+    deadline = time.monotonic() + CONFIRM_S
+    with robot.subscribe(topic, VelocityGateStatus, timeout_s=CONFIRM_S) as statuses:
+        try:
+            robot.connection.request(gate, verb, arguments, timeout_s=CONFIRM_S)
+            while True:
+                status = statuses.next(max(0.0, deadline - time.monotonic()))
+                if status.emergency_stop == engage:
+                    return status
+        except CairnError as error:
+            if not engage:
+                raise
+            raise CairnError(
+                f"{gate} has not confirmed the emergency stop within {CONFIRM_S:g} s ({error}); "
+                f"{_REMEDY}"
+            ) from error
+
+
+class Teleoperation:
+    """The operator's lease of the velocity gate: call it to drive; a context manager.
+
+    Each call sends a command, which the gate follows for 0.3 s. The lease is renewed by the calls,
+    and ends 10 s after the last one.
+    """
+
+    def __init__(
+        self,
+        request: Callable[[str, dict[str, Any]], Any],
+        publish: Callable[[TeleoperationCommand], object],
+        operator: str,
+        *,
+        take_over: bool = False,
+    ) -> None:
+        """Acquire the lease, or take it over; `CairnError` if another operator has it."""
+        self._request, self._publish = request, publish
+        verb = "take_over_lease" if take_over else "acquire_lease"
+        sent = time.time_ns()
+        granted = request(verb, {"operator": operator, "seconds": _LEASE_S})
+        self._lease = int(granted["lease"])
+        # Stamps are in the robot's time, also if this computer's clock differs from it.
+        self._ahead_ns = int(granted["now_ns"]) - (sent + time.time_ns()) // 2
+        self._renewed = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __call__(self, speed: float, turn: float = 0.0, *, seconds: float = 0.0) -> None:
+        """Drive at a speed [m/s] and turn rate [rad/s], for 0.3 s or for `seconds`.
+
+        Raises `CairnError` if the lease is over.
+        """
+        twist = Twist(linear=Vector3(x=float(speed)), angular=Vector3(z=float(turn)))
+        ends = time.monotonic() + seconds
+        while True:
+            now = time.monotonic()
+            if now - self._renewed > _LEASE_S / 3.0:
+                self._request("renew_lease", {"lease": self._lease, "seconds": _LEASE_S})
+                self._renewed = now
+            stamp = from_ns(time.time_ns() + self._ahead_ns)
+            self._publish(
+                TeleoperationCommand(header=Header(stamp=stamp), lease=self._lease, twist=twist)
+            )
+            if now + _PERIOD_S >= ends:
+                return
+            time.sleep(_PERIOD_S)
+
+    def close(self) -> None:
+        """Release the lease; the robot stops, and the navigator may drive again."""
+        with suppress(CairnError):
+            self._request("release_lease", {"lease": self._lease})

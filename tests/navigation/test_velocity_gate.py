@@ -1,0 +1,81 @@
+"""The velocity gate in the whole system: emergency stop, operator, obstacles before the robot."""
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import cairn.client
+from cairn.planar.poses import distance
+from cairn.schemas.cairn_nav_msgs import NavigationStatus, ReasonCode
+from tests.commands import cairn as run_cairn
+from tests.navigation.driving import STOPS_S, LockstepRobot
+from tests.navigation.processes import robot_in
+
+RobotFactory = Callable[..., LockstepRobot]
+
+
+def test_goal_waits_during_an_emergency_stop_and_goes_on_after_release(
+    drive: RobotFactory,
+) -> None:
+    robot = drive()
+    robot.go(7.5, 5.0)
+    robot.await_state(NavigationStatus.DRIVING)
+    robot.run_for(4.0)
+
+    robot.request("velocity_gate", "stop", reason="test")
+    assert robot.time_to_stand() <= STOPS_S
+    robot.run_for(40.0)
+    waiting = robot.statuses[-1]
+    assert waiting.state == NavigationStatus.DRIVING
+    assert waiting.reason_code == ReasonCode.EMERGENCY_STOP
+    assert waiting.recoveries == 0
+    assert robot.stands()
+
+    robot.request("velocity_gate", "release_stop")
+    robot.assert_arrives((7.5, 5.0))
+
+
+def test_navigator_waits_while_an_operator_has_the_lease(drive: RobotFactory) -> None:
+    robot = drive()
+    robot.go(7.5, 5.0)
+    robot.await_state(NavigationStatus.DRIVING)
+    robot.run_for(4.0)
+
+    robot.request("velocity_gate", "acquire_lease", operator="anna", seconds=20.0)
+    assert robot.time_to_stand() <= STOPS_S
+    robot.run_for(10.0)
+    assert robot.stands()
+    assert robot.statuses[-1].reason_code == ReasonCode.OPERATOR_DRIVES
+
+    robot.assert_arrives((7.5, 5.0))  # once the lease has ended by itself
+
+
+@pytest.mark.processes
+def test_stop_command_works_while_the_supervisor_is_stopped(tmp_path: Path) -> None:
+    with robot_in(tmp_path) as robot:
+        endpoint = robot.run.endpoint
+        with cairn.client.connect(endpoint) as client, client.teleoperation("anna") as drive:
+            begin = robot.pose
+            drive(0.3, 0.0, seconds=2.0)
+            assert distance(begin, robot.pose) > 0.2
+        supervisor = robot.run.pid_of("mobile_supervisor")
+        os.kill(supervisor, signal.SIGSTOP)
+        try:
+            stopped = run_cairn("stop", connect=endpoint)
+        finally:
+            os.kill(supervisor, signal.SIGCONT)
+        assert stopped.code == 0, stopped.err
+        assert "emergency stop" in stopped.out
+
+        gate = robot.run.pid_of("velocity_gate")
+        os.kill(gate, signal.SIGSTOP)
+        try:
+            failed = run_cairn("stop", connect=endpoint)
+        finally:
+            os.kill(gate, signal.SIGCONT)
+        assert failed.code == 1
+        assert "press the robot's own emergency stop" in failed.err
+        assert run_cairn("stop", "--release", connect=endpoint).code == 0
