@@ -404,13 +404,13 @@ class ClientConnection:
         """
         data, descriptors = b"", list[int]()
         try:
-            data, descriptors, _, _ = socket.recv_fds(
-                self.socket, 1 << 16, _DESCRIPTORS + 1, socket.MSG_CMSG_CLOEXEC
-            )
+            data, descriptors, _, _ = socket.recv_fds(self.socket, 1 << 16, _DESCRIPTORS + 1)
         except BlockingIOError:
             return []
         except OSError:
             pass
+        for descriptor in descriptors:
+            os.set_inheritable(descriptor, False)  # `recv_fds` ignores MSG_CMSG_CLOEXEC
         self._descriptors.extend(descriptors)
         if len(self._descriptors) > _DESCRIPTORS:
             raise ValueError(f"more than {_DESCRIPTORS} file descriptors")

@@ -2,14 +2,22 @@
 
 import os
 import signal
+import threading
 import time
 
 import pytest
+import zenoh
 
-from cairn.bus.session import LEASE_MS
+from cairn import LATCHED
+from cairn.bus.keys import control_key
+from cairn.bus.session import LEASE_MS, open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.std_msgs import Header
 from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.requests import set_fault
+from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
 
@@ -103,6 +111,52 @@ def test_hang_in_the_supervisors_process_restarts_that_process(launch: Launching
     run.await_line("child active: mobile", after=failed)
     assert run.pid_of("mobile") != mobile
     assert run.pid_of("listener") == listener
+
+
+def test_forged_status_and_false_queryables_have_no_effect(launch: Launching) -> None:
+    run = launch(
+        """
+    components:
+      talker: {plugin: test_talker}
+      stopped: {plugin: test_beacon, hang_timeout_s: 0.5}
+    """
+    )
+    active = run.await_line("child active: stopped")
+    talker, stopped = run.pid_of("talker"), run.pid_of("stopped")
+    bus = ZenohBus(open_peer([run.endpoint]))
+    try:
+        node = bus.node("/robot/stranger", run.lines.append)
+        forged = node.advertise("/robot/component_status", ComponentStatus, LATCHED)
+        false = bus.session.declare_queryable(
+            control_key(0, "/robot/stopped"), zenoh.handlers.RingChannel(1)
+        )
+        assert bus.wait_for_peers(LIMIT_S) == []
+        os.kill(stopped, signal.SIGSTOP)
+        end = threading.Event()
+
+        def forge() -> None:
+            fresh = ComponentStatus(header=Header(), component="stopped", state="active")
+            hung = ComponentStatus(
+                header=Header(), component="talker", state="active", handler="a", handler_s=1e6
+            )
+            while not end.wait(0.1):
+                forged.publish(fresh)
+                forged.publish(hung)
+
+        forger = threading.Thread(target=forge)
+        forger.start()
+        began = time.monotonic()
+        killed = run.await_line("child hung: stopped: .*SIGSTOP", after=active)
+        assert time.monotonic() - began < 20.0
+        began = time.monotonic()
+        run.await_line("child active: stopped", after=killed)
+        assert time.monotonic() - began < 4.0, "the false queryable has delayed the restart"
+        end.set()
+        forger.join()
+        false.undeclare()
+    finally:
+        bus.close()
+    assert run.pid_of("talker") == talker
 
 
 def test_component_that_hangs_while_stopping_is_killed_in_time(

@@ -1,5 +1,6 @@
 """The zygote with real processes: how they start and end, and which clients it rejects."""
 
+import json
 import math
 import os
 import signal
@@ -14,6 +15,7 @@ import zenoh
 
 from cairn import CairnError
 from cairn.supervision.child import ZygoteLost
+from cairn.supervision.child_channel import channel_pair
 from cairn.supervision.zygote import Exited, Spawn, encode
 from cairn.supervision.zygote_client import ChildProcess, ZygoteClient, ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
@@ -45,6 +47,29 @@ def test_process_inherits_no_files_signal_handlers_or_threads_of_the_zygote(
     assert facts["threads"] == 1
     assert facts["malloc"] == "33554432"
     assert facts["path"] == sys.path
+
+
+@FRESH
+def test_process_gets_its_end_of_a_channel_and_its_helpers_do_not(
+    owner: Owner, fresh: bool
+) -> None:
+    own, passed = channel_pair()
+    with own, passed:
+        child = owner.client.spawn(
+            "driver",
+            f"{CHILDREN}:answer_over_channel",
+            {},
+            owner.log,
+            fresh=fresh,
+            channel=passed,
+            timeout_s=LIMIT_S,
+        )
+        passed.close()
+        own.settimeout(LIMIT_S)
+        assert json.loads(own.recv(1000)) == {"pid": child.pid, "inherited": []}
+        assert own.recv(1000) == b"", "a helper holds the channel open"
+    child.kill()
+    assert child.wait(LIMIT_S) is not None
 
 
 @FRESH

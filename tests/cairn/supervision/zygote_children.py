@@ -61,6 +61,19 @@ def write_output(argument: Argument) -> None:
     sys.stderr.write(f"stderr {argument['text']}\n")
 
 
+def answer_over_channel(argument: Argument, channel: socket.socket) -> None:
+    """Send to the channel's other end which sockets a helper inherits, and wait."""
+    program = "import os; print(*[os.readlink(f'/proc/self/fd/{n}') for n in range(3, 64) if os.path.islink(f'/proc/self/fd/{n}')])"  # noqa: E501 - a program
+    listed = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, close_fds=False
+    )
+    inherited = [name for name in listed.stdout.split() if name.startswith("socket")]
+    subprocess.Popen(["sleep", "1000"], close_fds=False)
+    channel.send(json.dumps({"pid": os.getpid(), "inherited": inherited}).encode())
+    channel.close()
+    signal.pause()
+
+
 def fail(argument: Argument) -> None:
     """End by an exception."""
     raise ValueError(f"no device {argument['device']}")

@@ -1,0 +1,92 @@
+"""The channel between a supervisor and a child's process: bounds, garbage, unread messages."""
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from cairn.runtime.lifecycle import LifecycleState
+from cairn.supervision.child_channel import (
+    LONGEST_PACKET,
+    Answer,
+    ChildChannel,
+    Heartbeat,
+    InvalidPacket,
+    Request,
+    SupervisorChannel,
+    channel_pair,
+    sendable,
+)
+from tests.patience import LIMIT_S
+from tests.wording import words_in_order
+
+ACTIVE = Heartbeat(LifecycleState.ACTIVE)
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[SupervisorChannel, socket.socket]]:
+    own, other = channel_pair()
+    with own, other:
+        yield SupervisorChannel(own), other
+
+
+def test_request_is_answered_and_the_newest_heartbeat_kept(
+    ends: tuple[SupervisorChannel, socket.socket],
+) -> None:
+    supervisor, child = ends[0], ChildChannel(ends[1])
+    assert supervisor.request("configure")
+    assert child.receive() == Request(1, "configure")
+    child.send_heartbeat(ACTIVE)
+    busy = Heartbeat(LifecycleState.INACTIVE, sendable("on_request \ud800" + "x" * 9000), 2.5)
+    child.send_heartbeat(busy)
+    child.send_answer(Answer(0, "of an earlier request"))
+    supervisor.receive(LIMIT_S)
+    assert (supervisor.heartbeat, supervisor.heartbeats, supervisor.answer) == (busy, 2, None)
+    child.send_answer(Answer(1, "no device"))
+    supervisor.receive(LIMIT_S)
+    assert supervisor.answer == Answer(1, "no device")
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [
+        b"garbage",
+        b"x" * (LONGEST_PACKET + 1),
+        json.dumps({"kind": "request", "number": 1, "verb": "shutdown"}).encode(),
+        json.dumps({"kind": "heartbeat", "state": "asleep"}).encode(),
+        b'{"kind": "heartbeat", "state": "active", "handler_s": NaN}',
+        b'{"kind": "heartbeat", "state": "active", "other": 1}',
+    ],
+)
+def test_invalid_packet_is_rejected_with_the_reason(
+    ends: tuple[SupervisorChannel, socket.socket], packet: bytes
+) -> None:
+    ends[1].send(packet)
+    with pytest.raises(InvalidPacket, match=words_in_order("message")):
+        ends[0].receive(LIMIT_S)
+
+
+def test_neither_end_waits_for_one_that_does_not_read(
+    ends: tuple[SupervisorChannel, socket.socket],
+) -> None:
+    supervisor, child = ends[0], ChildChannel(ends[1])
+    began = time.monotonic()
+    sent = sum(supervisor.request("activate") for _ in range(2000))
+    for _ in range(2000):
+        child.send_heartbeat(ACTIVE)
+    assert 0 < sent < 2000
+    assert time.monotonic() - began < LIMIT_S
+    supervisor.receive(0.0)
+    assert 0 < supervisor.heartbeats < 2000
+
+
+def test_end_of_the_child_closes_the_channel(
+    ends: tuple[SupervisorChannel, socket.socket],
+) -> None:
+    ChildChannel(ends[1]).send_heartbeat(ACTIVE)
+    ends[1].close()
+    ends[0].receive(LIMIT_S)
+    assert (ends[0].heartbeat, ends[0].closed) == (ACTIVE, True)
+    assert not ends[0].request("shutdown")
