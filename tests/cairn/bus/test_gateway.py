@@ -234,8 +234,11 @@ def test_only_administrators_imitate_components(
     queryable: Any = user.declare_queryable(key, lambda query: query.reply(key, b"{}"))
     passed(user)
 
-    known = robot.bus.session.liveliness().get(keys.tokens_pattern(0), timeout=LIMIT_S)
-    seen = any(str(one.ok.key_expr) == fake for one in known if one.ok is not None)
+    def is_announced() -> bool:
+        known = robot.bus.session.liveliness().get(keys.tokens_pattern(0), timeout=LIMIT_S)
+        return any(str(one.ok.key_expr) == fake for one in known if one.ok is not None)
+
+    seen = eventually(is_announced) if role == "administer" else is_announced()
     with QueryableWatcher(robot.bus.session, key) as watcher:
         matches = watcher.wait(LIMIT_S if role == "administer" else 0.0)
     assert (seen, matches) == ((True, True) if role == "administer" else (False, False))
