@@ -10,7 +10,13 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 REPORT ?= demo-report
 
-.PHONY: demo quick test test-hardware test-service check docs bench clean
+# The versions and hashes of requirements/*.txt, and nothing else: see `make lock`.
+PIP = $(BIN)/python -m pip install --quiet
+LOCKED = $(PIP) --require-hashes --requirement
+# Without build isolation: the build backend is locked, too.
+LOCAL = $(PIP) --no-deps --no-build-isolation --no-index --editable
+
+.PHONY: demo quick test test-hardware test-service check docs bench lock clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
 demo: $(VENV)/ready
@@ -54,23 +60,37 @@ docs: $(VENV)/docs
 bench: $(VENV)/ready
 	$(BIN)/python -m benchmarks
 
-$(VENV)/ready: pyproject.toml
+## Renew the lock files from the ranges of pyproject.toml: only what no longer fits, or everything
+## with `make lock UPGRADE=--upgrade`. Then THIRD_PARTY.md, which states the versions.
+LOCK = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+    --no-emit-index-url --no-annotate --no-header $(UPGRADE)
+lock: $(VENV)/ready
+	$(LOCKED) requirements/lock.txt
+	$(LOCK) pyproject.toml --group dev --group interop --output-file requirements/dev.txt
+	$(LOCK) --group docs --constraint requirements/dev.txt --output-file requirements/docs.txt
+	$(LOCK) --group lock --output-file requirements/lock.txt
+	$(LOCK) --group pip --output-file requirements/pip.txt
+	$(LOCKED) requirements/dev.txt
+	$(BIN)/python -m tests.packaging.third_party
+
+$(VENV)/ready: pyproject.toml requirements/dev.txt requirements/pip.txt
 	@test -n "$(PYTHON)" || { echo "Cairn needs Python 3.11 or later, and none was found. Install one \
 	(Ubuntu, Debian: apt-get install python3 python3-venv), or name it: make PYTHON=/path/to/python3" \
 	>&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet --editable . --group dev --group interop
+	$(LOCKED) requirements/pip.txt
+	$(LOCKED) requirements/dev.txt
+	$(LOCAL) .
 	$(BIN)/cairn plugins >/dev/null  # compiles the kernels, so that no robot waits for it
 	@touch $@
 
 # The plugins that the tests run, some of them broken on purpose.
 $(VENV)/tests: $(VENV)/ready tests/plugin_package/pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable tests/plugin_package
+	$(LOCAL) tests/plugin_package
 	@touch $@
 
-$(VENV)/docs: $(VENV)/ready
-	$(BIN)/python -m pip install --quiet --group docs
+$(VENV)/docs: $(VENV)/ready requirements/docs.txt
+	$(LOCKED) requirements/docs.txt
 	@touch $@
 
 clean:

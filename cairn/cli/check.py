@@ -1,6 +1,6 @@
 """`cairn check FILE`: all problems of a deployment; `cairn deployments`: those that are shipped."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -10,21 +10,52 @@ from cairn.deployment.load import load_deployment
 from cairn.deployment.problems import DeploymentError, Problem
 from cairn.deployment.shipped import FOLDER, shipped
 
+NoImport = Annotated[
+    bool,
+    typer.Option(
+        "--no-import",
+        help="Run no code that the deployment names: for deployments that you do not trust.",
+    ),
+]
 
-def check(file: File, overlay: Overlay = None, set_: Set = None, json: Json = False) -> None:
-    """Check a deployment as a whole; report each problem with file, line and what is expected."""
+NOT_CHECKED = (
+    "parameters",
+    "ports and topics",
+    "message types",
+    "certificates and password files of the bus",
+    "classes named as package.module:Class",
+)
+"""What only the plugins' code knows, and files that the deployment names."""
+
+
+def check(
+    file: File,
+    overlay: Overlay = None,
+    set_: Set = None,
+    no_import: NoImport = False,
+    json: Json = False,
+) -> None:
+    """Check a deployment as a whole; report each problem with file, line and what is expected.
+
+    A deployment is code: the check imports the modules that it names, as `cairn up` does. With
+    --no-import, it reads the deployment and the metadata of the installed packages only.
+    """
+    not_checked = {"not_checked": NOT_CHECKED} if no_import else {}
     try:
-        deployment = load_deployment(file, overlay or (), set_ or ())
+        deployment = load_deployment(file, overlay or (), set_ or (), import_plugins=not no_import)
     except DeploymentError as error:
         if not json:
             raise
-        print_json({"valid": False, "problems": [_plain(problem) for problem in error.problems]})
+        problems = [_plain(problem) for problem in error.problems]
+        print_json({"valid": False, "problems": problems, **not_checked})
         raise typer.Exit(1) from error
     names = [member.name for member in deployment.members()]
     if json:
-        print_json({"valid": True, "components": names})
+        print_json({"valid": True, "components": names, **not_checked})
         return
     line(f"{file}: {len(names)} components, no problem: {', '.join(names)}")
+    if no_import:
+        line(f"not checked, because no plugin was imported: {', '.join(NOT_CHECKED)}")
 
 
 def deployments(json: Json = False) -> None:

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.model import RESERVED, Deployment
-from cairn.deployment.plugins import PluginError, load_plugin
+from cairn.deployment.plugins import PluginError, find_plugin, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import validation_problems
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
@@ -46,8 +46,14 @@ class CheckedComponent:
         return node.where
 
 
-def check_document(root: DocumentNode, unresolved: frozenset[KeyPath]) -> list[Problem]:
-    """Return all problems of a document with replaced references, except at `unresolved` paths."""
+def check_document(
+    root: DocumentNode, unresolved: frozenset[KeyPath], *, import_plugins: bool = True
+) -> list[Problem]:
+    """Return all problems of a document with replaced references, except at `unresolved` paths.
+
+    Without `import_plugins`, no code that the document names is run: plugins are only looked up in
+    the metadata of the installed packages, so parameters, ports, topics and files are not checked.
+    """
     problems = validation_problems(Deployment, root, (), unresolved)
     components: list[CheckedComponent] = []
     first: dict[str, DocumentNode] = {}
@@ -61,11 +67,15 @@ def check_document(root: DocumentNode, unresolved: frozenset[KeyPath]) -> list[P
             found = f"{name} is the name of {RESERVED[name]}"
             at = node.key_at or node.at
             problems.append(Problem(at, dotted(path), found, "give it another name"))
-        component, plugin_problems = _resolve_plugin(CheckedComponent(name, path, node), unresolved)
+        component, plugin_problems = _resolve_plugin(
+            CheckedComponent(name, path, node), unresolved, import_plugins=import_plugins
+        )
         components.append(component)
         problems += plugin_problems
         problems += _unknown_ports(component)
         problems += _conflicting_keys(component)
+    if not import_plugins:
+        return problems
     problems += _file_problems(root)
     return problems + list(_wiring_problems(root, components))
 
@@ -86,13 +96,16 @@ def _file_problems(root: DocumentNode) -> Iterator[Problem]:
 
 
 def _resolve_plugin(
-    component: CheckedComponent, unresolved: frozenset[KeyPath]
+    component: CheckedComponent, unresolved: frozenset[KeyPath], *, import_plugins: bool
 ) -> tuple[CheckedComponent, list[Problem]]:
     plugin = component.node.find("plugin")
     path = (*component.path, "plugin")
     if plugin is None or not isinstance(plugin.value, str) or path in unresolved:
         return component, []
     try:
+        if not import_plugins:
+            find_plugin(plugin.value)
+            return component, []
         cls = load_plugin(plugin.value)
     except PluginError as error:
         return component, [Problem(plugin.where, dotted(path), error.found, error.remedy)]

@@ -27,14 +27,19 @@ _SECTIONS = frozenset(Deployment.model_fields)
 
 
 def load_deployment(
-    file: Path, overlays: Sequence[Path] = (), sets: Sequence[str] = ()
+    file: Path,
+    overlays: Sequence[Path] = (),
+    sets: Sequence[str] = (),
+    *,
+    import_plugins: bool = True,
 ) -> Deployment:
     """Return the deployment in a file, changed by overlays and `path=value` assignments in order.
 
-    Raises `DeploymentError` with all problems; only with those of the syntax if a file cannot be
-    read.
+    Without `import_plugins`, code that the deployment names is not run, and what only that code
+    knows is not checked: parameters, ports and topics. Raises `DeploymentError` with all problems;
+    only with those of the syntax if a file cannot be read.
     """
-    return assemble(read_sources(file, overlays), sets)
+    return assemble(read_sources(file, overlays), sets, import_plugins=import_plugins)
 
 
 class DeploymentNames(NamedTuple):
@@ -79,7 +84,9 @@ def read_sources(file: Path, overlays: Sequence[Path] = ()) -> list[SourceDocume
     return [SourceDocument(one, *read_document(one)) for one in (file, *overlays)]
 
 
-def assemble(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Deployment:
+def assemble(
+    sources: Sequence[SourceDocument], sets: Sequence[str] = (), *, import_plugins: bool = True
+) -> Deployment:
     """Return the deployment in files that were read before, as `load_deployment` does."""
     root, problems = _merge_sources(sources, sets)
     root, found, unresolved = interpolate(root)
@@ -88,9 +95,8 @@ def assemble(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Dep
         found_too_much = f"with its settings the deployment holds more than {MAX_VALUES:,} values"
         raise DeploymentError([*problems, Problem(root.at, "", found_too_much, "write fewer")])
     reported = {(problem.path, problem.at.line) for problem in problems}
-    problems += [
-        one for one in check_document(root, unresolved) if (one.path, one.at.line) not in reported
-    ]
+    checked = check_document(root, unresolved, import_plugins=import_plugins)
+    problems += [one for one in checked if (one.path, one.at.line) not in reported]
     if problems:
         origins = [str(source.file) for source in sources]
         raise DeploymentError(sorted(problems, key=lambda problem: _order(problem, origins)))

@@ -51,8 +51,18 @@ def load_plugin(reference: str) -> "type[Component]":
     Raises `PluginError` if there is none, if two packages offer it, if its module cannot be
     imported, or if it is not a subclass of `Component`.
     """
+    return _component(find_plugin(reference))
+
+
+def find_plugin(reference: str) -> str:
+    """Return `package.module:Class` for a reference to a plugin; nothing is imported.
+
+    An entry point's name is looked up in the metadata of the installed packages. Raises
+    `PluginError` if there is none of that name, or if two packages offer it. A reference that is a
+    class already is returned as it is.
+    """
     if ":" in reference:
-        return _component(reference)
+        return reference
     points = _entry_points()
     offers = {point.value: point for point in points if point.name == reference}
     if not offers:
@@ -67,7 +77,7 @@ def load_plugin(reference: str) -> "type[Component]":
             f"{len(offers)} packages offer a plugin {reference}: {packages}",
             f"name the class directly: {' or '.join(offers)}",
         )
-    return _component(next(iter(offers)))
+    return next(iter(offers))
 
 
 def plugin_modules(document: object) -> list[str]:
