@@ -1,0 +1,643 @@
+"""Small files that ask for much memory or time, or do not end; each reader must refuse them.
+
+`HOSTILE` groups them by what they pretend to be. Each builder writes its file into a folder and
+returns its path; all are built in well under a second.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import os
+import sqlite3
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Final
+
+import lz4.frame
+import numpy as np
+import zstandard
+from PIL import Image
+
+from cairn.visual_map.sqlite_file import create
+
+MB: Final = 1_000_000
+
+
+@dataclass(frozen=True)
+class HostileFile:
+    """A file that a reader must refuse, and a part of the reason that it must give."""
+
+    build: Callable[[Path], Path]
+    reason: str
+
+
+# --- YAML ---------------------------------------------------------------------------------------
+
+
+def aliases(levels: int = 9, width: int = 9) -> str:
+    """Return YAML lines of lists that repeat the list before: width**levels values in all."""
+    lines = ["a0: &a0 [" + ", ".join(["1"] * width) + "]"]
+    lines += [f"a{k}: &a{k} [" + ", ".join([f"*a{k - 1}"] * width) + "]" for k in range(1, levels)]
+    return "\n".join(lines)
+
+
+def merges(levels: int = 24) -> str:
+    """Return YAML lines of mappings that merge the mapping before twice."""
+    lines = ["a0: &a0 {x: 1}"]
+    lines += [f"a{k}: &a{k} {{<<: [*a{k - 1}, *a{k - 1}]}}" for k in range(1, levels)]
+    return "\n".join(lines)
+
+
+def nested(depth: int) -> str:
+    """Return a list in a list in a list ..."""
+    return "[" * depth + "]" * depth
+
+
+def _text(name: str, text: str) -> Callable[[Path], Path]:
+    def build(folder: Path) -> Path:
+        file = folder / name
+        file.write_text(text, encoding="utf-8")
+        return file
+
+    return build
+
+
+def _yaml_files(name: str) -> dict[str, HostileFile]:
+    """Return the files that any reader of YAML must refuse."""
+    last = aliases().splitlines()[-1].split(":")[0]
+    return {
+        "aliases": HostileFile(_text(name, f"{aliases()}\nwalls: *{last}\n"), "values"),
+        "merges": HostileFile(_text(name, f"{merges()}\nrobot: {{<<: *a23}}\n"), "values"),
+        "depth": HostileFile(_text(name, f"walls: {nested(50_000)}\n"), "deep"),
+        "self": HostileFile(_text(name, "a: &a [*a]\n"), "itself"),
+        "digits": HostileFile(_text(name, f"resolution: {'9' * 5000}\n"), "digits"),
+        "size": HostileFile(_text(name, f"# {'x' * 3 * MB}\n"), "MB"),
+        "zeros": HostileFile(device("/dev/zero", name), "device"),
+        "fifo": HostileFile(fifo(name), "FIFO"),
+    }
+
+
+def device(path: str, name: str) -> Callable[[Path], Path]:
+    """Return a builder of a link to a device, such as /dev/zero, which never ends."""
+
+    def build(folder: Path) -> Path:
+        file = folder / name
+        file.unlink(missing_ok=True)
+        file.symlink_to(path)
+        return file
+
+    return build
+
+
+def fifo(name: str) -> Callable[[Path], Path]:
+    """Return a builder of a FIFO that no program writes to: opening it blocks for ever."""
+
+    def build(folder: Path) -> Path:
+        file = folder / name
+        file.unlink(missing_ok=True)
+        os.mkfifo(file)
+        return file
+
+    return build
+
+
+def sparse(name: str, size: int, start: bytes = b"") -> Callable[[Path], Path]:
+    """Return a builder of a file of `size` bytes that takes no room on the disk."""
+
+    def build(folder: Path) -> Path:
+        file = folder / name
+        file.write_bytes(start)
+        os.truncate(file, size)
+        return file
+
+    return build
+
+
+# --- Images -------------------------------------------------------------------------------------
+
+
+def zeros_deflated(size: int) -> bytes:
+    """Return a zlib stream of `size` zeros, which is about 1000 times smaller."""
+    block = 1 << 20
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    piece = packer.compress(bytes(block)) + packer.flush(zlib.Z_FULL_FLUSH)
+    last = zlib.compressobj(9, zlib.DEFLATED, -15)
+    tail = last.compress(bytes(size % block)) + last.flush()
+    checksum = (size % 65521) << 16 | 1  # Adler-32 of zeros
+    return b"\x78\xda" + piece * (size // block) + tail + struct.pack(">I", checksum)
+
+
+def png(width: int, height: int, *, color: int = 0, bits: int = 8, complete: bool = True) -> bytes:
+    """Return a black PNG image; `color`: 0 gray, 2 RGB, 6 RGBA. Incomplete: a header alone."""
+    channels = {0: 1, 2: 3, 6: 4}[color]
+    row = 1 + (width * channels * bits + 7) // 8
+    pixels = zeros_deflated(row * height) if complete else b""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        checksum = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum)
+
+    header = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    )
+
+
+def _bytes(name: str, content: Callable[[], bytes]) -> Callable[[Path], Path]:
+    def build(folder: Path) -> Path:
+        file = folder / name
+        file.write_bytes(content())
+        return file
+
+    return build
+
+
+def _tiff_with_huge_tiles() -> bytes:
+    """Return a TIFF image of 64 x 64 pixels in one tile of 60,000 x 60,000."""
+    tags = [
+        (256, 3, 64),  # width
+        (257, 3, 64),
+        (258, 3, 8),  # bits
+        (259, 3, 8),  # deflate
+        (262, 3, 1),  # black is zero
+        (277, 3, 1),  # samples
+        (322, 4, 60_000),  # tile width
+        (323, 4, 60_000),
+        (324, 4, 8),  # offset of the tile
+        (325, 4, 0),  # bytes of the tile
+    ]
+    pixels = zeros_deflated(60_000 * 60_000 // 1000)
+    tags[-1] = (325, 4, len(pixels))
+    entries = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in tags)
+    directory = struct.pack("<H", len(tags)) + entries + bytes(4)
+    return b"II*\0" + struct.pack("<I", 8 + len(pixels)) + pixels + directory
+
+
+def _jpeg_header(width: int, height: int) -> bytes:
+    buffer = BytesIO()
+    Image.new("L", (64, 64)).save(buffer, "JPEG")
+    data = bytearray(buffer.getvalue())
+    at = data.find(b"\xff\xc0")
+    data[at + 5 : at + 9] = struct.pack(">HH", height, width)
+    return bytes(data)
+
+
+PICTURES: Final[Mapping[str, HostileFile]] = {
+    "png_pixels": HostileFile(_bytes("big.png", lambda: png(26_000, 26_000)), "megapixels"),
+    "png_rgba16": HostileFile(
+        _bytes("deep.png", lambda: png(8_000, 8_000, color=6, bits=16)), "MB"
+    ),
+    "png_header": HostileFile(
+        _bytes("bomb.png", lambda: png(200_000, 200_000, complete=False)), "megapixels"
+    ),
+    "jpeg_pixels": HostileFile(_bytes("big.jpg", lambda: _jpeg_header(65_000, 65_000)), "megapix"),
+    "tiff_tiles": HostileFile(_bytes("tiles.tif", _tiff_with_huge_tiles), "tile"),
+    "hdr_pixels": HostileFile(
+        _bytes(
+            "big.hdr",
+            lambda: (
+                b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 30000 +X 30000\n"
+                + (b"\x02\x02\x75\x30" + bytes([255, 0]) * 472) * 100
+            ),
+        ),
+        "megapixels",
+    ),
+    "pam_pixels": HostileFile(
+        _bytes(
+            "big.pam",
+            lambda: b"P7\nWIDTH 30000\nHEIGHT 30000\nDEPTH 3\nMAXVAL 255\nTUPLTYPE RGB\nENDHDR\n",
+        ),
+        "megapixels",
+    ),
+    "eps": HostileFile(
+        _text("page.eps", "%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 99 99\n%%EndComments\n"),
+        "not an image",
+    ),
+    "zeros": HostileFile(device("/dev/zero", "zeros.png"), "device"),
+    "fifo": HostileFile(fifo("pipe.png"), "FIFO"),
+    "folder": HostileFile(lambda folder: folder, "folder"),
+    "sparse": HostileFile(sparse("sparse.png", 5_000 * MB, b"\x89PNG\r\n\x1a\n"), "MB"),
+}
+
+
+# --- Grid maps ----------------------------------------------------------------------------------
+
+
+def grid_map(folder: Path, image: str = "map.pgm", **keys: object) -> Path:
+    """Write a map's YAML file, with `keys` changed, and a small image beside it."""
+    Image.fromarray(np.full((4, 4), 254, np.uint8)).save(folder / "map.pgm")
+    described: dict[str, object] = {
+        "image": image,
+        "resolution": 0.05,
+        "origin": "[0.0, 0.0, 0.0]",
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    } | keys
+    file = folder / "map.yaml"
+    file.write_text("".join(f"{key}: {value}\n" for key, value in described.items()))
+    return file
+
+
+def _map(**keys: object) -> Callable[[Path], Path]:
+    return lambda folder: grid_map(folder, **keys)
+
+
+def _map_with_image(name: str, build: Callable[[Path], Path]) -> Callable[[Path], Path]:
+    def with_image(folder: Path) -> Path:
+        build(folder)
+        return grid_map(folder, image=name)
+
+    return with_image
+
+
+GRID_MAPS: Final[Mapping[str, HostileFile]] = {
+    **_yaml_files("map.yaml"),
+    "aliased_origin": HostileFile(
+        lambda folder: _text("map.yaml", f"{aliases()}\nimage: map.pgm\norigin: *a8\n")(folder),
+        "values",
+    ),
+    "origin": HostileFile(_map(origin="[1.0e300, 0.0, 0.0]"), "origin"),
+    "origin_infinite": HostileFile(_map(origin="[.inf, 0.0, 0.0]"), "origin"),
+    "origin_boolean": HostileFile(_map(origin="[true, 0.0, 0.0]"), "origin"),
+    "resolution_tiny": HostileFile(_map(resolution="1.0e-300"), "resolution"),
+    "resolution_huge": HostileFile(_map(resolution="1.0e+300"), "resolution"),
+    "resolution_boolean": HostileFile(_map(resolution="true"), "resolution"),
+    "threshold_boolean": HostileFile(_map(occupied_thresh="true"), "occupied_thresh"),
+    "threshold": HostileFile(_map(occupied_thresh="7"), "occupied_thresh"),
+    "negate": HostileFile(_map(negate="7"), "negate"),
+    "date": HostileFile(_map(resolution="2026-99-99"), "2026-99-99"),
+    "tag": HostileFile(_map(resolution="!!int 'x'"), "'x'"),
+    "image_pixels": HostileFile(
+        _map_with_image("big.png", _bytes("big.png", lambda: png(26_000, 26_000))), "cells"
+    ),
+    "image_header": HostileFile(
+        _map_with_image(
+            "bomb.png", _bytes("bomb.png", lambda: png(200_000, 200_000, complete=False))
+        ),
+        "cells",
+    ),
+    "image_side": HostileFile(
+        _map_with_image("long.png", _bytes("long.png", lambda: png(2_000_000, 5))), "cells"
+    ),
+    "image_eps": HostileFile(_map_with_image("page.eps", PICTURES["eps"].build), "image"),
+    "image_zeros": HostileFile(
+        _map_with_image("zeros.png", device("/dev/zero", "zeros.png")), "device"
+    ),
+    "image_fifo": HostileFile(_map_with_image("pipe.png", fifo("pipe.png")), "FIFO"),
+}
+
+
+# --- Worlds -------------------------------------------------------------------------------------
+
+_ROOM: Final = "walls:\n- points: [[0, 0], [5, 0], [5, 5], [0, 5], [0, 0]]\nrobot: {x: 1, y: 1}\n"
+
+
+def world(folder: Path, texture: str) -> Path:
+    """Write the world file of a room with an object of that texture."""
+    file = folder / "world.yaml"
+    file.write_text(f"{_ROOM}objects:\n- {{id: 1, x: 2.0, y: 4.9, texture: {texture}}}\n")
+    return file
+
+
+def _textured(name: str, build: Callable[[Path], Path]) -> Callable[[Path], Path]:
+    def with_texture(folder: Path) -> Path:
+        build(folder)
+        return world(folder, name)
+
+    return with_texture
+
+
+WORLDS: Final[Mapping[str, HostileFile]] = {
+    **_yaml_files("world.yaml"),
+    "points": HostileFile(
+        _text("world.yaml", f"walls:\n- points: [{'[0, 0],' * 60_000}]\nrobot: {{x: 1, y: 1}}\n"),
+        "values",
+    ),
+    "errors": HostileFile(
+        _text("world.yaml", f"walls: [{'x,' * 30_000}]\nrobot: {{x: 1, y: 1}}\n"), "walls[0]"
+    ),
+}
+
+TEXTURES: Final[Mapping[str, HostileFile]] = {
+    "zeros": HostileFile(_textured("zeros.png", device("/dev/zero", "zeros.png")), "device"),
+    "fifo": HostileFile(_textured("pipe.png", fifo("pipe.png")), "FIFO"),
+    "pixels": HostileFile(_textured("big.png", PICTURES["png_pixels"].build), "megapixels"),
+}
+"""World files that are valid but for the picture on an object."""
+
+DEPLOYMENTS: Final[Mapping[str, HostileFile]] = {
+    name: hostile for name, hostile in _yaml_files("robot.yaml").items() if name != "merges"
+}
+"""Deployments know no merges: `<<` is an unknown key."""
+
+CAMERA_FILES: Final[Mapping[str, HostileFile]] = _yaml_files("camera.yaml")
+
+
+# --- Recordings ---------------------------------------------------------------------------------
+
+
+def _gzipped_line() -> bytes:
+    """Return 4 MB that expand to one line of 4 GB."""
+    member = gzip.compress(b"0 " * 20 * MB, compresslevel=9)
+    return gzip.compress(b"FLASER 180 ") + member * 100
+
+
+def _gzipped_lines() -> bytes:
+    """Return 300 kB that expand to 300 MB of valid lines."""
+    line = b"ODOM 0.0 0.0 0.0 0.0 0.0 0.0 1.0 robot 1.0\n"
+    return gzip.compress(line * (10 * MB // len(line)), compresslevel=9) * 30
+
+
+def mcap(compression: str, packed: bytes, size: int, *, index: int = 1) -> bytes:
+    """Return an MCAP file with one chunk of declared `size`, listed `index` times (0: no index)."""
+
+    def text(value: str | bytes) -> bytes:
+        raw = value.encode() if isinstance(value, str) else value
+        return struct.pack("<I", len(raw)) + raw
+
+    def record(kind: int, content: bytes) -> bytes:
+        return bytes([kind]) + struct.pack("<Q", len(content)) + content
+
+    schema = record(
+        3,
+        struct.pack("<H", 1)
+        + text("sensor_msgs/msg/LaserScan")
+        + text("ros2msg")
+        + text("string a\n"),
+    )
+    channel = record(4, struct.pack("<HH", 1, 1) + text("/scan") + text("cdr") + text(b""))
+    magic = b"\x89MCAP0\r\n"
+    start = magic + record(1, text("ros2") + text("test"))
+    chunk = record(
+        6,
+        struct.pack("<QQQI", 1, 2, size, 0)
+        + text(compression)
+        + struct.pack("<Q", len(packed))
+        + packed,
+    )
+    where = len(start)
+    data = start + chunk + record(15, struct.pack("<I", 0))
+    chunk_index = record(
+        8,
+        struct.pack("<QQQQ", 1, 2, where, len(chunk))
+        + text(struct.pack("<HQ", 1, where + len(chunk)))
+        + struct.pack("<Q", 31)
+        + text(compression)
+        + struct.pack("<QQ", len(packed), size),
+    )
+    statistics = record(
+        11,
+        struct.pack("<QHIIIIQQ", 1, 1, 1, 0, 0, index, 1, 2) + text(struct.pack("<HQ", 1, 1)),
+    )
+    summary = schema + channel + chunk_index * index + statistics if index else b""
+    footer = record(2, struct.pack("<QQI", len(data) if summary else 0, 0, 0))
+    return data + summary + footer + magic
+
+
+def zeros_zstd(size: int) -> bytes:
+    """Return zstd frames of `size` zeros, a multiple of 128 MiB."""
+    block = 1 << 27
+    return zstandard.ZstdCompressor(level=3).compress(bytes(block)) * (size // block)
+
+
+def _string_messages(number: int, length: int) -> bytes:
+    """Return MCAP message records of strings."""
+    body = b"\0\1\0\0" + struct.pack("<I", length) + bytes(length)
+    content = struct.pack("<HIQQ", 1, 0, 1, 1) + body
+    return (b"\x05" + struct.pack("<Q", len(content)) + content) * number
+
+
+def _fields(**fields: bytes) -> bytes:
+    entries = [name.encode() + b"=" + value for name, value in fields.items()]
+    head = b"".join(struct.pack("<I", len(entry)) + entry for entry in entries)
+    return struct.pack("<I", len(head)) + head
+
+
+def _ros1_record(body: bytes, **fields: bytes) -> bytes:
+    return _fields(**fields) + struct.pack("<I", len(body)) + body
+
+
+def _u32(value: int) -> bytes:
+    return struct.pack("<I", value)
+
+
+def ros1_bag(
+    compression: str, packed: bytes, size: int, *, index: bool = True, repeat: int = 1
+) -> bytes:
+    """Return a ROS 1 bag with one chunk of declared `size`, listed `repeat` times."""
+    magic = b"#ROSBAG V2.0\n"
+    definition = _fields(
+        type=b"sensor_msgs/LaserScan",
+        md5sum=b"992ce8a1687cec8c8bd883ec73ca41d1",
+        message_definition=b"string data\n",
+    )[4:]
+    connection = _ros1_record(definition, op=b"\x07", conn=_u32(0), topic=b"/scan")
+    chunk = _ros1_record(packed, op=b"\x05", compression=compression.encode(), size=_u32(size))
+    entries = struct.pack("<III", 1, 0, 0)
+    entry = _ros1_record(entries, op=b"\x04", ver=_u32(1), conn=_u32(0), count=_u32(1))
+    header_size = 4096
+    where = len(magic) + header_size
+    info = _ros1_record(
+        struct.pack("<II", 0, 1),
+        op=b"\x06",
+        ver=_u32(1),
+        chunk_pos=struct.pack("<Q", where),
+        start_time=struct.pack("<II", 1, 0),
+        end_time=struct.pack("<II", 1, 0),
+        count=_u32(1),
+    )
+    index_at = where + len(chunk) + len(entry) if index else 0
+    fields = _fields(
+        op=b"\x03",
+        index_pos=struct.pack("<Q", index_at),
+        conn_count=_u32(1),
+        chunk_count=_u32(repeat),
+    )
+    padding = header_size - len(fields) - 4
+    header = fields + struct.pack("<I", padding) + b" " * padding
+    return magic + header + chunk + entry + connection + info * repeat
+
+
+def zeros_bz2(size: int) -> bytes:
+    """Return bzip2 streams of `size` zeros, a multiple of 45 MB."""
+    block = 45 * MB
+    return bz2.compress(bytes(block)) * (size // block)
+
+
+def zeros_lz4(size: int) -> bytes:
+    """Return one LZ4 frame of `size` zeros, a multiple of 4 MiB, without its checksum."""
+    block = 1 << 22
+    frame: bytes = lz4.frame.compress(bytes(block), store_size=False, block_size=7)
+    header, body = frame[:7], frame[7:-4]
+    return header + body * (size // block) + frame[-4:]
+
+
+def _nested_chunks(levels: int = 2000) -> bytes:
+    """Return a chunk in a chunk in a chunk ..."""
+    inner = b""
+    for _ in range(levels):
+        inner = _ros1_record(inner, op=b"\x05", compression=b"none", size=_u32(len(inner)))
+    return inner
+
+
+def _ros2_folder(metadata: str) -> Callable[[Path], Path]:
+    def build(folder: Path) -> Path:
+        bag = folder / "bag"
+        bag.mkdir()
+        (bag / "metadata.yaml").write_text(metadata)
+        return bag
+
+    return build
+
+
+def _compressed_ros2_folder(folder: Path) -> Path:
+    """Write a bag whose file is compressed, 100 kB that expand to 1.3 GB on the disk."""
+    bag = folder / "bag"
+    bag.mkdir()
+    (bag / "bag.db3.zstd").write_bytes(zeros_zstd(10 << 27))
+    (bag / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: sqlite3\n"
+        "  relative_file_paths: [bag.db3.zstd]\n  duration: {nanoseconds: 1}\n"
+        "  starting_time: {nanoseconds_since_epoch: 1}\n  message_count: 1\n"
+        "  topics_with_message_count: []\n"
+        "  compression_format: zstd\n  compression_mode: FILE\n"
+    )
+    return bag
+
+
+RECORDINGS: Final[Mapping[str, HostileFile]] = {
+    "carmen_line": HostileFile(_bytes("line.log.gz", _gzipped_line), "longer than"),
+    "carmen_line_bz2": HostileFile(
+        _bytes("line.log.bz2", lambda: bz2.compress(b"FLASER 1 ") + zeros_bz2(1800 * MB)),
+        "longer than",
+    ),
+    "carmen_lines": HostileFile(_bytes("lines.log.gz", _gzipped_lines), "MB"),
+    "carmen_sparse": HostileFile(
+        sparse("s.log", 5_000 * MB, b"ODOM 0 0 0 0 0 0 1 r 1\n"), "longer"
+    ),
+    "carmen_zeros": HostileFile(device("/dev/zero", "zeros.log"), "device"),
+    "carmen_fifo": HostileFile(fifo("pipe.log"), "FIFO"),
+    "mcap_zstd": HostileFile(
+        _bytes("bomb.mcap", lambda: mcap("zstd", zeros_zstd(4 << 30), 4 << 30)), "MB"
+    ),
+    "mcap_zstd_liar": HostileFile(
+        _bytes("liar.mcap", lambda: mcap("zstd", zeros_zstd(4 << 30), 1000)), "MB"
+    ),
+    "mcap_zstd_unindexed": HostileFile(
+        _bytes("scan.mcap", lambda: mcap("zstd", zeros_zstd(4 << 30), 4 << 30, index=0)), "MB"
+    ),
+    "mcap_lz4": HostileFile(
+        _bytes("lz4.mcap", lambda: mcap("lz4", zeros_lz4(1 << 30), 1 << 30)), "MB"
+    ),
+    "mcap_repeated": HostileFile(
+        _bytes(
+            "again.mcap",
+            lambda: mcap(
+                "zstd",
+                zstandard.compress(_string_messages(20, MB)),
+                len(_string_messages(20, MB)),
+                index=1000,
+            ),
+        ),
+        "twice",
+    ),
+    "ros1_bz2": HostileFile(
+        _bytes("bomb.bag", lambda: ros1_bag("bz2", zeros_bz2(2970 * MB), 1000)), "MB"
+    ),
+    "ros1_bz2_unindexed": HostileFile(
+        _bytes("cut.bag", lambda: ros1_bag("bz2", zeros_bz2(2970 * MB), 1000, index=False)), "MB"
+    ),
+    "ros1_lz4": HostileFile(
+        _bytes("lz4.bag", lambda: ros1_bag("lz4", zeros_lz4(1 << 30), 1000)), "MB"
+    ),
+    "ros1_nested": HostileFile(
+        _bytes("nested.bag", lambda: ros1_bag("none", _nested_chunks(), 1000, index=False)), "chunk"
+    ),
+    "ros1_sparse": HostileFile(sparse("sparse.bag", 5_000 * MB, b"#ROSBAG V2.0\n"), "no message"),
+    "ros2_metadata": HostileFile(_ros2_folder(f"{merges()}\nb: {{<<: *a23}}\n"), "values"),
+    "ros2_depth": HostileFile(_ros2_folder(nested(50_000)), "deep"),
+    "ros2_compressed": HostileFile(_compressed_ros2_folder, "MB"),
+}
+
+
+# --- Visual maps --------------------------------------------------------------------------------
+
+
+def visual_map(folder: Path, *statements: str) -> Path:
+    """Make an empty visual map and execute SQL statements in it."""
+    file = folder / "map.cairn"
+    create(file, "test").close()
+    with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+        for statement in statements:
+            connection.execute(statement)
+    return file
+
+
+def _map_after(*statements: str) -> Callable[[Path], Path]:
+    return lambda folder: visual_map(folder, *statements)
+
+
+def objects(number: int, name: str = "'x'") -> str:
+    """Return SQL that adds so many valid objects without checksum."""
+    return (
+        f"WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n WHERE k < {number}) "
+        "INSERT INTO objects (object_id, name, reliability, state, evidence_count) "
+        f"SELECT k, {name}, 0.5, 0, 0 FROM n"
+    )
+
+
+_TRIGGER: Final = (
+    "CREATE TRIGGER t AFTER INSERT ON evidence BEGIN UPDATE objects SET reliability = 1.0; END"
+)
+
+VISUAL_MAPS: Final[Mapping[str, HostileFile]] = {
+    "objects": HostileFile(_map_after(objects(300_000)), "300,000"),
+    "long_name": HostileFile(_map_after(objects(1, "hex(zeroblob(1000000))")), "name"),
+    "trigger": HostileFile(_map_after(_TRIGGER), "trigger"),
+    "view": HostileFile(_map_after("CREATE VIEW extra AS SELECT * FROM objects"), "extra"),
+    "view_for_table": HostileFile(
+        _map_after(
+            "ALTER TABLE changes RENAME TO real_changes",
+            "CREATE VIEW changes AS SELECT * FROM real_changes",
+        ),
+        "changes",
+    ),
+    "virtual_table": HostileFile(
+        _map_after("CREATE VIRTUAL TABLE extra USING fts5(text)"), "extra"
+    ),
+    "table": HostileFile(_map_after("CREATE TABLE extra (a)"), "extra"),
+    "index": HostileFile(_map_after("CREATE INDEX extra ON objects (name)"), "extra"),
+    "generated_column": HostileFile(
+        _map_after("ALTER TABLE evidence ADD COLUMN g AS (hex(zeroblob(1000000)))"), "evidence"
+    ),
+    "no_checksum": HostileFile(_map_after(objects(1)), "checksum"),
+    "infinite": HostileFile(
+        _map_after(
+            "INSERT INTO objects (object_id, name, reliability, state, evidence_count, x, y, xx, "
+            "xy, yy) VALUES (1, 'x', 0.5, 0, 0, 1e300, 0, 1, 0, 1)"
+        ),
+        "1e+300",
+    ),
+    "zeros": HostileFile(device("/dev/zero", "map.cairn"), "regular"),
+    "fifo": HostileFile(fifo("map.cairn"), "regular"),
+    "sparse": HostileFile(sparse("map.cairn", 5_000 * MB, b"SQLite format 3\0"), "map"),
+}
+
+
+HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
+    "deployment": DEPLOYMENTS,
+    "world": WORLDS,
+    "texture": TEXTURES,
+    "grid_map": GRID_MAPS,
+    "camera_file": CAMERA_FILES,
+    "picture": PICTURES,
+    "recording": RECORDINGS,
+    "visual_map": VISUAL_MAPS,
+}

@@ -1,0 +1,148 @@
+"""Reads hostile files with the product's readers, in a process with little memory.
+
+`python -m tests.hostile_reading KIND/NAME ...` prints a line of JSON for each: what the reader
+raised, the time that it took [s], and the highest memory use of the process so far [MB].
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from cairn.errors import CairnError
+from tests.hostile_files import HOSTILE
+
+MOST_MEMORY_MB: Final = 500
+"""No process may use more memory for a hostile file [MB]."""
+
+MOST_SECONDS: Final = 5.0
+
+_ADDRESS_SPACE: Final = 4 << 30  # libraries and threads take 1.5 GB of it, a bomb the rest
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How reading a file ended: type and text of the error, time [s], peak of memory [MB]."""
+
+    error: str
+    text: str
+    seconds: float
+    peak_mb: float
+
+
+def read_all(cases: Iterable[str]) -> dict[str, Outcome]:
+    """Read files, named `kind/name`, in one process of bounded memory."""
+    listed = list(cases)
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.hostile_reading", *listed],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    outcomes = {
+        case: Outcome(**json.loads(line))
+        for case, line in zip(listed, done.stdout.splitlines(), strict=False)
+    }
+    assert len(outcomes) == len(listed), f"died in {listed[len(outcomes)]}: {done.stderr[-2000:]}"
+    return outcomes
+
+
+def _deployment(file: Path) -> None:
+    from cairn.deployment.yaml_document import read_document
+
+    _, problems = read_document(file)
+    if problems:
+        raise CairnError(str(problems[0]))
+
+
+def _world(file: Path) -> None:
+    from cairn.components.simulation.world_file import read_world
+
+    read_world(file)
+
+
+def _texture(file: Path) -> None:
+    from cairn.components.simulation.textures import object_picture
+    from cairn.components.simulation.world_file import read_world
+
+    for thing in read_world(file).objects:
+        object_picture(thing.texture or "", thing.id, thing.size)
+
+
+def _grid_map(file: Path) -> None:
+    from cairn.planar.map_file import read_map
+
+    read_map(file)
+
+
+def _camera_file(file: Path) -> None:
+    from cairn.vision.camera_file import read_camera
+
+    read_camera(file)
+
+
+def _picture(file: Path) -> None:
+    from cairn.vision.images import read_image
+
+    read_image(file)
+
+
+def _recording(path: Path) -> None:
+    from cairn.components.replay.open_recording import open_recording
+
+    recording = open_recording(path)
+    recording.scans()
+    recording.odometry()
+
+
+def _visual_map(file: Path) -> None:
+    from cairn.visual_map.landmark_store import open_landmarks
+    from cairn.visual_map.object_models import read_models
+
+    with open_landmarks(file, read_only=True) as store:
+        store.landmarks()
+    read_models(file)
+
+
+READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
+    "deployment": _deployment,
+    "world": _world,
+    "texture": _texture,
+    "grid_map": _grid_map,
+    "camera_file": _camera_file,
+    "picture": _picture,
+    "recording": _recording,
+    "visual_map": _visual_map,
+}
+
+
+def _read(case: str) -> Outcome:
+    kind, _, name = case.partition("/")
+    with tempfile.TemporaryDirectory() as folder:
+        file = HOSTILE[kind][name].build(Path(folder))
+        begin = time.perf_counter()
+        error, text = "nothing", ""
+        try:
+            READERS[kind](file)
+        except Exception as raised:
+            error = "CairnError" if isinstance(raised, CairnError) else type(raised).__name__
+            text = str(raised)[:1000]
+        seconds = time.perf_counter() - begin
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return Outcome(error, text, round(seconds, 3), round(peak, 1))
+
+
+if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
+    for argument in sys.argv[1:]:
+        sys.stdout.write(json.dumps(vars(_read(argument))) + "\n")
+        sys.stdout.flush()
