@@ -229,23 +229,23 @@ PICTURES: Final[Mapping[str, HostileFile]] = {
 # --- Grid maps ----------------------------------------------------------------------------------
 
 
-def grid_map(folder: Path, image: str = "map.pgm", **keys: object) -> Path:
+def grid_map(folder: Path, image: str = "map.pgm", **keys: str) -> Path:
     """Write a map's YAML file, with `keys` changed, and a small image beside it."""
     Image.fromarray(np.full((4, 4), 254, np.uint8)).save(folder / "map.pgm")
-    described: dict[str, object] = {
+    described = {
         "image": image,
-        "resolution": 0.05,
+        "resolution": "0.05",
         "origin": "[0.0, 0.0, 0.0]",
-        "negate": 0,
-        "occupied_thresh": 0.65,
-        "free_thresh": 0.196,
+        "negate": "0",
+        "occupied_thresh": "0.65",
+        "free_thresh": "0.196",
     } | keys
     file = folder / "map.yaml"
     file.write_text("".join(f"{key}: {value}\n" for key, value in described.items()))
     return file
 
 
-def _map(**keys: object) -> Callable[[Path], Path]:
+def _map(**keys: str) -> Callable[[Path], Path]:
     return lambda folder: grid_map(folder, **keys)
 
 
