@@ -81,5 +81,7 @@ _REMEDIES: Final = {
 
 def explain_os_error(error: OSError) -> str:
     """Return the system's message of a failed file operation, and a remedy."""
-    remedy = _REMEDIES.get(error.errno or 0, "correct the path, or the file there")
+    remedy = getattr(error, "remedy", None) or _REMEDIES.get(
+        error.errno or 0, "correct the path, or the file there"
+    )
     return f"{error.strerror or error}; {remedy}"

@@ -321,7 +321,7 @@ WORLDS: Final[Mapping[str, HostileFile]] = {
         "values",
     ),
     "errors": HostileFile(
-        _text("world.yaml", f"walls: [{'x,' * 30_000}]\nrobot: {{x: 1, y: 1}}\n"), "walls[0]"
+        _text("world.yaml", f"walls: [{'x,' * 30_000}]\nrobot: {{x: 1, y: 1}}\n"), r"walls\[0\]"
     ),
 }
 

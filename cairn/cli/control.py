@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
+from cairn.bounded_yaml import parse_yaml
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, show
 from cairn.client import Parameter
@@ -123,7 +124,7 @@ def set_parameters(
         if not equals:
             raise CairnError(f"{change!r} is not a change; write NAME=VALUE")
         try:
-            values[name] = yaml.safe_load(value)
+            values[name] = parse_yaml(value)
         except (yaml.YAMLError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise CairnError(f"{name}: {value!r} is not a YAML value: {reason}") from error

@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from cairn.bounded_yaml import YAML_VALUES
 from cairn.deployment.check import check_document
 from cairn.deployment.interpolation import interpolate
 from cairn.deployment.model import Deployment
 from cairn.deployment.problems import DeploymentError, Location, Problem, suggestion
 from cairn.deployment.yaml_document import (
-    MAX_VALUES,
     DocumentNode,
     KeyPath,
     component_nodes,
@@ -91,8 +91,8 @@ def assemble(
     root, problems = _merge_sources(sources, sets)
     root, found, unresolved = interpolate(root)
     problems += found
-    if _exceeds(root, MAX_VALUES):
-        found_too_much = f"with its settings the deployment holds more than {MAX_VALUES:,} values"
+    if _exceeds(root, YAML_VALUES):
+        found_too_much = f"with its settings the deployment holds more than {YAML_VALUES:,} values"
         raise DeploymentError([*problems, Problem(root.at, "", found_too_much, "write fewer")])
     reported = {(problem.path, problem.at.line) for problem in problems}
     checked = check_document(root, unresolved, import_plugins=import_plugins)

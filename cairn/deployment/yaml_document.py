@@ -14,16 +14,17 @@ from typing import Any, TypeAlias
 
 import yaml
 
+from cairn.bounded_files import RefusedFileError, read_text_bounded
+from cairn.bounded_yaml import (
+    YAML_BYTES,
+    YAML_DEPTH,
+    YAML_VALUES,
+    BoundedComposer,
+    YamlLimitError,
+)
 from cairn.deployment.problems import Location, Problem
 
 KeyPath: TypeAlias = tuple[str, ...]
-
-
-MAX_VALUES = 100_000
-"""A deployment with more keys and values is a mistake: aliases of aliases grow without bound."""
-
-
-_MAX_DEPTH = 100
 
 
 @dataclass(frozen=True)
@@ -70,10 +71,11 @@ def read_document(file: Path) -> tuple[DocumentNode | None, list[Problem]]:
     """Return the tree of a YAML file, which is a mapping, and its problems; None if unreadable."""
     start = Location(str(file), 1, 1, file.absolute().parent)
     try:
-        text = file.read_bytes().decode("utf-8")
+        text = read_text_bounded(file, YAML_BYTES)
     except OSError as error:
         start = Location(str(file), 0, 0, start.folder)
-        return None, [_unreadable(start, error.strerror or str(error), "give a readable file")]
+        remedy = error.remedy if isinstance(error, RefusedFileError) else "give a readable file"
+        return None, [_unreadable(start, error.strerror or str(error), remedy)]
     except UnicodeDecodeError as error:
         return None, [_unreadable(start, str(error), "save the file as UTF-8")]
     node, problems = parse_document(text, start)
@@ -90,14 +92,16 @@ def parse_document(text: str, start: Location) -> tuple[DocumentNode | None, lis
     """
     try:
         root = yaml.compose(text, Loader=_CoreLoader)
+    except YamlLimitError as error:
+        at = _location(error.problem_mark, start)
+        fault = str(error.problem).removeprefix("it ")
+        return None, [Problem(at, "", f"the file {fault}", "write fewer")]
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         what = ", ".join(part for part in (error.context, error.problem) if part)
         return None, [_syntax(_location(mark, start), what)]
     except yaml.YAMLError as error:
         return None, [_syntax(start, " ".join(str(error).split()))]
-    except RecursionError:
-        return None, [_syntax(start, "it is nested too deeply")]
     if root is None:
         return DocumentNode(None, start), []
     builder = _Builder(start)
@@ -138,10 +142,12 @@ class _Builder:
     def node(self, raw: yaml.Node, key_at: Location | None, path: KeyPath) -> DocumentNode:
         at = _location(raw.start_mark, self.start)
         self.built += 1
-        if self.built > MAX_VALUES:
-            raise _TooMuchError(f"holds more than {MAX_VALUES:,} values, with its aliases expanded")
-        if len(path) > _MAX_DEPTH:
-            raise _TooMuchError(f"is nested deeper than {_MAX_DEPTH} levels at {at}")
+        if self.built > YAML_VALUES:
+            raise _TooMuchError(
+                f"holds more than {YAML_VALUES:,} values, with its aliases expanded"
+            )
+        if len(path) > YAML_DEPTH:
+            raise _TooMuchError(f"is nested deeper than {YAML_DEPTH} levels at {at}")
         if id(raw) in self.open:
             self.report(at, path, "the alias contains itself", "write the values out")
             return DocumentNode(None, at, key_at)
@@ -205,7 +211,7 @@ _RULES = [
 ]
 
 
-class _CoreLoader(yaml.SafeLoader):
+class _CoreLoader(BoundedComposer):
     """PyYAML's parser with the implicit types of YAML 1.2's core schema.
 
     So `on`, `no` and `12:30` stay text. PyYAML implements YAML 1.1, where those are booleans and a
@@ -213,6 +219,7 @@ class _CoreLoader(yaml.SafeLoader):
     """
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}
+    allow_cycles = True  # reported with the other problems
 
 
 for _name, _pattern, _first in _RULES:
@@ -243,7 +250,7 @@ def _scalar(node: yaml.ScalarNode) -> str | int | float | bool | None:
             case "float":
                 return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
     except (KeyError, ValueError) as error:
-        raise _UnknownTagError(f"{text!r} is not a value of type {kind}") from error
+        raise _UnknownTagError(f"{text[:60]!r} is not a value of type {kind}") from error
     raise _UnknownTagError(f"the tag {node.tag} is not allowed")
 
 

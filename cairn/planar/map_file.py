@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 import yaml
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.errors import CairnError
-from cairn.files import replace_file
+from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import (
     FREE,
     FREE_TO,
@@ -33,6 +34,24 @@ def _as_bool(value: object) -> object:
     return {0: False, 1: True}.get(value, value) if isinstance(value, int) else value
 
 
+def _no_boolean(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("must be a number, not a boolean")
+    return value
+
+
+SMALLEST_CELL: Final = 1e-3
+"""Finest resolution of a map [m]; a laser scanner measures to about 1 cm."""
+
+LARGEST_ORIGIN: Final = 1e7
+"""Largest coordinate of a map's origin [m]: those of UTM reach 1e7."""
+
+Number = Annotated[float, BeforeValidator(_no_boolean)]
+Coordinate = Annotated[
+    float, Field(ge=-LARGEST_ORIGIN, le=LARGEST_ORIGIN), BeforeValidator(_no_boolean)
+]
+
+
 class MapFile(BaseModel):
     """The keys of the YAML file, as in map_server's documentation; other keys are ignored."""
 
@@ -40,11 +59,11 @@ class MapFile(BaseModel):
 
     image: Path
     mode: Mode = "trinary"
-    resolution: float = Field(gt=0, le=100)
-    origin: tuple[float, float, float]
+    resolution: Number = Field(ge=SMALLEST_CELL, le=100)
+    origin: tuple[Coordinate, Coordinate, Coordinate]
     negate: Annotated[bool, BeforeValidator(_as_bool)] = False
-    occupied_thresh: float = Field(gt=0, le=1)
-    free_thresh: float = Field(ge=0, lt=1)
+    occupied_thresh: Number = Field(gt=0, le=1)
+    free_thresh: Number = Field(ge=0, lt=1)
     width: int | None = Field(None, gt=0, description="Width the image must have [pixels].")
     height: int | None = Field(None, gt=0, description="Height the image must have [pixels].")
 
@@ -124,11 +143,16 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
 
 def _read_description(file: Path) -> MapFile:
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content = read_yaml(file)
     except FileNotFoundError as error:
         raise CairnError(f"{file}: no such file; give the YAML file of a map_server map") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except OSError as error:
+        raise CairnError(f"{file}: cannot be read: {explain_os_error(error)}") from error
+    except UnicodeDecodeError as error:
         raise CairnError(f"{file}: not a map_server YAML file: {error}") from error
+    except yaml.YAMLError as error:
+        position, fault = yaml_fault(error)
+        raise CairnError(f"{file}{position}: not a map_server YAML file: {fault}") from error
     if not isinstance(content, dict):
         raise CairnError(f"{file}: not a map_server YAML file: it has no keys")
     try:

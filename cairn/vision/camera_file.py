@@ -9,22 +9,38 @@ from typing import Annotated, Any
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
+from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replace_file
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
 from cairn.vision.rectification import CameraModel
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+def _no_boolean(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("must be a number, not a boolean")
+    return value
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(_no_boolean)]
+Count = Annotated[int, BeforeValidator(_no_boolean)]
 
 
 class _Matrix(BaseModel):
     model_config = ConfigDict(extra="ignore")
 
-    rows: int = Field(ge=1)
-    cols: int = Field(ge=0)
+    rows: Count = Field(ge=1)
+    cols: Count = Field(ge=0)
     data: list[Finite]
 
     @model_validator(mode="after")
@@ -41,8 +57,8 @@ class _CameraFile(BaseModel):
 
     model_config = ConfigDict(extra="ignore")
 
-    image_width: int = Field(gt=0, le=100_000)
-    image_height: int = Field(gt=0, le=100_000)
+    image_width: Count = Field(gt=0, le=100_000)
+    image_height: Count = Field(gt=0, le=100_000)
     distortion_model: str = "plumb_bob"
     camera_matrix: _Matrix
     distortion_coefficients: _Matrix
@@ -114,7 +130,7 @@ _REMEDY = "calibrate the camera again with `cairn camera calibrate`, or use an i
 
 def _load(file: Path) -> _CameraFile:
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content = read_yaml(file)
     except FileNotFoundError as error:
         raise CairnError(
             f"{file}: no such calibration file; make one with `cairn camera calibrate`"
@@ -123,9 +139,13 @@ def _load(file: Path) -> _CameraFile:
         raise CairnError(
             f"{file}: the calibration cannot be read: {explain_os_error(error)}"
         ) from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        text = " ".join(str(error).split())
-        raise CairnError(f"{file}: not a calibration in YAML: {text}; {_REMEDY}") from error
+    except UnicodeDecodeError as error:
+        raise CairnError(f"{file}: not a calibration in YAML: {error}; {_REMEDY}") from error
+    except yaml.YAMLError as error:
+        position, fault = yaml_fault(error)
+        raise CairnError(
+            f"{file}{position}: not a calibration in YAML: {fault}; {_REMEDY}"
+        ) from error
     if not isinstance(content, dict):
         raise CairnError(f"{file}: not a calibration in YAML: it has no keys; {_REMEDY}")
     try:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.localizer.config import LocalizerConfig
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.files import replace_file
@@ -105,7 +106,7 @@ def load_last_pose(
 ) -> PoseEstimate | None:
     """Return where the robot is at `stamp_s` with odometry at `odom`; None if that is unknown."""
     try:
-        last = LastPose.model_validate_json(file.read_text(encoding="utf-8"))
+        last = LastPose.model_validate_json(read_bounded(file, STATE_BYTES))
     except FileNotFoundError:
         return None
     except (OSError, ValidationError) as error:

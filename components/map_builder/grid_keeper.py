@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn import CairnError
+from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.map_builder.occupancy import Occupancy
 from cairn.components.map_builder.undo import GridWindow
 from cairn.components.map_builder.working_copy import LOG, is_reusable
@@ -135,7 +136,7 @@ def _read_copy(copy: Path, source: str, now_ns: int) -> OccupancyCells | None:
     """Return the map of a reusable working copy; log why it is not reusable."""
     sidecar = _sidecar(copy)
     try:
-        origin = _CopyOrigin.model_validate_json(sidecar.read_bytes())
+        origin = _CopyOrigin.model_validate_json(read_bounded(sidecar, STATE_BYTES))
         cells = read_map(copy)
     except FileNotFoundError:
         return None

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
+from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.people import Walker
 from cairn.components.simulation.world import World
@@ -109,7 +110,7 @@ class StateFile:
     def load(self) -> SavedWorld | None:
         """Return the saved state; None if the file has no readable one."""
         try:
-            layout_state, *motion = self.file.read_bytes().split(b"\n")[:-1]
+            layout_state, *motion = read_bounded(self.file, STATE_BYTES).split(b"\n")[:-1]
             return SavedWorld(
                 _SavedLayout.model_validate_json(layout_state),
                 _SavedMotion.model_validate_json(motion[-1]),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Hashable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -13,7 +14,9 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from cairn import CairnError, Config
+from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.deployment.problems import suggestion
+from cairn.files import explain_os_error
 
 Meters = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]
@@ -189,11 +192,11 @@ class WorldFile(Config):
         names = [piece.name for piece in self.furniture]
         names += [person.name for person in self.people]
         names += [one.display_name for one in self.objects]
-        duplicates = sorted({name for name in names if names.count(name) > 1})
+        duplicates = sorted(name for name, count in Counter(names).items() if count > 1)
         if duplicates:
             raise ValueError(f"the name is not unique: {', '.join(duplicates)}; change one")
         ids = [one.id for one in self.objects]
-        duplicates = sorted({str(one) for one in ids if ids.count(one) > 1})
+        duplicates = sorted(str(one) for one, count in Counter(ids).items() if count > 1)
         if duplicates:
             raise ValueError(f"the object id is not unique: {', '.join(duplicates)}; change one")
         return self
@@ -205,15 +208,16 @@ def read_world(file: Path) -> WorldFile:
     Raises `CairnError` with file, position, value and remedy.
     """
     try:
-        content = yaml.load(file.read_text(encoding="utf-8"), _OneKeyLoader)
+        content = read_yaml(file)
     except FileNotFoundError as error:
         raise CairnError(f"{file}: no such world file; correct the path") from error
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        position = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-        raise CairnError(f"{file}{position}: not YAML: {error.problem}") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+    except OSError as error:
+        raise CairnError(f"{file}: cannot be read: {explain_os_error(error)}") from error
+    except UnicodeDecodeError as error:
         raise CairnError(f"{file}: cannot be read: {error}") from error
+    except yaml.YAMLError as error:
+        position, fault = yaml_fault(error)
+        raise CairnError(f"{file}{position}: not YAML: {fault}") from error
     if not isinstance(content, dict):
         raise CairnError(
             f"{file}: not a world file; it must be a mapping with the keys walls and robot"
@@ -230,20 +234,7 @@ def read_world(file: Path) -> WorldFile:
     )
 
 
-class _OneKeyLoader(yaml.SafeLoader):
-    """A YAML loader that rejects a mapping with the same key twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """Return a mapping; raise an error if two of its keys are equal."""
-        keys = set()
-        for key, _ in node.value:
-            if str(key.value) in keys:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key.value} is given twice; remove one", key.start_mark
-                )
-            keys.add(str(key.value))
-        return super().construct_mapping(node, deep)
-
+_MOST_ERRORS = 20
 
 _PLAIN = {
     "missing": "must be given",
@@ -264,7 +255,9 @@ _PLAIN = {
 
 def describe_errors(error: ValidationError, model: type[Config]) -> str:
     """Describe in one line what `model` rejected: key, value, and what the value must be."""
-    return "; ".join(_describe(one, model) for one in error.errors())
+    errors = error.errors()
+    more = f"; and {len(errors) - _MOST_ERRORS} more" if len(errors) > _MOST_ERRORS else ""
+    return "; ".join(_describe(one, model) for one in errors[:_MOST_ERRORS]) + more
 
 
 def _describe(error: ErrorDetails, model: type[Config]) -> str:

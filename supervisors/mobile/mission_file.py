@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn import CairnError
+from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.files import replace_file
 
 Goal = tuple[float, float, float]
@@ -81,7 +82,7 @@ def save_mission(file: Path, mission: Mission) -> None:
 def load_mission(file: Path) -> Mission | None:
     """Return the mission in a file, None without a file; raises `CairnError` if it is invalid."""
     try:
-        return Mission.model_validate_json(file.read_text(encoding="utf-8"))
+        return Mission.model_validate_json(read_bounded(file, STATE_BYTES))
     except FileNotFoundError:
         return None
     except (OSError, UnicodeDecodeError, ValidationError) as error:

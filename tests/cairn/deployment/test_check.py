@@ -251,7 +251,10 @@ def _grown(first: str, join: Callable[[int], str]) -> str:
             _grown("text", lambda n: repr(f"${{a{n - 1}}}" * 9)),
             "settings.a5: with its settings the text is longer than 100,000 characters",
         ),
-        ("settings: " + "{a: " * 400 + "1" + "}" * 400, "is nested deeper than 100 levels at"),
+        (
+            "settings: " + "{a: " * 400 + "1" + "}" * 400,
+            "is nested deeper than 100 levels",
+        ),
     ],
     ids=["aliases", "lists", "texts", "levels"],
 )
