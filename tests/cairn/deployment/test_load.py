@@ -294,7 +294,9 @@ def test_words_that_yaml_1_1_reads_as_booleans_stay_text(write: Write) -> None:
         ("cairn: &a [*a]\n", "robot.yaml:1: cairn.0: the alias contains itself; write the"),
         ("[a]: 1\n", "robot.yaml:1: a list or mapping used as a key; use text as the key"),
         pytest.param(
-            "a: " + "[" * 5000, "robot.yaml:1: the file is nested deeper than 100 levels;", id="deep"
+            "a: " + "[" * 5000,
+            "robot.yaml:1: the file is nested deeper than 100 levels;",
+            id="deep",
         ),
         ("a: \x01\n", "robot.yaml:1: invalid YAML: unacceptable character #x0001:"),
     ],
