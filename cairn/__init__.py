@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath
     from cairn.runtime.ports import In, Out, every, on
     from cairn.runtime.rate_limited_log import RateLimitedLog
+    from cairn.runtime.retried_save import RetriedSave
     from cairn.supervision.supervisor import StartFailed, Supervisor
 
 __all__ = [
@@ -44,6 +45,7 @@ __all__ = [
     "Qos",
     "RateLimitedLog",
     "ReadPath",
+    "RetriedSave",
     "StartFailed",
     "Supervisor",
     "every",
@@ -61,6 +63,7 @@ _MODULES: Final = {
     "cairn.runtime.parameters": ("Config", "Mount", "ParameterRejected", "ReadPath"),
     "cairn.runtime.ports": ("In", "Out", "every", "on"),
     "cairn.runtime.rate_limited_log": ("RateLimitedLog",),
+    "cairn.runtime.retried_save": ("RetriedSave",),
     "cairn.supervision.supervisor": ("StartFailed", "Supervisor"),
 }
 

@@ -68,6 +68,7 @@ _PERMISSION: Final = "change its permissions, or give another path"
 _REMEDIES: Final = {
     errno.ENOSPC: _FREE_SPACE,
     errno.EDQUOT: _FREE_SPACE,
+    errno.EFBIG: "the limit on the size of a file is reached: raise it (`ulimit -f`)",
     errno.EACCES: _PERMISSION,
     errno.EPERM: _PERMISSION,
     errno.EROFS: "its disk is read-only: give another path",

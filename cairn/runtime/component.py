@@ -35,6 +35,10 @@ class ComponentContext(Protocol):
         """End the component normally once the current handler returns."""
         ...
 
+    def report_problem(self, subject: str, problem: str | None) -> None:
+        """Add a problem to the component's status; None: it is solved."""
+        ...
+
 
 class Component:
     """A task component or a driver, with ports, parameters and a life cycle.
@@ -129,6 +133,13 @@ class Component:
         its end ends the deployment, `cairn up` exits with status 1.
         """
         self._context.finish(reason, success=success)
+
+    def report_problem(self, subject: str, problem: str | None) -> None:
+        """Show in the status (`cairn ps`) what does not work at present; None: it is solved.
+
+        There is one problem for each `subject`, the last one reported.
+        """
+        self._context.report_problem(subject, problem)
 
     def on_configure(self) -> None:
         """Allocate memory, open devices and files; raise an error that says why that fails."""

@@ -76,6 +76,7 @@ class Runtime:
         self._current_call: tuple[str, float] | None = None
         self._finishing: ExitReport | None = None
         self._reason = f"restarted: {launch.previous_exit}" if launch.previous_exit else ""
+        self._problems: dict[str, str] = {}  # by subject; replaced, as other threads read it
         self._recovery_limit = RecoveryLimit()
         if component.clock_source == "device" and (
             launch.context.simulated_time or not isinstance(system_clock, SystemClock)
@@ -118,6 +119,11 @@ class Runtime:
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally once the current handler returns."""
         self._finishing = ExitReport(True, reason or "finished", success)
+
+    def report_problem(self, subject: str, problem: str | None) -> None:
+        """Add a problem to the component's status; None: it is solved."""
+        others = {one: text for one, text in self._problems.items() if one != subject}
+        self._problems = others if problem is None else {**others, subject: problem}
 
     def transition(self, transition: Transition) -> None:
         """Make one transition of the life cycle.
@@ -203,7 +209,9 @@ class Runtime:
             handler=call[0] if call else "",
             handler_s=self._handler_clock() - call[1] if call else 0.0,
             restarts=self.restarts,
-            reason=wire_safe_text(self._reason),
+            reason=wire_safe_text(
+                "; ".join([*filter(None, [self._reason]), *self._problems.values()])
+            ),
             children=tuple(self.launch.spec.children),
             ports=self._ports.status(),
         )
@@ -273,6 +281,7 @@ class Runtime:
         self.component.on_deactivate()
         self._ports.unsubscribe()
         self._timers.stop()
+        self._problems = {}
 
     def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Make one call, shown in the status; an exception in it becomes a `_Failure`."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from cairn.planar.poses import Pose
+from cairn.visual_map.evidence_history import EvidenceHistory, EvidenceSummary, Row
 from cairn.visual_map.landmarks import (
     NO_VIEWPOINTS,
     CandidatePosition,
@@ -25,6 +26,7 @@ from cairn.visual_map.landmarks import (
 )
 from cairn.visual_map.sqlite_file import (
     MOST_ID,
+    MapFileError,
     check_row,
     connect,
     create,
@@ -33,21 +35,9 @@ from cairn.visual_map.sqlite_file import (
     transaction,
 )
 
-Row = tuple[Any, ...]
-
 # The robot's pose at the last observation of a candidate is not stored: the next observation counts
 # as made from another pose.
 _ELSEWHERE = (float("inf"), float("inf"), 0.0)
-
-
-@dataclass(frozen=True)
-class JudgedEvidence:
-    """A piece of evidence, the landmark after it, and whether it counted."""
-
-    stamp_ns: int
-    evidence: LandmarkEvidence
-    after: LandmarkRecord
-    counted: bool
 
 
 @dataclass(frozen=True)
@@ -89,6 +79,7 @@ class LandmarkStore:
         """Use `open_landmarks` or `create_landmarks`."""
         self.path = path
         self._connection = connection
+        self._evidence = EvidenceHistory(connection)
 
     def __enter__(self) -> LandmarkStore:
         return self
@@ -133,7 +124,7 @@ class LandmarkStore:
             ).fetchall()
 
     def evidence_of(self, object_id: int) -> list[StoredEvidence]:
-        """Return all evidence about an object, oldest first."""
+        """Return the stored evidence about an object, oldest first."""
         with explained_errors(self.path):
             rows = self._connection.execute(
                 "SELECT stamp_ns, similarity, verdict, distance, x, y, robot_x, robot_y, "
@@ -142,6 +133,11 @@ class LandmarkStore:
                 (object_id,),
             ).fetchall()
             return [_stored_evidence(row) for row in rows]
+
+    def evidence_summaries_of(self, object_id: int) -> list[EvidenceSummary]:
+        """Return the summaries of older evidence about an object, which is not stored any more."""
+        with explained_errors(self.path):
+            return self._evidence.summaries_of(object_id)
 
     def changes_of(self, object_id: int) -> list[StoredChange]:
         """Return all changes of an object, oldest first."""
@@ -159,23 +155,28 @@ class LandmarkStore:
     def commit(
         self,
         landmarks: Sequence[LandmarkRecord],
-        judged: Sequence[JudgedEvidence] = (),
+        evidence: Sequence[Row] = (),
         changes: Sequence[tuple[int, int, LandmarkChange]] = (),
+        summaries: Iterable[EvidenceSummary] = (),
     ) -> None:
-        """Write landmarks, evidence and changes (version, stamp [ns], change), all or nothing."""
-        with transaction(self.path, self._connection) as connection:
-            connection.executemany(
-                f"INSERT OR REPLACE INTO objects VALUES ({_placeholders(19)})",
-                map(landmark_row, landmarks),
-            )
-            connection.executemany(
-                f"INSERT INTO evidence VALUES ({_placeholders(18)})",
-                (evidence_row(j.stamp_ns, j.evidence, j.after, j.counted) for j in judged),
-            )
-            connection.executemany(
-                f"INSERT INTO changes VALUES ({_placeholders(10)})",
-                (change_row(version, stamp_ns, change) for version, stamp_ns, change in changes),
-            )
+        """Write landmarks, evidence and changes (version, stamp [ns], change), all or nothing.
+
+        `evidence` has rows of `evidence_row`; `summaries` are about older evidence without rows.
+        """
+        try:
+            with transaction(self.path, self._connection) as connection:
+                connection.executemany(
+                    f"INSERT OR REPLACE INTO objects VALUES ({_placeholders(19)})",
+                    map(landmark_row, landmarks),
+                )
+                self._evidence.append(evidence, summaries)
+                connection.executemany(
+                    f"INSERT INTO changes VALUES ({_placeholders(10)})",
+                    (change_row(version, stamp, change) for version, stamp, change in changes),
+                )
+        except MapFileError:
+            self._evidence.rolled_back()
+            raise
 
 
 def create_landmarks(path: Path, source: str) -> LandmarkStore:

@@ -6,9 +6,11 @@ reads and writes landmarks, evidence and changes (`landmark_store.py`).
 
 from __future__ import annotations
 
+import errno
 import hashlib
-import shutil
+import os
 import sqlite3
+import tempfile
 import time
 import zlib
 from collections.abc import Iterable, Iterator
@@ -85,20 +87,37 @@ _CHECKSUMS: Final = (
     "ALTER TABLE taught_views ADD COLUMN checksum INTEGER",
 )
 
+# What is left of old evidence (`evidence_history.py`).
+_SUMMARIES: Final = (
+    """CREATE TABLE evidence_summaries (
+        object_id INTEGER NOT NULL, verdict TEXT NOT NULL, counted INTEGER NOT NULL,
+        pieces INTEGER NOT NULL, first_ns INTEGER NOT NULL, last_ns INTEGER NOT NULL,
+        reliability REAL NOT NULL, PRIMARY KEY (object_id, verdict, counted)
+    )""",
+)
+
 FORMATS: Final[tuple[tuple[str, ...], ...]] = (
     _LANDMARKS,
     _OBJECT_MODELS + _VIEWPOINTS,
     _CHECKSUMS,
+    _SUMMARIES,
 )
 """The statements that each format adds to the one before, the first one to an empty file."""
 
 _FORMAT: Final = len(FORMATS)
 _LITTLE_SPACE: Final = 256 * 1024  # bytes: SQLite's lock file and log need as much
+_NOT_WRITABLE: Final = {
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS,
+}  # fmt: skip
 _DAMAGED: Final = "It is damaged or not a map: restore a copy of it, or import it again"
 
 
 class MapFileError(CairnError):
     """A map file is missing, foreign, damaged or cannot be written."""
+
+
+class MapNotWritable(MapFileError):  # noqa: N818 - names the condition, which may pass
+    """The disk of a map file takes no data now: full, over quota, at a size limit, read-only."""
 
 
 def create(path: Path, source: str, digest: str = "") -> sqlite3.Connection:
@@ -131,7 +150,7 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     """
     _check_exists(path)
     with explained_errors(path):
-        connection = _connection(path, read_only)
+        connection = _readable_connection(path) if read_only else _connection(path)
         with _closed_on_error(connection):
             if _checked_format(path, connection) < _FORMAT:
                 if read_only:
@@ -194,11 +213,16 @@ def explained_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        raise MapFileError(f"{path}: {error}. {_remedy(path, error)}.") from error
+        refused = _writing_error(path.parent) if _is_of_the_disk(error) else None
+        why = _remedy(error) if refused is None else explain_os_error(refused)
+        full = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL
+        kind = MapFileError if refused is None and not full else MapNotWritable
+        raise kind(f"{path}: {error}. {why}.") from error
     except ValueError as error:  # an invalid row, or bytes that are not text
         raise MapFileError(f"{path}: {error}. {_DAMAGED}.") from error
     except OSError as error:
-        raise MapFileError(f"{error.filename or path}: {explain_os_error(error)}.") from error
+        kind = MapNotWritable if error.errno in _NOT_WRITABLE else MapFileError
+        raise kind(f"{error.filename or path}: {explain_os_error(error)}.") from error
 
 
 @contextmanager
@@ -266,6 +290,24 @@ def _connection(path: Path, read_only: bool = False) -> sqlite3.Connection:
         timeout=LOCK_WAIT_S,
         check_same_thread=False,
     )
+
+
+def _readable_connection(path: Path) -> sqlite3.Connection:
+    """Open a file for reading, also on a full disk after a process that wrote it was killed."""
+    connection = _connection(path, read_only=True)
+    with _closed_on_error(connection):
+        try:
+            connection.execute("PRAGMA schema_version")
+            return connection
+        except sqlite3.OperationalError:
+            if at_rest(path) or _writing_error(path.parent) is None:
+                raise
+    connection.close()
+    # SQLite cannot make the lock file beside the log. In exclusive mode it needs none.
+    connection = sqlite3.connect(path, isolation_level=None, timeout=LOCK_WAIT_S)
+    with _closed_on_error(connection):
+        connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+        return _in_memory(connection)
 
 
 @contextmanager
@@ -357,11 +399,9 @@ def _digest(connection: sqlite3.Connection) -> str:
     return digest.hexdigest()
 
 
-def _remedy(path: Path, error: sqlite3.Error) -> str:
+def _remedy(error: sqlite3.Error) -> str:
     text = str(error)
-    # On a full disk SQLite may also fail at its lock files, with an I/O error.
-    failed = "disk I/O error" in text or "unable to open" in text
-    if "full" in text or (failed and _is_full(path.parent)):
+    if "full" in text:
         return "The disk is full: free some space on it"
     if "disk I/O error" in text:
         return "The disk fails: copy the file to another one first, then read the system's log"
@@ -375,9 +415,26 @@ def _remedy(path: Path, error: sqlite3.Error) -> str:
     return _DAMAGED
 
 
-def _is_full(folder: Path) -> bool:
+def _is_of_the_disk(error: sqlite3.Error) -> bool:
+    """Return whether an error may mean that the disk takes no data now."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF in (
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_IOERR,
+        sqlite3.SQLITE_CANTOPEN,
+        sqlite3.SQLITE_READONLY,
+    )
+
+
+def _writing_error(folder: Path) -> OSError | None:
+    """Return why the disk of a folder takes no data now; None if it does, or for other reasons.
+
+    SQLite does not report the system's error: on a full disk it also fails at its lock files.
+    """
     try:
-        disk = shutil.disk_usage(folder)
-        return disk.total > 0 and disk.free < _LITTLE_SPACE  # pseudo file systems have no size
-    except OSError:
-        return False
+        with tempfile.TemporaryFile(dir=folder, buffering=0) as probe:
+            written = 0
+            while written < _LITTLE_SPACE:  # a write that does not fit at all fails
+                written += os.write(probe.fileno(), bytes(_LITTLE_SPACE - written))
+    except OSError as error:
+        return error if error.errno in _NOT_WRITABLE else None
+    return None

@@ -13,13 +13,12 @@ from cairn import (
     RELIABLE,
     SECOND,
     SENSOR,
-    CairnError,
     Component,
     Config,
     In,
     Out,
     ParameterRejected,
-    RateLimitedLog,
+    RetriedSave,
     every,
     from_ns,
     on,
@@ -56,7 +55,6 @@ from cairn.visual_map.landmarks import (
     LandmarkState,
     MapPosition,
 )
-from cairn.visual_map.sqlite_file import MapFileError
 
 # A full map follows its updates after this [s], for readers that start later, and the grid map is
 # saved after this [s]: what a power cut loses. Chosen by hand; `benchmarks/constants.yaml` has the
@@ -100,7 +98,8 @@ class MapBuilder(Component):
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
         self._updates = PendingUpdates()
-        self._warnings = RateLimitedLog(self.log)
+        self._saved_landmarks = RetriedSave(self, "visual map")
+        self._saved_grid = RetriedSave(self, "grid map")
         self._full_map_at = self._saved_at = 0
         self._relocalized_at = -_IN_TRANSIT_NS
 
@@ -112,17 +111,18 @@ class MapBuilder(Component):
     def on_deactivate(self) -> None:
         """Save the maps."""
         if self._grid is not None:
-            self._save_grid(self._grid)
+            self._save_grid(self._grid, now=True)
             self._grid = None
         if self._landmarks is not None:
             keeper, self._landmarks = self._landmarks, None
+            self._save_landmarks(keeper, now=True)
             keeper.close()
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
-        """Close the file; committed changes are safe."""
+        """Close the files; committed changes are safe."""
         if self._landmarks is not None:
             keeper, self._landmarks = self._landmarks, None
-            keeper.abandon()
+            keeper.close()
         return False
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
@@ -139,7 +139,10 @@ class MapBuilder(Component):
         # Evidence of a lost robot may arrive after the message that it was lost.
         while_lost = 0 <= self._relocalized_at - stamp_ns <= _IN_TRANSIT_NS
         if keeper is not None and self.config.update_objects and not while_lost:
-            self._publish(stamp_ns, *keeper.apply(stamp_ns, evidence_of(message)))
+            counted, changes = keeper.apply(stamp_ns, evidence_of(message))
+            if changes:  # on the disk before they are published; other evidence once a second
+                self._save_landmarks(keeper)
+            self._publish(stamp_ns, counted, changes)
 
     @on("relocalized")
     def on_relocalized(self, message: Relocalization) -> None:
@@ -149,7 +152,9 @@ class MapBuilder(Component):
         earliest_ns = stamp_ns - round(self.config.undo_s * SECOND)
         since_ns = max(to_ns(message.confirmed_until), earliest_ns)
         if keeper is not None:
-            self._publish(stamp_ns, *keeper.undo(stamp_ns, since_ns))
+            restored, changes = keeper.undo(stamp_ns, since_ns)
+            self._save_landmarks(keeper)
+            self._publish(stamp_ns, restored, changes)
         if grid is not None:
             window = grid.undo(since_ns / SECOND)
             self._updates.add(window)
@@ -198,27 +203,24 @@ class MapBuilder(Component):
             return
         self._open_both()
         if self._landmarks is not None:
-            self._save_evidence(self._landmarks)
+            self._save_landmarks(self._landmarks)
         if self._grid is None:
             return
         self._publish_grid_update(now)
         if now - self._saved_at >= _SAVE_S * SECOND:
-            self._saved_at = now
             self._save_grid(self._grid)
 
-    def _save_evidence(self, keeper: LandmarkKeeper) -> None:
-        try:
-            keeper.save_pending()
-        except MapFileError as error:
-            # It stays pending and is committed with the next change, before that is published.
-            self._warnings.warn("evidence", f"evidence of objects is not saved yet: {error}")
+    def _save_landmarks(self, keeper: LandmarkKeeper, *, now: bool = False) -> None:
+        # If it fails, the robot goes on with the landmarks in memory.
+        if not keeper.is_saved:
+            self._saved_landmarks.attempt(keeper.save, lambda: keeper.unsaved, now=now)
 
-    def _save_grid(self, grid: GridKeeper) -> None:
-        try:
-            grid.save(self.clock.now())
-        except CairnError as error:
-            # The robot drives by the map in memory, and published updates remain valid.
-            self._warnings.warn("grid", f"the grid map is not saved: {error}")
+    def _save_grid(self, grid: GridKeeper, *, now: bool = False) -> None:
+        # If it fails, the robot goes on with the map in memory; updates remain valid.
+        at = self.clock.now()
+        lost = "the changes of the grid map since its last copy are lost"
+        if self._saved_grid.attempt(lambda: grid.save(at), lambda: lost, now=now):
+            self._saved_at = at
 
     def _open_both(self) -> None:
         self._open_landmarks()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,8 @@ from cairn import SECOND
 from cairn.components.map_builder.landmark_rule import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
 from cairn.components.map_builder.working_copy import is_reusable
-from cairn.visual_map.landmark_store import JudgedEvidence, LandmarkStore, open_landmarks
+from cairn.visual_map.evidence_history import EvidenceSummaries, Row
+from cairn.visual_map.landmark_store import LandmarkStore, evidence_row, open_landmarks
 from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
@@ -22,11 +24,16 @@ from cairn.visual_map.landmarks import (
     new_landmark,
 )
 from cairn.visual_map.object_models import read_model_name
-from cairn.visual_map.sqlite_file import MapFileError, copy_map, digest_of
+from cairn.visual_map.sqlite_file import MapFileError, MapNotWritable, copy_map, digest_of
 
 # Changes of so many seconds can be undone: a lost robot is found within 21 s (docs/benchmarks.md,
 # navigation in simulated worlds).
 UNDO_S = 60.0
+
+# Kept in memory while the file cannot be written: half an hour of a robot that recognizes five
+# objects a second, in 6 MB; and more changes than a rearranged house causes in that time.
+MOST_UNSAVED_EVIDENCE = 10_000
+MOST_UNSAVED_CHANGES = 1_000
 
 NumberedChange = tuple[int, LandmarkChange]
 
@@ -116,10 +123,13 @@ class LandmarkMap:
 class LandmarkKeeper:
     """A landmark map and its file.
 
-    Changes are committed before they are returned; evidence is collected until `save`. With a
-    `working_copy`, the map itself is only read. The copy is made if it does not exist, if it is one
-    of another map, or if it is of a later time (another replay); otherwise it is used again, as
-    after the process that wrote it was killed.
+    Changes are in memory until `save` commits them: save before you publish them. While the file
+    cannot be written, the keeper works in memory: all landmarks, the newest `MOST_UNSAVED_CHANGES`
+    changes, the newest `MOST_UNSAVED_EVIDENCE` pieces of evidence, and summaries of older ones.
+
+    With a `working_copy`, the map itself is only read. The copy is made if it does not exist, if it
+    is one of another map, or if it is of a later time (another replay); otherwise it is used again,
+    as after the process that wrote it was killed.
     """
 
     def __init__(
@@ -132,18 +142,32 @@ class LandmarkKeeper:
         undo_s: float = UNDO_S,
     ) -> None:
         self._original = map_file
-        self.path = _working_file(map_file, working_copy, now_ns)
-        self._store: LandmarkStore = open_landmarks(self.path)
-        self._map = LandmarkMap(
-            self._store.landmarks(), learn_unknown, rule, undo_s, self._model_name
-        )
-        self.version = self._store.version()
-        self._pending: list[JudgedEvidence] = []
+        self.path = working_copy or map_file
+        self._copies = working_copy is not None and not _is_reusable(map_file, working_copy, now_ns)
+        self._store: LandmarkStore | None = None
+        try:
+            self._store = self._opened()
+            landmarks, self.version = self._store.landmarks(), self._store.version()
+        except MapNotWritable:
+            with open_landmarks(map_file if self._copies else self.path, read_only=True) as store:
+                landmarks, self.version = store.landmarks(), store.version()
+        self._map = LandmarkMap(landmarks, learn_unknown, rule, undo_s, self._model_name)
+        self._unsaved = _Unsaved()
 
     @property
     def landmarks(self) -> list[LandmarkRecord]:
         """Return all landmarks, by identifier."""
         return [self._map.landmarks[key] for key in sorted(self._map.landmarks)]
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether the file has everything."""
+        return self._store is not None and not self._unsaved
+
+    @property
+    def unsaved(self) -> str:
+        """Describe what the file does not have yet, and what was dropped since it was saved."""
+        return str(self._unsaved)
 
     def apply(
         self, stamp_ns: int, evidence: Sequence[LandmarkEvidence]
@@ -153,39 +177,36 @@ class LandmarkKeeper:
         counted = False
         for piece, after in zip(evidence, applied.after, strict=True):
             if after is not None:
-                self._pending.append(JudgedEvidence(stamp_ns, piece, *after))
+                self._unsaved.add_evidence(evidence_row(stamp_ns, piece, *after))
                 counted |= after[1]
-        return counted, self._commit(stamp_ns, applied.changes)
+        return counted, self._number(stamp_ns, applied.changes)
 
     def undo(self, stamp_ns: int, since_ns: int) -> tuple[bool, list[NumberedChange]]:
         """Undo at `stamp_ns` what was judged after `since_ns`, because the robot was lost."""
         restored, changes = self._map.undo(since_ns / SECOND)
-        if not restored:
-            return False, []
-        numbered = self._commit(stamp_ns, changes)
-        self.save()
-        return True, numbered
+        self._unsaved.landmarks |= bool(restored)
+        return bool(restored), self._number(stamp_ns, changes)
 
     def save(self) -> None:
-        """Commit the evidence collected so far."""
-        self._store.commit(self.landmarks, self._pending)
-        self._pending.clear()
-
-    def save_pending(self) -> None:
-        """Commit the evidence collected so far, if there is any."""
-        if self._pending:
-            self.save()
+        """Commit everything that the file does not have yet; raises `MapFileError`."""
+        if self.is_saved:
+            return
+        if self._store is None:
+            self._store = self._opened()
+        unsaved = self._unsaved
+        self._store.commit(self.landmarks, unsaved.evidence, unsaved.changes, unsaved.summaries)
+        self._unsaved = _Unsaved()
 
     def close(self) -> None:
-        """Commit the remaining evidence and close the file."""
-        try:
-            self.save_pending()
-        finally:
+        """Close the file without committing; the next keeper continues with what was saved."""
+        if self._store is not None:
             self._store.close()
 
-    def abandon(self) -> None:
-        """Close the file without committing the remaining evidence."""
-        self._store.close()
+    def _opened(self) -> LandmarkStore:
+        if self._copies:
+            copy_map(self._original, self.path)
+            self._copies = False
+        return open_landmarks(self.path)
 
     def _model_name(self, object_id: int) -> str | None:
         """Return the name of an object, which may have been taught after the copy was made."""
@@ -194,31 +215,57 @@ class LandmarkKeeper:
         except MapFileError:
             return None  # the recognizer reports the file; a landmark may do without its name
 
-    def _commit(self, stamp_ns: int, changes: Sequence[LandmarkChange]) -> list[NumberedChange]:
-        if not changes:
-            return []
+    def _number(self, stamp_ns: int, changes: Sequence[LandmarkChange]) -> list[NumberedChange]:
         numbered = [(self.version + k, change) for k, change in enumerate(changes, start=1)]
-        self._store.commit(
-            self.landmarks,
-            self._pending,
-            [(version, stamp_ns, change) for version, change in numbered],
-        )
-        self._pending.clear()
+        for version, change in numbered:
+            self._unsaved.add_change((version, stamp_ns, change))
         self.version += len(changes)
         return numbered
 
 
-def _working_file(map_file: Path, working_copy: Path | None, now_ns: int) -> Path:
-    if working_copy is None:
-        return map_file
-    if working_copy.exists():
-        with open_landmarks(working_copy, read_only=True) as previous:
-            same = previous.digest() == digest_of(map_file)
-            ahead = previous.last_stamp_ns() > now_ns
-        if is_reusable(working_copy, same=same, ahead=ahead):
-            return working_copy
-    copy_map(map_file, working_copy)
-    return working_copy
+class _Unsaved:
+    """What the file of a map does not have yet, within bounds."""
+
+    def __init__(self) -> None:
+        self.evidence: deque[Row] = deque()
+        self.summaries = EvidenceSummaries()
+        self.changes: deque[tuple[int, int, LandmarkChange]] = deque()
+        self.landmarks = False  # an undo changed landmarks without evidence
+        self._summarized = 0
+        self._dropped = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.evidence or self.changes or self.landmarks)
+
+    def __str__(self) -> str:
+        lost = f"{len(self.changes)} changes and {len(self.evidence)} pieces of evidence are lost"
+        notes = []
+        if self._summarized:
+            notes.append(f"{self._summarized} older pieces of evidence are only counted")
+        if self._dropped:
+            notes.append(f"{self._dropped} older changes are already missing from the history")
+        return f"{lost} ({'; '.join(notes)})" if notes else lost
+
+    def add_evidence(self, row: Row) -> None:
+        if len(self.evidence) >= MOST_UNSAVED_EVIDENCE:
+            self.summaries.add_row(self.evidence.popleft())
+            self._summarized += 1
+        self.evidence.append(row)
+
+    def add_change(self, change: tuple[int, int, LandmarkChange]) -> None:
+        if len(self.changes) >= MOST_UNSAVED_CHANGES:
+            self.changes.popleft()
+            self._dropped += 1
+        self.changes.append(change)
+
+
+def _is_reusable(map_file: Path, working_copy: Path, now_ns: int) -> bool:
+    if not working_copy.exists():
+        return False
+    with open_landmarks(working_copy, read_only=True) as previous:
+        same = previous.digest() == digest_of(map_file)
+        ahead = previous.last_stamp_ns() > now_ns
+    return is_reusable(working_copy, same=same, ahead=ahead)
 
 
 # A smaller difference of positions [m] is not a change that readers of the map need.

@@ -162,7 +162,7 @@ def test_evidence_is_saved_once_a_full_disk_has_room(
         it.run_for(3.0)
 
     assert it.ends == []
-    assert_words(caplog.text, "evidence", "not saved")
+    assert_words(caplog.text, "visual map", "not saved")
 
     it.run_for(2.0)
 

@@ -29,6 +29,7 @@ def moved(tmp_path: Path) -> Path:
             at, [observation(similarity, step, position), observation(0.9, step, object_id=6)]
         )
         keeper.apply(at, [observation(similarity, step, position)])  # from the same pose once more
+    keeper.save()
     keeper.close()
     return path
 
@@ -99,6 +100,7 @@ def test_absences_are_part_of_the_history(tmp_path: Path) -> None:
         keeper.apply(step * SECOND, [observation(0.9, step % 3)])
     for step in range(3):
         keeper.apply(100 * SECOND, [observation(0.5, 3 * step, verdict=EvidenceVerdict.UNSEEN)])
+    keeper.save()
     keeper.close()
 
     printed = why("7", "--map", path).output
