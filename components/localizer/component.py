@@ -20,6 +20,7 @@ from cairn import (
     Out,
     ParameterRejected,
     RateLimitedLog,
+    RetriedSave,
     every,
     from_ns,
     on,
@@ -150,6 +151,7 @@ class Localizer(Component):
             raise CairnError(f"{folder}: no such folder to keep the last pose in (resume_file)")
         self._was_located = False
         self._warnings = RateLimitedLog(self.log)
+        self._saved_pose = RetriedSave(self, "last pose")
         self._reset()
 
     def _reset(self) -> None:
@@ -273,10 +275,10 @@ class Localizer(Component):
         if odom is None or self._localization.health().value < SAVED_HEALTH:
             return
         estimate = self._localization.pose()
-        try:
-            save_last_pose(file, at, estimate.mean, estimate.covariance, odom)
-        except OSError as error:
-            self._warnings.warn("resume", f"pose not saved in {file}: {error.strerror}")
+        self._saved_pose.attempt(
+            lambda: save_last_pose(file, at, estimate.mean, estimate.covariance, odom),
+            lambda: "the next localizer continues from an older pose, or searches the map",
+        )
 
     def _is_in_time(self, stamp: float, topic: str) -> bool:
         late_s = self._track.integrated_to - stamp

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
-from cairn import CairnError
+from cairn import SECOND, CairnError
+from cairn.visual_map.evidence_history import EvidenceSummary
 from cairn.visual_map.landmark_store import LandmarkStore, StoredChange, StoredEvidence
 from cairn.visual_map.landmarks import EvidenceVerdict, LandmarkRecord, LandmarkState
 
@@ -15,7 +17,8 @@ from cairn.visual_map.landmarks import EvidenceVerdict, LandmarkRecord, Landmark
 class HistoryStep:
     """One event at `stamp_ns`, in words, and the reliability after it.
 
-    `counted` is False for evidence that changed nothing, None for a change of the map.
+    `counted` is False for evidence that changed nothing, None for a change of the map and for a
+    summary.
     """
 
     stamp_ns: int
@@ -39,11 +42,19 @@ def find_landmark(store: LandmarkStore, called: str) -> LandmarkRecord:
 
 
 def history_of(store: LandmarkStore, landmark: LandmarkRecord) -> list[HistoryStep]:
-    """Return all evidence and changes of a landmark, oldest first."""
+    """Return changes and evidence of a landmark, oldest first, and summaries of old evidence."""
     steps: list[HistoryStep] = []
     changes = list(store.changes_of(landmark.object_id))
     position: tuple[float, float] | None = None
     before: StoredEvidence | None = None
+    for summary in sorted(
+        store.evidence_summaries_of(landmark.object_id), key=lambda one: one.last_ns
+    ):
+        while changes and changes[0].stamp_ns <= summary.last_ns:
+            change = changes.pop(0)
+            position = change.new
+            steps.append(_change_step(change))
+        steps.append(_summary_step(summary))
     for evidence in store.evidence_of(landmark.object_id):
         while changes and changes[0].stamp_ns < evidence.stamp_ns:
             change = changes.pop(0)
@@ -97,6 +108,20 @@ def describe_state(landmark: LandmarkRecord) -> str:
 
 def _change_step(change: StoredChange) -> HistoryStep:
     return HistoryStep(change.stamp_ns, f"{change.kind}: {change.reason}", change.reliability, None)
+
+
+def _summary_step(summary: EvidenceSummary) -> HistoryStep:
+    verdict = summary.verdict.name.lower()
+    first = datetime.fromtimestamp(summary.first_ns / SECOND, UTC)
+    counted = "" if summary.counted else "; not counted"
+    return HistoryStep(
+        summary.last_ns,
+        f"{summary.pieces} older pieces of evidence since {first:%Y-%m-%d %H:%M:%S}, of which only "
+        f"a summary is kept: {verdict}; reliability {summary.reliability:.2f}{counted}",
+        summary.reliability,
+        None,  # it stands alone in the chain
+        verdict,
+    )
 
 
 def _evidence_step(

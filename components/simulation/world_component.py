@@ -20,6 +20,7 @@ from cairn import (
     Out,
     ParameterRejected,
     ReadPath,
+    RetriedSave,
     every,
     from_ns,
     on,
@@ -134,7 +135,7 @@ class SimulatedWorld(Component):
         slip = WheelSlip(config.slip.distance, config.slip.turn, config.slip.turn_per_meter)
         self._world = World(world, config.radius, slip, self.random)
         self._state_file = StateFile(config.state_file) if config.state_file else None
-        self._save_failed = False
+        self._saved_state = RetriedSave(self, "state of the world")
         self._published_version = -1
         self._started_at = self._wheels_heard_at = self._advanced_to = self._truth_published_at = 0
         self._speeds = (0.0, 0.0)
@@ -188,18 +189,11 @@ class SimulatedWorld(Component):
         """Save the state for a restarted world."""
         if self._state_file is None:
             return
-        try:
-            self._state_file.save(self._world, (self.clock.now() - self._started_at) / SECOND)
-            self._save_failed = False
-        except OSError as error:
-            if not self._save_failed:
-                self.log.warning(
-                    "cannot save the state of the world in %s: %s; after a crash the world would "
-                    "start again from its file",
-                    self._state_file.file,
-                    error.strerror,
-                )
-            self._save_failed = True
+        state_file, elapsed_s = self._state_file, (self.clock.now() - self._started_at) / SECOND
+        self._saved_state.attempt(
+            lambda: state_file.save(self._world, elapsed_s),
+            lambda: "the world starts again from an older state, or from its file",
+        )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer the requests list, move, remove, furniture, object, person and kidnap."""

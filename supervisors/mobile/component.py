@@ -8,7 +8,19 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from cairn import LATCHED, SECOND, CairnError, Config, In, Out, StartFailed, Supervisor, from_ns, on
+from cairn import (
+    LATCHED,
+    SECOND,
+    CairnError,
+    Config,
+    In,
+    Out,
+    RetriedSave,
+    StartFailed,
+    Supervisor,
+    from_ns,
+    on,
+)
 from cairn.planar.messages import packed_poses, planar_pose
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,
@@ -75,9 +87,12 @@ class MobileSupervisor(Supervisor):
     navigate_goal: Out[NavigateGoal] = Out(qos=LATCHED)
 
     _mission: Mission | None = None
+    _retrying = False  # a retry of saving the mission is scheduled
 
     def on_configure(self) -> None:
         """Check that missions can be kept; remove that of an earlier run."""
+        self._saved_mission = RetriedSave(self, "mission")
+        self._retrying = False
         file = self.config.state_file
         if file is None:
             return
@@ -88,6 +103,7 @@ class MobileSupervisor(Supervisor):
 
     def on_activate(self) -> None:
         """Start the children; start the configured mission, or continue the one before."""
+        self._retrying = False
         super().on_activate()
         if self.restarts > 0:
             self._resume()
@@ -213,15 +229,31 @@ class MobileSupervisor(Supervisor):
             which = f"mission {mission.mission_id}"
             self.finish(f"the mission was preempted by {which}, which {result}", success=False)
 
+    def _save_mission(self, file: Path, *, now: bool = False) -> None:
+        """Save the mission as it is now; while that fails, again later."""
+        mission = self._mission
+        if mission is None:
+            return
+        saved = self._saved_mission.attempt(
+            lambda: save_mission(file, mission),
+            lambda: f"mission {mission.mission_id} does not continue where it is",
+            now=now,
+        )
+        if not saved and not self._retrying:
+            self._retrying = True
+            self.schedule(self._saved_mission.due_ns, self._retry_mission)
+
+    def _retry_mission(self) -> None:
+        self._retrying = False
+        if self.config.state_file is not None:
+            self._save_mission(self.config.state_file)
+
     def _update(self, mission: Mission) -> None:
         """Keep the mission as it is now, and publish it to AutoMove."""
         self._mission = mission
         file = self.config.state_file
         if file is not None:
-            try:
-                save_mission(file, mission)
-            except OSError as error:
-                self.log.error("mission not saved in %s: %s", file, error.strerror)
+            self._save_mission(file, now=True)
         goals = () if mission.result else mission.goals
         self.navigate_goal.publish(
             NavigateGoal(

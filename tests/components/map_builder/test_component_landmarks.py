@@ -20,7 +20,7 @@ from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from cairn.visual_map.landmark_store import open_landmarks
 from tests.components.map_builder.evidence import surveyed
-from tests.disk import room_for
+from tests.disk import fill, room_for, small_disk
 from tests.wording import assert_words
 
 
@@ -169,3 +169,63 @@ def test_evidence_is_saved_once_a_full_disk_has_room(
     with open_landmarks(map_file, read_only=True) as kept:
         counts = {one.object_id: one.evidence_count for one in kept.landmarks()}
     assert counts == {6: 0, 7: 1}
+
+
+def stored(path: Path) -> tuple[list[str], int]:
+    with open_landmarks(path, read_only=True) as store:
+        return [change[3] for change in store.history()], len(store.evidence_of(7))
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_full_disk_neither_fails_the_map_builder_nor_loses_a_change(
+    map_file: Path, tmp_path: Path, closed: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    with small_disk(tmp_path / "disk", 2 << 20) as disk:
+        copy = disk / "copy.map"
+        config = {"map_file": str(map_file), "working_copy": str(copy)}
+        first = ComponentHarness(MapBuilder, config, start_s=1000.0)
+        first.publish("object_evidence", frame(0, 0.9, 2.0))
+        first.run_for(1.5)
+        if closed:  # SQLite has removed its lock file, and finds no room for another one
+            first.request("deactivate")
+        ballast = fill(disk)
+
+        it = ComponentHarness(MapBuilder, config, start_s=1002.0)
+        assert len(it.take("visual_map")[-1].objects) == 2
+        for step in (3, 4):
+            it.publish("object_evidence", frame(step, 0.1, 3.5))
+        assert states(it)[7] == VisualObject.RELOCATING
+        it.run_for(5.0)
+        for step in range(8, 11):
+            it.publish("object_evidence", frame(step, 0.9, 3.5))
+        assert [change.version for change in it.take("visual_map_changes")] == [3, 4]
+        it.run_for(10.0)
+        assert it.ends == []
+        assert_words(caplog.text, "copy.map", "free some space", "changes", "evidence are lost")
+        assert stored(copy)[0] == ["IMPORTED"] * 2
+
+        ballast.unlink()
+        it.run_for(11.0)
+
+        kinds, pieces = stored(copy)
+        assert kinds[:4] == ["IMPORTED", "IMPORTED", "REMOVED", "REGISTERED"]
+        assert pieces == 6
+        assert it.runtime.status().reason == ""
+        it.request("deactivate")
+
+
+def test_working_copy_is_made_once_a_full_disk_has_room(map_file: Path, tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", 2 << 20) as disk:
+        ballast, copy = fill(disk), disk / "copy.map"
+        it = ComponentHarness(
+            MapBuilder, {"map_file": str(map_file), "working_copy": str(copy)}, start_s=1000.0
+        )
+        it.publish("object_evidence", frame(3, 0.1, 3.5))
+        assert states(it)[7] == VisualObject.RELOCATING
+        assert not copy.exists()
+
+        ballast.unlink()
+        it.run_for(11.0)
+
+        assert stored(copy) == (["IMPORTED", "IMPORTED", "REMOVED"], 1)
+        it.request("deactivate")

@@ -246,6 +246,7 @@ def test_locked_map_is_reported(map_file: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_full_disk_is_reported_with_the_file(map_file: Path) -> None:
     keeper = keep(map_file)
+    assert keeper._store is not None
     keeper._store._connection.execute("PRAGMA max_page_count = 1")
 
     for step in range(400):
@@ -308,3 +309,46 @@ def test_checksum_of_a_row_survives_the_file(values: list[Any]) -> None:
         stored, *row = connection.execute("SELECT * FROM t").fetchone()
 
     check_row(row, stored)
+
+
+def test_evidence_beyond_the_bound_of_memory_becomes_a_summary(
+    map_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.components.map_builder.landmark_map.MOST_UNSAVED_EVIDENCE", 10)
+    keeper = keep(map_file)
+    for step in range(25):
+        keeper.apply(step, [observation(0.9, step)])
+    assert "10 pieces of evidence are lost (15 older" in keeper.unsaved
+    keeper.save()
+
+    with open_landmarks(map_file, read_only=True) as store:
+        assert [one.stamp_ns for one in store.evidence_of(7)] == list(range(15, 25))
+        summary = store.evidence_summaries_of(7)
+        assert [(one.pieces, one.first_ns, one.last_ns) for one in summary] == [(15, 0, 14)]
+        assert {o.object_id: o.evidence_count for o in store.landmarks()}[7] == 25
+    keeper.close()
+
+
+def test_stored_evidence_is_bounded_and_summaries_count_the_rest(
+    map_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, most in (("MOST_COUNTED", 20), ("MOST_UNCOUNTED", 10), ("MOST_ROWS", 40)):
+        monkeypatch.setattr(f"cairn.visual_map.evidence_history.{name}", most)
+    keeper = keep(map_file)
+    applied = 0
+    for step in range(300):
+        pieces = [observation(0.9, step, object_id=one) for one in (6, 7)]
+        if step % 3 == 0:
+            pieces.append(observation(0.9, step))  # from the same pose: it does not count
+        keeper.apply(step, pieces)
+        keeper.save()
+        applied += len(pieces)
+    keeper.close()
+
+    with open_landmarks(map_file, read_only=True) as store:
+        rows = {one: store.evidence_of(one) for one in (6, 7)}
+        summaries = [one for of in (6, 7) for one in store.evidence_summaries_of(of)]
+    assert 40 <= sum(map(len, rows.values())) <= 48
+    assert sum(map(len, rows.values())) + sum(one.pieces for one in summaries) == applied
+    assert rows[7][-1].stamp_ns == 299
+    assert {(one.object_id, one.counted) for one in summaries} == {(6, True), (7, True), (7, False)}

@@ -106,3 +106,22 @@ def test_absences_are_part_of_the_history(tmp_path: Path) -> None:
     printed = why("7", "--map", path).output
 
     assert_words(printed, "not seen", "(2.00, 1.00)", "reliability 0.98 ->")
+
+
+def test_summary_of_old_evidence_is_a_step_of_the_chain(
+    moved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.visual_map.evidence_history.MOST_COUNTED", 3)
+    keeper = LandmarkKeeper(moved, None, 10**18, learn_unknown=True)
+    keeper.apply(1_000_000_020 * SECOND, [observation(0.9, 20, THERE)])
+    keeper.save()
+    keeper.close()
+
+    steps = why("7", "--map", moved).output.splitlines()[1:]
+
+    order = [
+        next(k for k, step in enumerate(steps) if all(word in step for word in words))
+        for words in (("IMPORTED",), ("older pieces", "disagrees"), ("reliability 0.9", "agrees"))
+    ]
+    assert order == sorted(order)
+    assert any("REMOVED" in step for step in steps)
