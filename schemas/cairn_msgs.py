@@ -197,7 +197,12 @@ class VisualMapChange:
 
 @message("cairn_msgs/msg/PortStatus")
 class PortStatus:
-    """The messages of one port of a component since it was configured."""
+    """The messages of one port of a component since it was configured.
+
+    `messages` were handled or published; `dropped` were lost on the way or in favor of newer ones;
+    `invalid` broke their definition or a limit; `refused` came to an exclusive port from a
+    publisher that is not entitled.
+    """
 
     IN: ClassVar[UInt8] = 0
     OUT: ClassVar[UInt8] = 1
@@ -208,6 +213,7 @@ class PortStatus:
     messages: UInt64 = 0
     dropped: UInt64 = 0
     invalid: UInt64 = 0
+    refused: UInt64 = 0
 
 
 @message("cairn_msgs/msg/ComponentStatus")

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
 
 
@@ -49,6 +50,11 @@ class Subscription(Protocol):
         """Number of messages that could not be decoded to a valid message."""
         ...
 
+    @property
+    def refused(self) -> int:
+        """Number of messages of publishers that are not entitled to an exclusive topic."""
+        ...
+
     def take(self) -> Any | None:
         """Remove and return the oldest pending message; None if there is none.
 
@@ -64,16 +70,27 @@ class Subscription(Protocol):
 class Node(Protocol):
     """One component on the bus; its name and ports are visible in the graph."""
 
-    def advertise(self, topic: str, message: type[Any], qos: Qos) -> Publisher:
-        """Return a publisher of class `message` on `topic` (a full name: `/robot/odom`)."""
+    def advertise(
+        self, topic: str, message: type[Any], qos: Qos, exclusive: Exclusive | None = None
+    ) -> Publisher:
+        """Return a publisher of class `message` on `topic` (a full name: `/robot/odom`).
+
+        With `exclusive` it proves to the topic's readers that this node is the entitled writer.
+        """
         ...
 
     def subscribe(
-        self, topic: str, message: type[Any], qos: Qos, wake: Callable[[], None]
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        wake: Callable[[], None],
+        exclusive: Exclusive | None = None,
     ) -> Subscription:
         """Return a subscription to messages of class `message` on `topic` (a full name).
 
-        `wake` is called, on any thread, once for each message that becomes pending.
+        `wake` is called, on any thread, once for each message that becomes pending. With
+        `exclusive`, only the messages of the entitled writer become pending.
         """
         ...
 
@@ -89,7 +106,8 @@ class Bus(Protocol):
         """Join the bus under a full name (`/robot/localizer`).
 
         `report` is called, on any thread, with an error message when another node uses a topic of
-        this node with another message type: the two cannot receive each other's messages.
+        this node with another message type (the two cannot receive each other's messages), and
+        when an exclusive subscription refuses messages.
         """
         ...
 

@@ -51,6 +51,7 @@ class GraphWatcher:
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         self._lock = threading.Lock()
         self._endpoints: dict[str, keys.EndpointEntity] = {}
+        self._by_gid: dict[bytes, keys.EndpointEntity] = {}
         self._callbacks: list[Callable[[keys.EndpointEntity], None]] = []
         self._subscriber: zenoh.Subscriber[Any] = session.liveliness().declare_subscriber(
             keys.tokens_pattern(domain), zenoh.handlers.RingChannel(_MAX_PENDING), history=True
@@ -73,6 +74,10 @@ class GraphWatcher:
 
         return stop
 
+    def endpoint(self, gid: bytes) -> keys.EndpointEntity | None:
+        """Return the endpoint that has this identity; None if the graph does not contain it."""
+        return self._by_gid.get(gid)
+
     def close(self) -> None:
         """Stop following the graph."""
         self._subscriber.undeclare()
@@ -92,11 +97,15 @@ class GraphWatcher:
                 with self._lock:
                     if sample.kind == zenoh.SampleKind.DELETE:
                         self._endpoints.pop(token, None)
+                        self._by_gid.pop(keys.gid(token), None)
                         continue
                     known = token in self._endpoints
                     self._endpoints[token] = entity
+                    self._by_gid[keys.gid(token)] = entity
                     if len(self._endpoints) > _MAX_ENDPOINTS:
-                        del self._endpoints[next(iter(self._endpoints))]
+                        oldest = next(iter(self._endpoints))
+                        del self._endpoints[oldest]
+                        self._by_gid.pop(keys.gid(oldest), None)
                     callbacks = [] if known else list(self._callbacks)
                 for on_endpoint in callbacks:
                     on_endpoint(entity)

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, cast
 
 import xxhash
 
+from cairn.bus.exclusive import PROOF_BYTES
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
 from cairn.errors import CairnError
@@ -23,6 +24,9 @@ DEFAULT_DEPTH = 42
 """The depth that rmw_zenoh leaves out of its tokens."""
 
 _ATTACHMENT = struct.Struct("<qqB16s")
+LONGEST_ATTACHMENT = _ATTACHMENT.size + 1 + PROOF_BYTES
+"""Length of an attachment with the proof of an exclusive topic's writer [bytes]."""
+
 _ROOT = "%"
 _NUMBER = re.compile("[0-9]{1,19}", re.ASCII)
 _QOS = re.compile(
@@ -43,27 +47,41 @@ class Attachment(NamedTuple):
     """What is sent with every message.
 
     `sequence` is its number, from 1 for each publisher; `sent_ns` when it was sent, in nanoseconds
-    since 1970-01-01 UTC; `gid` the 16-byte identity of the publisher.
+    since 1970-01-01 UTC; `gid` the 16-byte identity of the publisher. `proof` is that of an
+    exclusive topic's writer (`cairn.bus.exclusive`); rmw_zenoh reads what it knows and ignores the
+    bytes behind it.
     """
 
     sequence: int
     sent_ns: int
     gid: bytes
+    proof: bytes = b""
 
     def encode(self) -> bytes:
-        """Return the 33 bytes on the wire."""
+        """Return the bytes on the wire: 33, and the proof with its length if there is one."""
+        head = self.head()
+        return head + bytes([len(self.proof)]) + self.proof if self.proof else head
+
+    def head(self) -> bytes:
+        """Return the 33 bytes that every attachment has."""
         return _ATTACHMENT.pack(self.sequence, self.sent_ns, 16, self.gid)
 
     @classmethod
     def decode(cls, data: bytes) -> "Attachment":
-        """Return the attachment in 33 bytes; `WireFormatError` if they are not an attachment."""
-        if len(data) != _ATTACHMENT.size or data[16] != 16:
+        """Return an attachment from its bytes; `WireFormatError` if they are not an attachment."""
+        size = _ATTACHMENT.size
+        proof = data[size + 1 :]
+        if not (
+            len(data) in (size, LONGEST_ATTACHMENT)
+            and data[16] == 16
+            and data[size : size + 1] == bytes([len(proof)] if proof else [])
+        ):
             raise WireFormatError(
-                f"an attachment has {_ATTACHMENT.size} bytes, of which byte 16 is 16, not "
-                f"{len(data)} bytes {data[:40].hex()}"
+                f"an attachment has {size} bytes, of which byte 16 is 16, and "
+                f"{1 + PROOF_BYTES} more if it is signed, not {len(data)} bytes {data[:40].hex()}"
             )
-        sequence, sent_ns, _, gid = _ATTACHMENT.unpack(data)
-        return cls(sequence, sent_ns, gid)
+        sequence, sent_ns, _, gid = _ATTACHMENT.unpack_from(data)
+        return cls(sequence, sent_ns, gid, proof)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 from cairn.bus.bus import type_conflict
 from cairn.bus.drop_oldest_queue import DropOldestQueue
+from cairn.bus.exclusive import Exclusive, RefusalLog
 from cairn.bus.qos import Qos
 from cairn.schemas.message import type_name
 
@@ -40,17 +41,28 @@ class LockstepNode:
         self._bus = bus
         self._ends: list[LockstepPublisher | LockstepSubscription] = []
 
-    def advertise(self, topic: str, message: type[Any], qos: Qos) -> "LockstepPublisher":
+    def advertise(
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        exclusive: Exclusive | None = None,  # noqa: ARG002 - readers know the publisher's name
+    ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
         end = LockstepPublisher(self, self._bus.topic(topic), message, qos)
         self._ends.append(end)
         return end
 
     def subscribe(
-        self, topic: str, message: type[Any], qos: Qos, wake: Callable[[], None]
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        wake: Callable[[], None],
+        exclusive: Exclusive | None = None,
     ) -> "LockstepSubscription":
         """Return a subscription to class `message` on `topic`; latched messages pend at once."""
-        end = LockstepSubscription(self, self._bus.topic(topic), message, qos, wake)
+        end = LockstepSubscription(self, self._bus.topic(topic), message, qos, wake, exclusive)
         self._ends.append(end)
         return end
 
@@ -86,7 +98,7 @@ class LockstepPublisher:
         self.latched.append(message)
         for subscription in tuple(self._topic.subscriptions):
             if subscription.message is self.message:
-                subscription.put(message)
+                subscription.put(message, self.node.name)
 
     def close(self) -> None:
         """Stop publishing."""
@@ -104,6 +116,7 @@ class LockstepSubscription:
         message: type[Any],
         qos: Qos,
         wake: Callable[[], None],
+        exclusive: Exclusive | None,
     ) -> None:
         self.node = node
         self.message = message
@@ -112,22 +125,33 @@ class LockstepSubscription:
         self._topic = topic
         self._pending: DropOldestQueue[Any] = DropOldestQueue(qos.depth)
         self._wake = wake
+        self._refusals = RefusalLog(topic.name, exclusive, node.report) if exclusive else None
         topic.join(self, topic.subscriptions)
         if qos.latched:
             for publisher in topic.publishers:
                 if publisher.message is message:
                     for latched in tuple(publisher.latched)[-qos.depth :]:
-                        self.put(latched)
+                        self.put(latched, publisher.node.name)
 
-    def put(self, message: Any) -> None:
-        """Add a pending message, which may drop the oldest one, and wake the subscriber."""
-        if self._pending.put(message):
+    def put(self, message: Any, publisher: str) -> None:
+        """Add a pending message, which may drop the oldest one, and wake the subscriber.
+
+        A message of a node that is not entitled to an exclusive topic is refused.
+        """
+        if self._refusals is not None and publisher != self._refusals.writer:
+            self._refusals.refuse(publisher, "it is not the entitled writer")
+        elif self._pending.put(message):
             self._wake()
 
     @property
     def dropped(self) -> int:
         """Number of messages dropped in favor of newer ones."""
         return self._pending.dropped
+
+    @property
+    def refused(self) -> int:
+        """Number of messages of nodes that are not entitled to an exclusive topic."""
+        return self._refusals.refused if self._refusals is not None else 0
 
     def take(self) -> Any | None:
         """Remove and return the oldest pending message; None if there is none."""

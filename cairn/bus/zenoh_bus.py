@@ -23,10 +23,14 @@ from cairn.bus.bus import type_conflict
 from cairn.bus.codec import Codec
 from cairn.bus.discovery import DiscoveryBarrier
 from cairn.bus.drop_oldest_queue import DropOldestQueue, LossCounter
+from cairn.bus.exclusive import Exclusive, RefusalLog, Refused, Signer, Verifier
 from cairn.bus.graph import GraphWatcher
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
 from cairn.schemas.message import InvalidMessage, type_name
+
+_EXCLUSIVE_RING = 1024
+"""Samples that the ring of an exclusive port holds: so many forged ones displace no true one."""
 
 
 class ZenohBus:
@@ -83,17 +87,29 @@ class ZenohNode:
         self._report = report
         self._token = bus.session.liveliness().declare_token(keys.token_key(self._entity))
 
-    def advertise(self, topic: str, message: type[Any], qos: Qos) -> "ZenohPublisher":
-        """Return a publisher of class `message` on `topic`."""
-        publisher = ZenohPublisher(self, topic, message, qos)
+    @property
+    def report(self) -> Callable[[str], None]:
+        """Receives errors about conflicting types and refused messages."""
+        return self._report
+
+    def advertise(
+        self, topic: str, message: type[Any], qos: Qos, exclusive: Exclusive | None = None
+    ) -> "ZenohPublisher":
+        """Return a publisher of class `message` on `topic`, which signs if it is exclusive."""
+        publisher = ZenohPublisher(self, topic, message, qos, exclusive)
         self._ends.append(publisher)
         return publisher
 
     def subscribe(
-        self, topic: str, message: type[Any], qos: Qos, wake: Callable[[], None]
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        wake: Callable[[], None],
+        exclusive: Exclusive | None = None,
     ) -> "ZenohSubscription":
         """Return a subscription to class `message` on `topic`."""
-        subscription = ZenohSubscription(self, topic, message, qos, wake)
+        subscription = ZenohSubscription(self, topic, message, qos, wake, exclusive)
         self._ends.append(subscription)
         return subscription
 
@@ -154,7 +170,14 @@ class Announcement:
 class ZenohPublisher:
     """Publishes on one topic; only from its component's calls."""
 
-    def __init__(self, node: ZenohNode, topic: str, message: type[Any], qos: Qos) -> None:
+    def __init__(
+        self,
+        node: ZenohNode,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        exclusive: Exclusive | None,
+    ) -> None:
         self.published = 0
         self._sent = 0
         self._closed = False
@@ -162,6 +185,8 @@ class ZenohPublisher:
         self._latched = qos.latched
         self._announcement = node.announce("MP", topic, message, qos)
         self._gid = self._announcement.gid
+        entitled = exclusive is not None and exclusive.writer == node.name and exclusive.key
+        self._signer = Signer(exclusive, self._announcement.key) if entitled else None
         self._publisher = _declare_publisher(
             node.bus.session,
             self._announcement.key,
@@ -184,7 +209,11 @@ class ZenohPublisher:
             return
         self._sent += 1
         attachment = keys.Attachment(self._sent, time.time_ns(), self._gid)
-        self._publisher.put(self._codec.encode(message), attachment=attachment.encode())
+        payload = self._codec.encode(message)
+        if self._signer is not None:
+            proof = self._signer.proof(attachment.head(), payload)
+            attachment = attachment._replace(proof=proof)
+        self._publisher.put(payload, attachment=attachment.encode())
 
     def close(self) -> None:
         """Stop publishing."""
@@ -200,7 +229,8 @@ class ZenohSubscription:
 
     Zenoh's own thread only moves a sample into a ring, without Python, so that no subscriber,
     however slow, blocks the link. A thread per subscription takes samples from the ring and wakes
-    the component's loop.
+    the component's loop. It also verifies the samples of an exclusive topic: forged ones displace
+    none of those that are pending.
     """
 
     def __init__(
@@ -210,6 +240,7 @@ class ZenohSubscription:
         message: type[Any],
         qos: Qos,
         wake: Callable[[], None],
+        exclusive: Exclusive | None,
     ) -> None:
         self.received = 0
         self.invalid = 0
@@ -217,10 +248,17 @@ class ZenohSubscription:
         self._codec = node.bus.codec
         self._message = message
         self._wake = wake
-        self._pending: DropOldestQueue[zenoh.Sample] = DropOldestQueue(qos.depth)
+        self._pending: DropOldestQueue[zenoh.ZBytes | bytes] = DropOldestQueue(qos.depth)
         self._in_transit = LossCounter()
         self._announcement = node.announce("MS", topic, message, qos)
-        self._subscriber = _declare_subscriber(node.bus.session, self._announcement.key, qos)
+        self._gate = None
+        if exclusive is not None:
+            since_ns = 0 if qos.latched else time.monotonic_ns()
+            verifier = Verifier(exclusive, self._announcement.key, since_ns)
+            refusals = RefusalLog(topic, exclusive, node.report)
+            self._gate = _ExclusiveGate(verifier, refusals, node.bus.graph)
+        ring = qos.depth if exclusive is None else max(qos.depth, _EXCLUSIVE_RING)
+        self._subscriber = _declare_subscriber(node.bus.session, self._announcement.key, qos, ring)
         self._thread = threading.Thread(
             target=self._collect, args=(self._subscriber.handler,), name=topic, daemon=True
         )
@@ -234,16 +272,22 @@ class ZenohSubscription:
         """
         return self._in_transit.lost + self._pending.dropped
 
+    @property
+    def refused(self) -> int:
+        """Messages of publishers that are not entitled to an exclusive topic."""
+        return self._gate.refusals.refused if self._gate is not None else 0
+
     def take(self) -> Any | None:
         """Remove, decode and return the oldest pending message; None if there is none.
 
         Raises `InvalidMessage` if it is not valid: no handler receives such a message.
         """
-        sample = self._pending.take()
-        if sample is None:
+        payload = self._pending.take()
+        if payload is None:
             return None
         try:
-            message = self._codec.decode(self._message, sample.payload.to_bytes())
+            data = payload if isinstance(payload, bytes) else payload.to_bytes()
+            message = self._codec.decode(self._message, data)
         except InvalidMessage:
             self.invalid += 1
             raise
@@ -267,18 +311,59 @@ class ZenohSubscription:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
-            if self._pending.put(sample):
+            payload: zenoh.ZBytes | bytes | None = sample.payload
+            if self._gate is not None:
+                payload = self._gate.verified(sample)
+                if payload is None:
+                    continue
+            if self._pending.put(payload):
                 self._wake()
             # Last, because the wake-up may run the handler, which should not wait for this.
-            if sample.attachment is not None:
-                self._count(sample.attachment.to_bytes())
+            attachment = _attachment(sample)
+            if attachment is not None:  # otherwise a peer without rmw_zenoh's numbering
+                self._in_transit.received(attachment.gid, attachment.sequence)
 
-    def _count(self, data: bytes) -> None:
+
+class _ExclusiveGate:
+    """Lets the samples of an exclusive topic's writer pass; refuses and reports all others."""
+
+    def __init__(self, verifier: Verifier, refusals: RefusalLog, graph: GraphWatcher) -> None:
+        self.refusals = refusals
+        self._verifier = verifier
+        self._graph = graph
+
+    def verified(self, sample: zenoh.Sample) -> bytes | None:
+        """Return the payload of a sample from the entitled writer; None if it is refused."""
+        attachment = _attachment(sample)
         try:
-            attachment = keys.Attachment.decode(data)
-        except keys.WireFormatError:
-            return  # a peer without rmw_zenoh's numbering
-        self._in_transit.received(attachment.gid, attachment.sequence)
+            if attachment is None:
+                raise Refused("it is not signed")
+            self._verifier.check_order(attachment.proof)
+            payload = sample.payload.to_bytes()
+            self._verifier.verify(attachment.head(), attachment.proof, payload)
+        except Refused as error:
+            self.refusals.refuse(self._publisher(attachment), str(error))
+            return None
+        return payload
+
+    def _publisher(self, attachment: keys.Attachment | None) -> str:
+        endpoint = None if attachment is None else self._graph.endpoint(attachment.gid)
+        if endpoint is None:
+            return "a publisher that is not in the graph"
+        if endpoint.node.name == self.refusals.writer:
+            return f"a publisher that claims to be {endpoint.node.name}"
+        return endpoint.node.name
+
+
+def _attachment(sample: zenoh.Sample) -> keys.Attachment | None:
+    """Return a sample's attachment; None if it has none of rmw_zenoh's form."""
+    data = sample.attachment
+    if data is None or len(data) > keys.LONGEST_ATTACHMENT:
+        return None
+    try:
+        return keys.Attachment.decode(data.to_bytes())
+    except keys.WireFormatError:
+        return None
 
 
 def _declare_publisher(
@@ -309,17 +394,17 @@ def _declare_publisher(
     )
 
 
-def _declare_subscriber(session: zenoh.Session, key: str, qos: Qos) -> Any:
-    """Map a topic's QoS to a Zenoh subscriber with a ring of `depth` samples.
+def _declare_subscriber(session: zenoh.Session, key: str, qos: Qos, ring: int) -> Any:
+    """Map a topic's QoS to a Zenoh subscriber with a ring of that many samples.
 
     A latched topic's subscriber also receives the samples in its publishers' caches.
     """
-    ring: Any = zenoh.handlers.RingChannel(qos.depth)
+    channel: Any = zenoh.handlers.RingChannel(ring)
     if not qos.latched:
-        return session.declare_subscriber(key, ring)
+        return session.declare_subscriber(key, channel)
     return declare_advanced_subscriber(
         session,
         key,
-        ring,
+        channel,
         history=HistoryConfig(detect_late_publishers=True, max_samples=qos.depth),
     )

@@ -30,8 +30,8 @@ from cairn.schemas.std_msgs import Header
 
 _COLUMNS = {
     "robot": "robot", "tree": "component", "state": "state", "pid": "pid", "restarts": "restarts",
-    "received": "received", "dropped": "dropped", "memory_mib": "MiB", "cpu_s": "CPU s",
-    "note": "note",
+    "received": "received", "dropped": "dropped", "invalid": "invalid", "refused": "refused",
+    "memory_mib": "MiB", "cpu_s": "CPU s", "note": "note",
 }  # fmt: skip
 _MAX_ROWS = 1000
 _MAX_NAMES = 50  # publishers or subscribers of one topic
@@ -48,9 +48,11 @@ def ps(
     robot: RobotName = "",
     json: Json = False,
 ) -> None:
-    """List the components: state, process, messages received and dropped, memory.
+    """List the components: state, process, counts of messages, memory.
 
-    MiB is the memory that the process adds (PSS), shared by the components in it.
+    Dropped: lost on the way, or in favor of newer ones. Invalid: broke their definition or a limit.
+    Refused: came to an exclusive port from a publisher that is not entitled. MiB is the memory that
+    the process adds (PSS), shared by the components in it.
     """
     with connect_to(connect, domain, robot) as client:
         statuses = client.connection.read_statuses()
@@ -298,6 +300,7 @@ def _row(full: str, status: ComponentStatus, depth: int) -> dict[str, Any]:
         "received": sum(port.messages for port in inputs),
         "dropped": sum(port.dropped for port in inputs),
         "invalid": sum(port.invalid for port in inputs),
+        "refused": sum(port.refused for port in inputs),
         "reason": status.reason,
         "note": "; ".join(filter(None, (handler, status.reason))),
         **_load(status.pid),

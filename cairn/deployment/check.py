@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from cairn.deployment.bus_settings import BusSettings
+from cairn.deployment.exclusive_topics import ONE_WRITER, two_writers
 from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, find_plugin, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
@@ -184,7 +185,7 @@ class _PortUse:
 
 
 def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:
-    """Yield topics with two types, inputs without a publisher, and conflicts of the clock."""
+    """Yield conflicts of types and of writers, inputs without a publisher, clock conflicts."""
     robot = root.find("robot")
     own = f"/{robot.value if robot is not None else 'robot'}/"
     topics: defaultdict[str, list[_PortUse]] = defaultdict(list)
@@ -198,6 +199,7 @@ def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> 
     complete = all(component.ports is not None for component in components)
     for topic, uses in topics.items():
         yield from _type_conflicts(topic, uses)
+        yield from _exclusive_conflicts(topic, uses)
         if topic not in written:
             yield from _missing_publishers(topic, uses, written, complete)
     yield from _device_problems(root, components)
@@ -217,6 +219,14 @@ def _type_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
                 f"{verbs[first.port.direction]} {expected}",
                 "give one of them another topic",
             )
+
+
+def _exclusive_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
+    readers = [use for use in uses if use.port.exclusive]
+    writers = {use.component.name: use for use in uses if use.port.direction == "out"}
+    if readers and len(writers) > 1:
+        *_, last = writers.values()
+        yield last.problem(two_writers(topic, writers, readers[0].component.name), ONE_WRITER)
 
 
 def _missing_publishers(

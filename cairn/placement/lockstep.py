@@ -8,6 +8,7 @@ from functools import partial
 
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SECOND
+from cairn.deployment.exclusive_topics import exclusive_topics
 from cairn.deployment.model import ROOT, Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -41,6 +42,7 @@ class LockstepRun:
             simulated_time=deployment.clock == "simulated",
             seed=seed,
             lockstep=True,
+            exclusive_topics=exclusive_topics(deployment),
         )
         launch = LaunchRequest(name=ROOT, spec=deployment.root(), context=context)
         self._root = _LockstepHost(self, launch, self._note_exit)

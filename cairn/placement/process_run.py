@@ -11,6 +11,7 @@ from typing import Protocol
 
 from cairn.bus.bus import full_name
 from cairn.bus.endpoints import domain_socket, parse_endpoint
+from cairn.bus.exclusive import KEY_BYTES
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import NodeEntity
 from cairn.bus.session import (
@@ -24,6 +25,7 @@ from cairn.bus.session import (
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.access_control import access_control
 from cairn.deployment.bus_settings import TlsSettings
+from cairn.deployment.exclusive_topics import exclusive_topics
 from cairn.deployment.model import ROOT, Deployment
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
@@ -87,6 +89,7 @@ def run_processes(
     if bus_settings.connect:
         _check_robot_name_is_free(deployment)
     secret = secrets.token_hex(16)
+    topics = exclusive_topics(deployment)
     launch = LaunchRequest(
         name=ROOT,
         spec=deployment.root(),
@@ -102,7 +105,9 @@ def run_processes(
             max_message_size=bus_settings.max_message_size,
             log_folder=str(log_folder),
             session_secret=secret,
+            exclusive_topics=topics,
         ),
+        topic_keys={one.topic: secrets.token_hex(KEY_BYTES) for one in topics if one.writer},
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
     with _opened_bus(deployment, folder, secret) as bus:

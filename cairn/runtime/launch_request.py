@@ -1,9 +1,14 @@
 """What is needed to run one component: its part of the deployment, and which start this is."""
 
+from collections.abc import Iterator, Mapping
+
 from pydantic import BaseModel, ConfigDict, Field
 
+from cairn.bus.bus import full_name
 from cairn.bus.credentials import Credentials
+from cairn.bus.exclusive import Exclusive
 from cairn.bus.session import MAX_MESSAGE_SIZE, NO_CREDENTIALS
+from cairn.deployment.exclusive_topics import ExclusiveTopic
 from cairn.deployment.model import ChildSpec
 
 
@@ -24,6 +29,8 @@ class RunContext(BaseModel):
     max_message_size: int = MAX_MESSAGE_SIZE  # bytes
     log_folder: str = ""
     session_secret: str = Field("", repr=False)  # proves which sessions are of this run
+    exclusive_topics: tuple[ExclusiveTopic, ...] | None = None
+    """None for a component that runs without a deployment, in a test: it accepts every writer."""
 
 
 class LaunchRequest(BaseModel):
@@ -37,6 +44,11 @@ class LaunchRequest(BaseModel):
     incarnation: int = 1  # how many times it has been started, this start included
     previous_exit: str = ""  # the reason for which the incarnation before ended
     context: RunContext = RunContext()
+    topic_keys: Mapping[str, str] = Field({}, repr=False)
+    """Secrets [hexadecimal] of the exclusive topics that the component, or one below it, uses.
+
+    By the topic's full name. They must not appear in a log, on a command line or in an environment.
+    """
 
     @property
     def restarts(self) -> int:
@@ -47,3 +59,32 @@ class LaunchRequest(BaseModel):
     def placement(self) -> str:
         """Where the component runs, as its status reports it."""
         return "lockstep" if self.context.lockstep else self.spec.placement
+
+    def exclusive(self, topic: str) -> Exclusive | None:
+        """Return who may publish on an exclusive topic (full name); None if everyone may.
+
+        A topic that is not among the exclusive ones of the deployment has no entitled writer.
+        """
+        topics = self.context.exclusive_topics
+        if topics is None:
+            return None
+        found = next((one for one in topics if one.topic == topic), None)
+        if found is not None and found.external:
+            return None
+        writer = full_name(self.context.robot, found.writer) if found and found.writer else ""
+        return Exclusive(writer, bytes.fromhex(self.topic_keys.get(topic, "")))
+
+    def keys_for(self, name: str) -> dict[str, str]:
+        """Return those of the secrets that the child of that name, or one below it, needs."""
+        names = {name, *_names_below(self.spec.children[name])}
+        return {
+            one.topic: self.topic_keys[one.topic]
+            for one in self.context.exclusive_topics or ()
+            if one.topic in self.topic_keys and names & {one.writer, *one.readers}
+        }
+
+
+def _names_below(spec: ChildSpec) -> Iterator[str]:
+    for name, child in spec.children.items():
+        yield name
+        yield from _names_below(child)

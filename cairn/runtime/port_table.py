@@ -1,11 +1,13 @@
 """The ports of one running component: publishes, subscribes, delivers messages, counts them."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from cairn.bus.bus import Node, Publisher, Subscription, full_name
+from cairn.bus.exclusive import Exclusive
 from cairn.runtime.component import Component
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.loop import Scheduler
 from cairn.runtime.ports import (
     BoundIn,
@@ -19,8 +21,14 @@ from cairn.runtime.ports import (
 from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.message import InvalidMessage, fields_of, type_name
 
-Counts = tuple[int, int, int]
-"""Messages received, dropped and invalid."""
+
+class _Counts(NamedTuple):
+    """Numbers of messages of one input port."""
+
+    received: int = 0
+    dropped: int = 0
+    invalid: int = 0
+    refused: int = 0
 
 
 class PortOwner(Protocol):
@@ -47,10 +55,9 @@ class PortTable:
         owner: PortOwner,
         node: Node,
         scheduler: Scheduler,
-        robot: str,
-        topics: Mapping[str, str],
+        launch: LaunchRequest,
     ) -> None:
-        """Bind the ports; `topics` gives those that are not named after their port."""
+        """Bind the ports; `launch` gives their topics, and the writers of exclusive ones."""
         self._component = component
         handlers = handlers_of(type(component))
         self._timers = [
@@ -61,18 +68,28 @@ class PortTable:
         self._inputs: list[_Input] = []
         self._outputs: list[_Output] = []
         for spec in ports_of(type(component)).values():
-            topic = full_name(robot, topics.get(spec.name, spec.name))
+            name = launch.spec.topics.get(spec.name, spec.name)
+            topic = full_name(launch.context.robot, name)
+            exclusive = launch.exclusive(topic)
             if spec.direction == "in":
                 calls = [
                     (name, getattr(component, name))
                     for name, handler in handlers.items()
                     if isinstance(handler, PortHandler) and handler.port == spec.name
                 ]
-                port = _Input(spec, topic, owner, node, scheduler, calls)
+                if not spec.exclusive:
+                    exclusive = None
+                elif exclusive is None and launch.context.exclusive_topics is not None:
+                    owner.log.warning(
+                        "port %s: accepts every publisher on %s, although it is exclusive: the "
+                        "topic is listed under external_topics, and no component publishes it",
+                        spec.name, topic,
+                    )  # fmt: skip
+                port = _Input(spec, topic, owner, node, scheduler, calls, exclusive)
                 setattr(component, spec.name, port.bound)
                 self._inputs.append(port)
             else:
-                output = _Output(component.name, spec, topic, owner, node)
+                output = _Output(component.name, spec, topic, owner, node, exclusive)
                 setattr(component, spec.name, output.bound)
                 self._outputs.append(output)
 
@@ -130,22 +147,24 @@ class _Input:
         node: Node,
         scheduler: Scheduler,
         calls: list[tuple[str, Callable[..., None]]],
+        exclusive: Exclusive | None,
     ) -> None:
         self.bound: BoundIn[Any] = BoundIn(spec, topic)
         self._spec = spec
         self._topic = topic
         self._owner = owner
         self._node = node
+        self._exclusive = exclusive
         self._wake = partial(scheduler.deliver, self._on_wake_up)
         self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
         # The subscription to count, and the counts before it; one tuple, read by other threads.
-        self._counted: tuple[Subscription | None, Counts] = (None, (0, 0, 0))
+        self._counted: tuple[Subscription | None, _Counts] = (None, _Counts())
 
     def open(self) -> None:
         if self._subscription is None:
             self._subscription = self._node.subscribe(
-                self._topic, self._spec.message, self._spec.qos, self._wake
+                self._topic, self._spec.message, self._spec.qos, self._wake, self._exclusive
             )
             self._counted = (self._subscription, self._counted[1])
 
@@ -163,21 +182,27 @@ class _Input:
             self._counted = (None, self._counts())
 
     def status(self) -> PortStatus:
-        received, dropped, invalid = self._counts()
+        counts = self._counts()
         return PortStatus(
             port=self._spec.name,
             topic=self._topic,
             direction=PortStatus.IN,
-            messages=received,
-            dropped=dropped,
-            invalid=invalid,
+            messages=counts.received,
+            dropped=counts.dropped,
+            invalid=counts.invalid,
+            refused=counts.refused,
         )
 
-    def _counts(self) -> Counts:
-        now, (received, dropped, invalid) = self._counted
+    def _counts(self) -> _Counts:
+        now, before = self._counted
         if now is None:
-            return received, dropped, invalid
-        return received + now.received, dropped + now.dropped, invalid + now.invalid
+            return before
+        return _Counts(
+            before.received + now.received,
+            before.dropped + now.dropped,
+            before.invalid + now.invalid,
+            before.refused + now.refused,
+        )
 
     def _on_wake_up(self) -> None:
         self._deliver()
@@ -199,7 +224,7 @@ class _Input:
         return True
 
     def _log_invalid(self, error: InvalidMessage) -> None:
-        count = self._counts()[2]
+        count = self._counts().invalid
         if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ... do not flood the log
             self._owner.log.error(
                 "port %s: rejected invalid message on %s (%d so far): %s",
@@ -209,7 +234,13 @@ class _Input:
 
 class _Output:
     def __init__(
-        self, component: str, spec: PortSpec, topic: str, owner: PortOwner, node: Node
+        self,
+        component: str,
+        spec: PortSpec,
+        topic: str,
+        owner: PortOwner,
+        node: Node,
+        exclusive: Exclusive | None,
     ) -> None:
         self.bound: BoundOut[Any] = BoundOut(
             component, spec, topic, self._send, self._has_subscribers
@@ -218,12 +249,15 @@ class _Output:
         self._topic = topic
         self._owner = owner
         self._node = node
+        self._exclusive = exclusive
         self._publisher: Publisher | None = None
         self._counted: tuple[Publisher | None, int] = (None, 0)
 
     def open(self) -> None:
         if self._publisher is None:
-            self._publisher = self._node.advertise(self._topic, self.spec.message, self.spec.qos)
+            self._publisher = self._node.advertise(
+                self._topic, self.spec.message, self.spec.qos, self._exclusive
+            )
             self._counted = (self._publisher, self._counted[1])
 
     def close(self) -> None:
@@ -238,8 +272,6 @@ class _Output:
             topic=self._topic,
             direction=PortStatus.OUT,
             messages=self._sent(),
-            dropped=0,
-            invalid=0,
         )
 
     def _sent(self) -> int:

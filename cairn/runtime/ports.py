@@ -18,12 +18,17 @@ class In(Generic[T]):
     """An input port, declared in the body of a component: `odom: In[Odometry] = In(qos=SENSOR)`.
 
     A bare annotation `odom: In[Odometry]` means `In()`. With `optional=True` the component works
-    without a publisher, and the check of a deployment does not require one.
+    without a publisher, and the check of a deployment does not require one. With `exclusive=True`
+    the port accepts only the messages of the one component whose output has its topic in the
+    deployment; it refuses, counts and reports those of any other publisher.
     """
 
-    def __init__(self, qos: Qos = RELIABLE, *, optional: bool = False) -> None:
+    def __init__(
+        self, qos: Qos = RELIABLE, *, optional: bool = False, exclusive: bool = False
+    ) -> None:
         self.qos = qos
         self.optional = optional
+        self.exclusive = exclusive
 
     @property
     def topic(self) -> str:
@@ -71,7 +76,7 @@ class BoundIn(In[T]):
     """The input of one component instance."""
 
     def __init__(self, spec: "PortSpec", topic: str) -> None:
-        super().__init__(spec.qos, optional=spec.optional)
+        super().__init__(spec.qos, optional=spec.optional, exclusive=spec.exclusive)
         self._topic = topic
         self._latest: T | None = None
 
@@ -137,6 +142,7 @@ class PortSpec:
     message: type[Any]
     qos: Qos
     optional: bool = False
+    exclusive: bool = False
 
 
 def ports_of(cls: type) -> dict[str, PortSpec]:
@@ -257,7 +263,7 @@ def _port(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> PortS
     if declared is None:
         declared = kind()
     if isinstance(declared, In) and kind is In:
-        return PortSpec(name, "in", message, declared.qos, declared.optional)
+        return PortSpec(name, "in", message, declared.qos, declared.optional, declared.exclusive)
     if isinstance(declared, Out) and kind is Out:
         return PortSpec(name, "out", message, declared.qos)
     owner = next(base for base in cls.__mro__ if name in vars(base))

@@ -227,7 +227,7 @@ class Runtime:
         self.component = component(self)
         self.component.config = self.config
         robot, topics = self.launch.context.robot, self.launch.spec.topics
-        self._ports = PortTable(self.component, self, self.node, self._scheduler, robot, topics)
+        self._ports = PortTable(self.component, self, self.node, self._scheduler, self.launch)
         self._clock_input: ClockInput | None = None
         if simulated_clock is not None:
             topic = full_name(robot, topics.get(CLOCK_TOPIC, CLOCK_TOPIC))

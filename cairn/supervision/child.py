@@ -366,6 +366,7 @@ class Child:
             incarnation=self.incarnation,
             previous_exit=self.reason,
             context=self._parent.context,
+            topic_keys=self._parent.keys_for(self.name),
         )
 
     def _stop_step(self, handle: ChildHandle, verb: Verb, deadline: float) -> None:

@@ -15,6 +15,7 @@ import zenoh
 from cairn import Qos
 from cairn.bus.bus import Bus, Node
 from cairn.bus.endpoints import socket_path
+from cairn.bus.exclusive import Exclusive
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.bus.session import open_client, open_peer, open_router
@@ -95,9 +96,16 @@ def stop(process: "subprocess.Popen[str]") -> None:
 class Reader:
     """A subscription whose messages can be waited for."""
 
-    def __init__(self, node: Node, topic: str, message: type[Any], qos: Qos) -> None:
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        exclusive: Exclusive | None = None,
+    ) -> None:
         self._waiting = threading.Semaphore(0)
-        self.subscription = node.subscribe(topic, message, qos, self._waiting.release)
+        self.subscription = node.subscribe(topic, message, qos, self._waiting.release, exclusive)
 
     def next(self) -> Any:
         """Return the next message."""

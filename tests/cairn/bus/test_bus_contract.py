@@ -8,6 +8,7 @@ import pytest
 
 from cairn import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.bus.bus import Bus, type_conflict
+from cairn.bus.exclusive import Exclusive
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import LaserScan
@@ -204,6 +205,37 @@ def test_two_types_on_one_topic_are_reported_to_both_nodes(pair: Pair) -> None:
     )
     assert all(part in listener_problems[0] for part in (TOPIC, "/robot/talker", string, twist))
     assert subscription.take() is None
+
+
+@pytest.mark.parametrize("qos", [RELIABLE, LATCHED], ids=["volatile", "latched"])
+def test_exclusive_subscription_receives_only_from_the_entitled_writer(
+    pair: Pair, qos: Qos
+) -> None:
+    entitled = Exclusive("/robot/gate", bytes(range(32)))
+    gate = node(pair.writers, "/robot/gate").advertise(TOPIC, String, qos, entitled)
+    intruder = node(pair.writers, "/robot/intruder").advertise(TOPIC, String, qos)
+    intruder.publish(String(data="forged"))
+    gate.publish(String(data="first"))
+    problems: list[str] = []
+    reader = Reader(pair.readers.node("/robot/base", problems.append), TOPIC, String, qos, entitled)
+    other = Reader(node(pair.readers, "/robot/view"), TOPIC, String, qos.with_depth(100))
+    pair.wait_for_peers()
+    if qos.latched:
+        assert reader.next() == String(data="first")
+
+    for word in words(*range(9)):
+        intruder.publish(String(data="forged"))
+        gate.publish(word)
+        assert reader.next() == word
+
+    assert "/robot/intruder" in problems[0]
+    assert "/robot/gate" in problems[0]
+    assert TOPIC in problems[0]
+    refused = 10 if qos.latched else 9
+    assert eventually(lambda: reader.subscription.refused == refused)
+    assert len(problems) == 4, "the 1st, 2nd, 4th and 8th are reported"
+    assert reader.subscription.dropped == 0
+    assert [word.data for word in other.pending()].count("forged") == refused
 
 
 def test_closing_twice_is_harmless_and_ends_delivery(pair: Pair) -> None:

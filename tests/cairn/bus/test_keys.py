@@ -102,7 +102,26 @@ def test_attachment_equals_that_of_zenohs_own_serializer(
     assert Attachment.decode(attachment.encode()) == attachment
 
 
-@pytest.mark.parametrize("data", [b"", bytes(32), bytes(33), bytes(34), b"x" * 10_000])
+def test_proof_of_an_exclusive_writer_follows_what_rmw_zenoh_reads() -> None:
+    attachment = Attachment(7, 8, bytes(range(16)), bytes(range(24)))
+
+    data = attachment.encode()
+
+    # rmw_zenoh deserializes one value after the other and ignores what follows (also in C++).
+    head = (zenoh.ext.Int64(7), zenoh.ext.Int64(8), bytes(range(16)))
+    assert data.startswith(zenoh.ext.z_serialize(head).to_bytes())
+    whole = (*head, bytes(range(24)))
+    assert data == zenoh.ext.z_serialize(whole).to_bytes()
+    assert Attachment.decode(data) == attachment
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"", bytes(32), bytes(33), bytes(34), b"x" * 10_000,
+        bytes(16) + b"\x10" + bytes(17), bytes(16) + b"\x10" + bytes(16 + 25),
+    ],
+)  # fmt: skip
 def test_malformed_attachment_is_rejected(data: bytes) -> None:
     with pytest.raises(WireFormatError, match="33 bytes") as rejected:
         Attachment.decode(data)

@@ -185,6 +185,16 @@ CASES = {
             "or list it under external_topics; did you mean scan?",
         ),
     ),
+    "two writers of an exclusive topic": (
+        HEAD + PARTS + "  wheels: {plugin: 'acme_robot.parts:Wheels', topics: {command: odom}}\n"
+        "  other:\n    plugin: acme_base\n",
+        (
+            7,
+            "components.other.topics.odom",
+            "topic odom has several writers, base and other, but wheels reads it exclusively; "
+            "give all but one of them another topic",
+        ),
+    ),
     "name used twice": (
         HEAD + PARTS + "  boss:\n    plugin: acme_supervisor\n    children:\n"
         "      base: {plugin: acme_base}\n",

@@ -39,6 +39,12 @@ class Base(Component):
     odom: Out[Odometry]
 
 
+class Wheels(Component):
+    """Follows the odometry of one base."""
+
+    command: In[Odometry] = In(exclusive=True)
+
+
 class FilterConfig(Config):
     sigma: float = Field(0.1, gt=0, le=1, description="Noise of a beam [m].")
 

@@ -1,0 +1,79 @@
+"""Exclusive topics of a deployment: which component may publish on each, and which ones read it."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+
+from pydantic import BaseModel, ConfigDict
+
+from cairn.bus.bus import full_name
+from cairn.deployment.model import Deployment
+from cairn.deployment.plugins import PluginError, load_plugin
+from cairn.errors import CairnError
+from cairn.runtime.ports import PortSpec, ports_of
+
+
+class ExclusiveTopic(BaseModel):
+    """A topic that at least one input reads exclusively.
+
+    `topic` is its full name. `writer` names the entitled component, "" if no component of the
+    deployment publishes there. `external`: the topic has no writer in the deployment and is listed
+    under `external_topics`, so messages of every publisher are accepted.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    topic: str
+    writer: str
+    readers: tuple[str, ...]
+    external: bool = False
+
+
+def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
+    """Return the exclusive topics of a deployment that `cairn check` accepts, sorted by name.
+
+    Raises `CairnError` if an exclusive topic has two writers. A component whose plugin cannot be
+    loaded is left out, and so neither entitled nor able to read: its own start reports why.
+    """
+    writers: defaultdict[str, list[str]] = defaultdict(list)
+    readers: defaultdict[str, list[str]] = defaultdict(list)
+    for member in deployment.members():
+        for port in _ports(member.spec.plugin):
+            topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
+            if port.direction == "out":
+                writers[topic].append(member.name)
+            elif port.exclusive:
+                readers[topic].append(member.name)
+    external = {full_name(deployment.robot, topic) for topic in deployment.external_topics}
+    found = []
+    for topic in sorted(readers):
+        names = sorted(set(writers[topic]))
+        if len(names) > 1:
+            raise CairnError(f"{two_writers(topic, names, readers[topic][0])}; {ONE_WRITER}")
+        found.append(
+            ExclusiveTopic(
+                topic=topic,
+                writer=names[0] if names else "",
+                readers=tuple(readers[topic]),
+                external=not names and topic in external,
+            )
+        )
+    return tuple(found)
+
+
+ONE_WRITER = "give all but one of them another topic, or put a component between them and the topic"
+"""The remedy for two writers."""
+
+
+def two_writers(topic: str, writers: Iterable[str], reader: str) -> str:
+    """Return the description of the problem that an exclusive topic has several writers."""
+    return (
+        f"topic {topic} has several writers, {' and '.join(writers)}, but {reader} reads it "
+        "exclusively: it accepts the messages of one component"
+    )
+
+
+def _ports(plugin: str) -> list[PortSpec]:
+    try:
+        return list(ports_of(load_plugin(plugin)).values())
+    except PluginError:
+        return []
