@@ -185,8 +185,9 @@ class ZenohPublisher:
         self._latched = qos.latched
         self._announcement = node.announce("MP", topic, message, qos)
         self._gid = self._announcement.gid
-        entitled = exclusive is not None and exclusive.writer == node.name and exclusive.key
-        self._signer = Signer(exclusive, self._announcement.key) if entitled else None
+        self._signer: Signer | None = None
+        if exclusive is not None and exclusive.writer == node.name and exclusive.key:
+            self._signer = Signer(exclusive, self._announcement.key)
         self._publisher = _declare_publisher(
             node.bus.session,
             self._announcement.key,
@@ -311,11 +312,9 @@ class ZenohSubscription:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
-            payload: zenoh.ZBytes | bytes | None = sample.payload
-            if self._gate is not None:
-                payload = self._gate.verified(sample)
-                if payload is None:
-                    continue
+            payload = sample.payload if self._gate is None else self._gate.verified(sample)
+            if payload is None:
+                continue
             if self._pending.put(payload):
                 self._wake()
             # Last, because the wake-up may run the handler, which should not wait for this.

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn import LATCHED, RELIABLE
-from cairn.bus import exclusive
 from cairn.bus.codec import Codec
 from cairn.bus.exclusive import Exclusive, RefusalLog, Refused, Signer, Verifier
 from cairn.bus.keys import Attachment, message_key
@@ -112,7 +111,7 @@ def test_restarted_writer_continues_after_the_system_time_was_set_back(
 def test_writer_signs_in_order_within_one_tick_of_the_clock(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(exclusive.time, "monotonic_ns", lambda: 5)
+    monkeypatch.setattr(time, "monotonic_ns", lambda: 5)
     signer, reader = Signer(GATE, KEY), verifier()
 
     for _ in range(3):
