@@ -30,7 +30,7 @@ from cairn.schemas.std_msgs import Header
 
 _COLUMNS = {
     "robot": "robot", "tree": "component", "state": "state", "pid": "pid", "restarts": "restarts",
-    "received": "received", "dropped": "dropped", "invalid": "invalid", "refused": "refused",
+    "received": "recv", "dropped": "dropped", "invalid": "invalid", "refused": "refused",
     "memory_mib": "MiB", "cpu_s": "CPU s", "note": "note",
 }  # fmt: skip
 _MAX_ROWS = 1000

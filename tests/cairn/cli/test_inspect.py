@@ -34,7 +34,7 @@ def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
 
     assert (shown.code, shown.err) == (0, "")
     header, *rows = shown.out.splitlines()
-    columns = "component state pid restarts received dropped invalid refused MiB CPU s note"
+    columns = "component state pid restarts recv dropped invalid refused MiB CPU s note"
     assert " ".join(header.split()) == columns
     assert [row[:14].rstrip() for row in rows] == [
         "root",
