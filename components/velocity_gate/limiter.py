@@ -63,7 +63,7 @@ def ramp(state: AxisState, target: float, limits: RampLimits, seconds: float) ->
     """
     seconds = min(max(0.0, seconds), LONGEST_STEP_S)
     velocity, rate, jerk = state.velocity, state.rate, limits.jerk
-    if velocity * target < 0.0:
+    if velocity < 0.0 < target or target < 0.0 < velocity:
         target = 0.0
     # Mirror, so that the velocity has to increase: also if it would pass the target now.
     after_easing = velocity + rate * abs(rate) / (2.0 * jerk)

@@ -1,7 +1,7 @@
 """The limiter: speeds, accelerations and jerks are kept, and the robot always comes to rest."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cairn.components.velocity_gate.limiter import (
@@ -19,6 +19,7 @@ STEP_S = st.floats(0.0, 0.12)
 
 
 @given(st.lists(st.tuples(SPEED, STEP_S), min_size=1, max_size=60))
+@example([(-5e-324, 0.0625), (0.5, 0.0625)])  # whose product is zero
 def test_ramp_keeps_all_limits_whatever_is_commanded(steps: list[tuple[float, float]]) -> None:
     state = AxisState()
     for target, seconds in steps:
