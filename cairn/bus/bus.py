@@ -6,6 +6,9 @@ from typing import Any, Protocol
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
 
+MAX_MESSAGE_SIZE = 64 << 20
+"""Longest message [bytes] that a process accepts by default."""
+
 
 class Publisher(Protocol):
     """Publishes messages of one type on one topic."""

@@ -11,16 +11,13 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import zenoh
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cairn.bus.keys import control_key
 from cairn.errors import CairnError
-
-Role = Literal["view", "operate", "administer"]
-"""What a user on the network may do; each role includes those before it."""
 
 _VERB = re.compile(r"[a-z][a-z0-9_]{0,99}")
 

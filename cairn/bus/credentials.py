@@ -94,6 +94,8 @@ class Credentials(BaseModel):
         return settings
 
 
+NO_CREDENTIALS: Final = Credentials()
+
 TLS_BUFFERS: Final = {"so_sndbuf": _TLS_BUFFER, "so_rcvbuf": _TLS_BUFFER}
 
 

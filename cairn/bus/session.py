@@ -14,7 +14,9 @@ from typing import Any, Literal
 
 import zenoh
 
+from cairn.bus.bus import MAX_MESSAGE_SIZE
 from cairn.bus.credentials import (
+    NO_CREDENTIALS,
     TLS_BUFFERS,
     Credentials,
     check_pair,
@@ -53,11 +55,6 @@ LEASE_MS = 5000
 Longer than a busy machine pauses, because requests in progress and their replies are lost with the
 link.
 """
-
-MAX_MESSAGE_SIZE = 64 << 20
-"""Longest message [bytes] that a session accepts by default."""
-
-NO_CREDENTIALS = Credentials()
 
 _REFUSED = (
     "Does it accept your user name and password (CAIRN_USER, CAIRN_PASSWORD_FILE) or certificate "

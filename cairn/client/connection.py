@@ -17,10 +17,10 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from cairn.bus import control, keys
 from cairn.bus.codec import Codec
-from cairn.bus.credentials import Credentials
+from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.endpoints import endpoint_for, socket_path
 from cairn.bus.graph import read_graph
-from cairn.bus.session import NO_CREDENTIALS, is_connected, open_client, process_id
+from cairn.bus.session import is_connected, open_client, process_id
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name

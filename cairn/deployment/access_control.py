@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, get_args
 
 from cairn.bus import keys
 from cairn.bus.bus import full_name
-from cairn.bus.control import Role
+from cairn.bus.roles import Role
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.ports import ports_of

@@ -15,7 +15,7 @@ from pydantic import (
     model_validator,
 )
 
-from cairn.bus.control import Role
+from cairn.bus.bus import MAX_MESSAGE_SIZE
 from cairn.bus.credentials import (
     Credentials,
     check_authorities,
@@ -24,6 +24,7 @@ from cairn.bus.credentials import (
     read_password,
 )
 from cairn.bus.endpoints import is_encrypted, is_loopback, parse_endpoint, socket_path
+from cairn.bus.roles import Role
 from cairn.errors import CairnError
 from cairn.runtime_folder import check_private, group_id
 
@@ -148,7 +149,7 @@ class BusSettings(_Section):
         None, description="Certificates for encrypted endpoints of `listen` and `connect`."
     )
     max_message_size: int = Field(
-        64 << 20,
+        MAX_MESSAGE_SIZE,
         ge=64 << 10,
         le=1 << 30,
         description="Longest message [bytes]; every process discards longer ones unread.",

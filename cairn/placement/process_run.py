@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Protocol
 
 from cairn.bus.bus import full_name
+from cairn.bus.credentials import NO_CREDENTIALS
 from cairn.bus.endpoints import domain_socket, parse_endpoint
 from cairn.bus.exclusive import KEY_BYTES
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import NodeEntity
 from cairn.bus.session import (
-    NO_CREDENTIALS,
     Gateway,
     open_client,
     open_peer,

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, Protocol, get_type_hints
 
 import numpy as np
 
-from cairn.bus.control import Role
+from cairn.bus.roles import Role
 from cairn.clock import Clock
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config

@@ -4,10 +4,9 @@ from collections.abc import Iterator, Mapping
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cairn.bus.bus import full_name
-from cairn.bus.credentials import Credentials
+from cairn.bus.bus import MAX_MESSAGE_SIZE, full_name
+from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.exclusive import Exclusive
-from cairn.bus.session import MAX_MESSAGE_SIZE, NO_CREDENTIALS
 from cairn.deployment.exclusive_topics import ExclusiveTopic
 from cairn.deployment.model import ChildSpec
 

@@ -15,10 +15,11 @@ import zenoh
 from cairn import LATCHED, RELIABLE, CairnError
 from cairn.bus import control, keys
 from cairn.bus.codec import Codec, to_plain
-from cairn.bus.control import ControlError, ControlServer, Role
+from cairn.bus.control import ControlError, ControlServer
 from cairn.bus.credentials import Credentials
 from cairn.bus.discovery import QueryableWatcher
 from cairn.bus.endpoints import socket_path
+from cairn.bus.roles import Role
 from cairn.bus.session import Gateway, open_client, open_peer
 from cairn.bus.type_hash import type_hash
 from cairn.bus.zenoh_bus import ZenohBus
