@@ -346,10 +346,9 @@ class PeerLinks:
 
 
 class QueryableWatcher:
-    """Waits until a queryable exists at a key, or no longer exists; use it as a context manager."""
+    """Waits until a queryable exists at a key; use it as a context manager."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
-        self._given_up = False
         self._changed = threading.Event()
         self._querier = session.declare_querier(key)
         callback = zenoh.handlers.Callback(self._on_matching_event, indirect=False)
@@ -363,29 +362,14 @@ class QueryableWatcher:
         self._querier.undeclare()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until the queryable exists; return whether it does at the timeout or `give_up`."""
-        return self._wait_until(True, timeout_s)
-
-    def wait_gone(self, timeout_s: float) -> bool:
-        """Wait until the queryable is gone; return whether it is at the timeout or `give_up`.
-
-        The queryable of a process that has ended remains visible for a moment.
-        """
-        return self._wait_until(False, timeout_s)
-
-    def give_up(self) -> None:
-        """End the wait, because nothing more will change; from any thread."""
-        self._given_up = True
-        self._changed.set()
-
-    def _wait_until(self, present: bool, timeout_s: float) -> bool:
+        """Wait until the queryable exists; return whether it does at the timeout."""
         deadline = time.monotonic() + timeout_s
-        while self._is_present() is not present and not self._given_up:
+        while not self._is_present():
             # An event may report an outdated change, so only the current state counts.
             if not self._changed.wait(max(0.0, deadline - time.monotonic())):
                 break
             self._changed.clear()
-        return self._is_present() is present
+        return self._is_present()
 
     def _is_present(self) -> bool:
         # zenoh's stub says bool, but it is an object, which is always true

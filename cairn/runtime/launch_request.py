@@ -14,7 +14,7 @@ from cairn.deployment.model import ChildSpec
 class RunContext(BaseModel):
     """What all components of one run of a deployment share."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)  # secrets
 
     robot: str = "robot"
     domain: int = 0
@@ -35,7 +35,7 @@ class RunContext(BaseModel):
 class LaunchRequest(BaseModel):
     """One start of one component; sent as JSON to the process that runs it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)  # secrets
 
     name: str
     spec: ChildSpec

@@ -24,7 +24,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, cast
 
-from pydantic import Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from setproctitle import setproctitle
 
@@ -108,7 +108,8 @@ class Exited:
 
 
 REQUEST: TypeAdapter[Spawn | Signal] = TypeAdapter(
-    Annotated[Spawn | Signal, Field(discriminator="kind")]
+    Annotated[Spawn | Signal, Field(discriminator="kind")],
+    config=ConfigDict(hide_input_in_errors=True),  # an argument contains secrets; errors are logged
 )
 ANSWER: TypeAdapter[Answer | Exited] = TypeAdapter(
     Annotated[Answer | Exited, Field(discriminator="kind")]

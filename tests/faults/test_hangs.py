@@ -15,7 +15,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.std_msgs import Header
 from cairn.testing.launching import Launching
-from tests.commands import cairn
+from tests.commands import await_status, cairn
 from tests.faults.requests import set_fault
 from tests.patience import LIMIT_S
 
@@ -157,6 +157,31 @@ def test_forged_status_and_false_queryables_have_no_effect(launch: Launching) ->
     finally:
         bus.close()
     assert run.pid_of("talker") == talker
+
+
+def test_supervisor_whose_process_could_not_run_does_not_kill_its_children(
+    launch: Launching,
+) -> None:
+    run = launch(
+        """
+    components:
+      mobile:
+        plugin: supervisor
+        hang_timeout_s: 60
+        children:
+          listener: {plugin: test_listener, hang_timeout_s: 0.3}
+          base: {plugin: test_faulty, placement: in_process, hang_timeout_s: 2}
+    """
+    )
+    run.await_line("child active: mobile")
+    listener = run.pid_of("listener")
+
+    set_fault(run, "hold_gil_once")  # longer than the limits of both children
+
+    await_status("/robot/base", lambda row: row["handler"] != "tick", run.endpoint)
+    assert run.stop() == 0
+    assert not any("hung" in line for line in run.lines), run
+    assert f"process {listener} ended: shut down" in run.log_of("listener")
 
 
 def test_component_that_hangs_while_stopping_is_killed_in_time(

@@ -281,29 +281,3 @@ def test_watcher_returns_at_once_if_the_queryable_exists(network: Network) -> No
 
     with QueryableWatcher(asking, KEY) as watcher:
         assert watcher.wait(LIMIT_S)
-
-
-def test_watcher_distinguishes_a_queryable_from_its_predecessor(network: Network) -> None:
-    asking, former, latter = (network.bus().session for _ in range(3))
-    queryable = former.declare_queryable(KEY, lambda _: None)
-    with QueryableWatcher(asking, KEY) as watcher:
-        assert watcher.wait(LIMIT_S)
-        queryable.undeclare()
-        assert watcher.wait_gone(LIMIT_S)
-
-        starts = threading.Timer(0.2, lambda: latter.declare_queryable(KEY, lambda _: None))
-        starts.start()
-        try:
-            assert watcher.wait(LIMIT_S)
-        finally:
-            starts.join()
-
-
-def test_wait_for_a_queryable_can_be_given_up(network: Network) -> None:
-    with QueryableWatcher(network.bus().session, KEY) as watcher:
-        ends = threading.Timer(0.2, watcher.give_up)
-        ends.start()
-        try:
-            assert not watcher.wait(LIMIT_S)
-        finally:
-            ends.join()

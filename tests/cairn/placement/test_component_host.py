@@ -8,6 +8,7 @@ from typing import ClassVar
 import pytest
 
 from cairn import CairnError, Component, every
+from cairn.bus.control import ControlError, request
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ChildSpec
 from cairn.placement.component_host import ComponentHost
@@ -15,7 +16,7 @@ from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.supervision.child import ChildUnavailable
 from cairn.testing.launching import LIMIT_S, new_endpoint
 from tests.cairn.bus.network import router_at
-from tests.wording import assert_words
+from tests.wording import assert_words, words_in_order
 
 pytestmark = pytest.mark.processes
 
@@ -92,6 +93,22 @@ def test_requests_make_the_transitions_of_the_life_cycle(bus: ZenohBus, endpoint
     assert host.ended.wait(LIMIT_S)
     assert host.exit_report is not None
     assert (host.exit_report.normal, host.exit_report.reason) == (True, "shut down")
+    host.close()
+
+
+def test_transitions_of_the_life_cycle_are_rejected_from_the_bus(
+    bus: ZenohBus, endpoint: str
+) -> None:
+    host = hosted(bus, endpoint, Idle)
+    host.request("configure", LIMIT_S)
+
+    for verb in ("activate", "cleanup", "shutdown"):
+        with pytest.raises(ControlError, match=words_in_order("thing", verb, "hold", "root")):
+            request(bus.session, 0, "/robot/thing", verb, timeout_s=LIMIT_S)
+    assert request(bus.session, 0, "/robot/thing", "parameters", timeout_s=LIMIT_S) == []
+
+    assert host.heartbeat().state == "inactive"
+    host.request("shutdown", LIMIT_S)
     host.close()
 
 
