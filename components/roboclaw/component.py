@@ -55,7 +55,7 @@ class RoboclawBase(Component):
 
     config: RoboclawBaseConfig
 
-    cmd_vel: In[Twist] = In(qos=SENSOR)
+    cmd_vel: In[Twist] = In(qos=SENSOR, exclusive=True)
     odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
     tf: Out[TFMessage]
     battery_state: Out[BatteryState]

@@ -48,7 +48,7 @@ class Ros2Base(Component):
 
     config: Ros2BaseConfig
 
-    cmd_vel: In[Twist] = In(qos=SENSOR)
+    cmd_vel: In[Twist] = In(qos=SENSOR, exclusive=True)
     base_odom: In[Odometry] = In(qos=SENSOR.with_depth(50))
     base_cmd_vel: Out[Twist]
     base_cmd_vel_stamped: Out[TwistStamped]

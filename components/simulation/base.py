@@ -207,7 +207,7 @@ class SimulatedBase(Component):
 
     config: SimulatedBaseConfig
 
-    cmd_vel: In[Twist] = In(qos=SENSOR)
+    cmd_vel: In[Twist] = In(qos=SENSOR, exclusive=True)
     odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
     tf: Out[TFMessage]
     wheel_motion: Out[WheelMotion] = Out(qos=RELIABLE.with_depth(200))

@@ -83,7 +83,7 @@ class VelocityGate(Component):
     )
     operator_inputs = frozenset({"teleoperation", "emergency_stop"})
 
-    navigator_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True)
+    navigator_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True, exclusive=True)
     teleoperation: In[TeleoperationCommand] = In(qos=SENSOR, optional=True)
     external_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True)
     emergency_stop: In[Bool] = In(qos=LATCHED, optional=True)

@@ -3,6 +3,7 @@
 import os
 import signal
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,8 @@ import pytest
 import cairn.client
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import NavigationStatus, ReasonCode
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.testing.robot import RunningDeployment
 from tests.commands import cairn as run_cairn
 from tests.navigation.driving import STOPS_S, LockstepRobot
 from tests.navigation.processes import robot_in
@@ -79,3 +82,21 @@ def test_stop_command_works_while_the_supervisor_is_stopped(tmp_path: Path) -> N
         assert failed.code == 1
         assert "press the robot's own emergency stop" in failed.err
         assert run_cairn("stop", "--release", connect=endpoint).code == 0
+
+
+@pytest.mark.processes
+def test_forged_commands_do_not_move_the_robot_and_their_publisher_is_named(tmp_path: Path) -> None:
+    ahead = Twist(linear=Vector3(x=0.4))
+    with robot_in(tmp_path) as robot, closing(RunningDeployment(robot.run)) as intruder:
+        begin = robot.pose
+        with intruder.publishing("cmd_vel", ahead), intruder.publishing("navigator_cmd_vel", ahead):
+            for component in ("base", "velocity_gate"):  # 2 s of commands at 20 Hz
+                intruder.await_status(
+                    component,
+                    lambda status: any(port.refused >= 40 for port in status.ports),
+                    "refusing 40 commands",
+                )
+        assert distance(begin, robot.pose) < 0.001
+        for component in ("base", "velocity_gate"):
+            assert "refused message on" in robot.run.log_of(component)
+            assert "/conformance" in robot.run.log_of(component)
