@@ -19,7 +19,6 @@ Fault = Literal[
     "nap",
     "sleep",
     "hold_gil",
-    "hold_gil_once",
     "abort",
     "exit",
     "sys_exit",
@@ -47,7 +46,6 @@ class Faulty(Component):
     def __init__(self, context: ComponentContext) -> None:
         """Fail if the configuration says so."""
         super().__init__(context)
-        self._has_held = False
         assert isinstance(context.config, FaultyConfig)
         if context.config.where == "constructor":
             self._fail(context.config.fault)
@@ -90,10 +88,6 @@ class Faulty(Component):
                 time.sleep(1000)
             case "hold_gil":
                 ctypes.PyDLL(None).sleep(1000)  # one call into C that lets no other thread run
-            case "hold_gil_once":
-                if not self._has_held:
-                    self._has_held = True
-                    ctypes.PyDLL(None).sleep(5)
             case "abort":
                 os.abort()
             case "exit":
