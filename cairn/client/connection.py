@@ -122,7 +122,10 @@ class Connection:
         with ExitStack() as stack:
             for topic in topics:
                 key = keys.message_key(self.domain, topic, ComponentStatus)
-                stack.enter_context(self.listen(key, latched=True, samples=samples))
+                # Not an advanced subscriber: that delivers nothing until all caches have replied,
+                # and one process that is stopped does not.
+                stack.enter_context(self.listen(key, samples=samples))
+                self._ask_caches(key, samples)
             while missing:
                 try:
                     sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
@@ -179,6 +182,22 @@ class Connection:
             else:
                 samples.append(reply.ok)
         return samples, complete
+
+    def _ask_caches(self, key: str, samples: queue.Queue[Any]) -> None:
+        """Add the samples that the latched publishers of a key keep, each when it arrives."""
+
+        def add(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                samples.put(reply.ok)
+
+        self.session.get(
+            keys.cached_samples_key(key),
+            cast("Any", zenoh.handlers.Callback(add, indirect=False)),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            accept_replies=zenoh.ReplyKeyExpr.ANY,
+            timeout=_STATUS_LIMIT_S,
+        )
 
     def publisher(self, key: str, encoding: zenoh.Encoding) -> zenoh.Publisher:
         """Declare a publisher, and wait until it reaches a subscriber.

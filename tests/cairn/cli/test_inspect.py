@@ -1,7 +1,9 @@
 """Commands that inspect a running deployment: ps, graph, topic, logs."""
 
 import json
+import os
 import re
+import signal
 import subprocess
 import time
 from collections.abc import Callable
@@ -75,6 +77,19 @@ def test_ps_lists_what_does_not_answer_without_waiting_for_it(command: Command, 
     assert sum(row["state"] == "no answer" for row in rows.values()) == 100
     assert "200 more announced components do not answer" in answer.err
     assert took_s < 4.0  # 5 s and more, if it waited for each robot's
+
+
+def test_ps_shows_the_other_components_beside_a_stopped_one(command: Command, rover: Run) -> None:
+    talker = rover.pid_of("talker")
+    os.kill(talker, signal.SIGSTOP)
+    try:
+        rows = {row["component"]: row["state"] for row in command("ps", "--json").json}
+    finally:
+        os.kill(talker, signal.SIGCONT)
+
+    assert rows.pop("/rover/talker") == "no answer"
+    assert rows["/rover/listener"] == "active"
+    assert "no answer" not in rows.values()
 
 
 def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: Run) -> None:
