@@ -37,8 +37,7 @@ def ros2_node(
     environment: Mapping[str, str] | None = None,
 ) -> Iterator[Ros2]:
     """Run the client, which connects to a router at a TCP port and knows these message types."""
-    for message in messages:
-        _write_definition(definitions, message)
+    write_definitions(definitions, messages)
     program = [sys.executable, str(Path(__file__).with_name("ros2_client.py"))]
     with subprocess.Popen(
         [*program, str(port), str(definitions)],
@@ -53,15 +52,16 @@ def ros2_node(
             process.kill()
 
 
-def _write_definition(folder: Path, message: type[Any]) -> None:
-    """Write a .msg file for a message type and each that it contains, as in ROS 2."""
-    first, *others = definition(message).split("=" * 80 + "\n")
-    texts = {type_name(message): first}
-    for other in others:
-        title, _, text = other.partition("\n")
-        package, name = title.removeprefix("MSG: ").split("/")
-        texts[f"{package}/msg/{name}"] = text
-    for name, text in texts.items():
-        path = folder / f"{name}.msg"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
+def write_definitions(folder: Path, messages: Iterable[type[Any]]) -> None:
+    """Write a .msg file for each message type and those that it contains, as in ROS 2."""
+    for message in messages:
+        first, *others = definition(message).split("=" * 80 + "\n")
+        texts = {type_name(message): first}
+        for other in others:
+            title, _, text = other.partition("\n")
+            package, name = title.removeprefix("MSG: ").split("/")
+            texts[f"{package}/msg/{name}"] = text
+        for name, text in texts.items():
+            path = folder / f"{name}.msg"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)

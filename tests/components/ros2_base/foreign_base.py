@@ -10,11 +10,10 @@ from typing import Any
 
 import zenoh
 
-from cairn.bus.type_hash import definition
 from cairn.schemas.geometry_msgs import Twist, TwistStamped
-from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.launching import free_port
+from tests.cairn.bus.ros2 import write_definitions
 
 _PROGRAM = Path(__file__).with_name("base_node.py")
 
@@ -67,7 +66,7 @@ def foreign_base(folder: Path) -> Iterator[ForeignBase]:
     """Run a base that has joined for the time of the context."""
     port = free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
-    write_definitions(folder)
+    write_definitions(folder, (Odometry, Twist, TwistStamped))
     program = [sys.executable, str(_PROGRAM), str(port), str(folder)]
     pipe = subprocess.PIPE
     with subprocess.Popen(program, stdin=pipe, stdout=pipe, text=True) as process:
@@ -88,18 +87,3 @@ def router_config(endpoint: str) -> zenoh.Config:
     config.insert_json5("scouting/multicast/enabled", "false")
     config.insert_json5("adminspace/enabled", "true")
     return config
-
-
-def write_definitions(folder: Path) -> None:
-    """Write a .msg file for each message type used, as in a ROS 2 installation."""
-    for message in (Odometry, Twist, TwistStamped):
-        first, *others = definition(message).split("=" * 80 + "\n")
-        texts = {type_name(message): first}
-        for other in others:
-            title, _, text = other.partition("\n")
-            package, name = title.removeprefix("MSG: ").split("/")
-            texts[f"{package}/msg/{name}"] = text
-        for name, text in texts.items():
-            path = folder / f"{name}.msg"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text)
