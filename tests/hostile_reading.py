@@ -1,13 +1,19 @@
-"""Reads hostile files with the product's readers, in a process with little memory.
+"""Reads hostile files with the product's readers, each in a process with little memory.
 
 `python -m tests.hostile_reading KIND/NAME ...` prints a line of JSON for each: what the reader
-raised, the time that it took [s], and the highest memory use of the process so far [MB].
+raised, the time that it took [s], and the highest memory use of its process [MB]. A process is
+forked for each file, so that the readers are imported once, and no file adds to the memory of
+another one.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
 import resource
+import select
+import signal
 import subprocess
 import sys
 import tempfile
@@ -15,7 +21,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from cairn.errors import CairnError
 from tests.hostile_files import HOSTILE
@@ -26,6 +32,19 @@ MOST_MEMORY_MB: Final = 500
 MOST_SECONDS: Final = 5.0
 
 _ADDRESS_SPACE: Final = 4 << 30  # libraries and threads take 1.5 GB of it, a bomb the rest
+_KILLED_AFTER_S: Final = 3 * MOST_SECONDS
+_MODULES: Final = (
+    "components.replay.open_recording",
+    "components.simulation.textures",
+    "components.simulation.world_file",
+    "deployment.yaml_document",
+    "planar.map_file",
+    "vision.camera_file",
+    "vision.images",
+    "visual_map.landmark_store",
+    "visual_map.object_models",
+)
+"""Modules that are imported before the processes are forked: importing is not reading."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +58,13 @@ class Outcome:
 
 
 def read_all(cases: Iterable[str]) -> dict[str, Outcome]:
-    """Read files, named `kind/name`, in one process of bounded memory."""
+    """Read files, named `kind/name`, each in a process of bounded memory and time."""
     listed = list(cases)
     done = subprocess.run(
         [sys.executable, "-m", "tests.hostile_reading", *listed],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=30 + 2 * _KILLED_AFTER_S * len(listed),
         check=False,
     )
     outcomes = {
@@ -128,20 +147,52 @@ READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
 def _read(case: str) -> Outcome:
     kind, _, name = case.partition("/")
     with tempfile.TemporaryDirectory() as folder:
-        file = HOSTILE[kind][name].build(Path(folder))
-        begin = time.perf_counter()
-        error, text = "nothing", ""
-        try:
-            READERS[kind](file)
-        except Exception as raised:
-            error = "CairnError" if isinstance(raised, CairnError) else type(raised).__name__
-            text = str(raised)[:1000]
-        seconds = time.perf_counter() - begin
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Outcome(error, text, round(seconds, 3), round(peak, 1))
+        file, _ = _forked(lambda: str(HOSTILE[kind][name].build(Path(folder))))
+        found, peak_mb = _forked(lambda: _attempt(READERS[kind], Path(file)))
+    error, text, seconds = found if found else ("killed", "", _KILLED_AFTER_S)
+    return Outcome(error, text, seconds, peak_mb)
+
+
+def _attempt(reader: Callable[[Path], Any], file: Path) -> tuple[str, str, float]:
+    """Return what a reader raised, type and text, and the time that it took [s]."""
+    begin = time.perf_counter()
+    error, text = "nothing", ""
+    try:
+        reader(file)
+    except Exception as raised:
+        error = "CairnError" if isinstance(raised, CairnError) else type(raised).__name__
+        text = str(raised)[:1000]
+    return error, text, round(time.perf_counter() - begin, 3)
+
+
+def _forked(call: Callable[[], Any]) -> tuple[Any, float]:
+    """Return the result of a call in a process of its own, and its peak of memory [MB].
+
+    The result is None if the process died, or was killed as it did not end.
+    """
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        _answer(call, writing)
+    os.close(writing)
+    with open(reading, encoding="utf-8") as answer:
+        if not select.select([answer], [], [], _KILLED_AFTER_S)[0]:
+            os.kill(pid, signal.SIGKILL)
+        text = answer.read()
+    _, _, usage = os.wait4(pid, 0)
+    return (json.loads(text) if text else None), round(usage.ru_maxrss / 1024, 1)
+
+
+def _answer(call: Callable[[], Any], writing: int) -> NoReturn:
+    try:
+        os.write(writing, json.dumps(call()).encode())
+    finally:
+        os._exit(0)
 
 
 if __name__ == "__main__":
+    for module in _MODULES:
+        importlib.import_module(f"cairn.{module}")
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
     for argument in sys.argv[1:]:
         sys.stdout.write(json.dumps(vars(_read(argument))) + "\n")
