@@ -98,18 +98,28 @@ NO_REASON: Final = Reason(ReasonCode.NONE, "")
 ReasonNumber = Annotated[int, Scalar("uint8", at_most=int(max(ReasonCode)))]
 
 
+MAX_GOALS: Final = 1000
+"""A mission has at most so many goals."""
+
+
 @message("cairn_nav_msgs/msg/NavigateGoal")
 class NavigateGoal:
     """The mission that AutoMove carries out: drive to `goals` in frame map, from index `first` on.
 
     `mission_id` increases with each mission; 0 means that there was none. Without goals there is
-    nothing to do: the mission is finished, or was canceled.
+    nothing to do: the mission is finished, or was canceled. There are at most `MAX_GOALS` goals.
     """
 
     header: Header = Header()
     mission_id: UInt32 = 0
     first: UInt32 = 0
     goals: Packed[Pose] = Packed(Pose)
+
+    def __post_init__(self) -> None:
+        """Check the number of goals."""
+        if len(self.goals) > MAX_GOALS:
+            rule = f"poses are too many: at most {MAX_GOALS}, the further ones in another mission"
+            reject(self, "number of goals", len(self.goals), rule)
 
 
 @message("cairn_nav_msgs/msg/NavCommand")

@@ -16,6 +16,7 @@ from cairn.client.connection import STATUS_TOPIC, Connection, resolve
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import (
+    MAX_GOALS,
     NAVIGATION_END_STATES,
     NAVIGATION_STATES,
     NavigationStatus,
@@ -74,7 +75,15 @@ class Navigator:
         return navigator
 
     def goal(self, poses: Sequence[Sequence[float]]) -> NavigationGoal:
-        """Return a goal of poses [x, y, theta] in frame map, not sent yet."""
+        """Return a goal of poses [x, y, theta] in frame map, not sent yet.
+
+        Raises `CairnError` if there are too many poses for one mission.
+        """
+        if len(poses) > MAX_GOALS:
+            raise CairnError(
+                f"{len(poses):,} goals: a mission has at most {MAX_GOALS:,}; send the further ones "
+                "when it has ended"
+            )
         return NavigationGoal(self, [[float(value) for value in pose] for pose in poses])
 
     def cancel(self, **selection: Any) -> int:

@@ -333,7 +333,7 @@ class Robot:
         return self.go_through([(x, y, theta)])
 
     def go_through(self, poses: list[tuple[float, float, float]]) -> NavigationGoal:
-        """Send the robot to several poses in frame map, one after the other."""
+        """Send the robot to several poses in frame map, at most 1,000, one after the other."""
         goal = self.navigator().goal(poses)
         try:
             goal.send()

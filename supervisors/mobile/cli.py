@@ -22,9 +22,11 @@ from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES, NavigationStatus
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.message import type_name
 from cairn.schemas.std_msgs import Header
+from cairn.supervisors.mobile.mission_file import check_goal_count
 
 _REPEAT_S = 5.0  # AutoMove publishes twice a second; an unchanged status is printed this often
 _POSE_TOPIC = "initialpose"
+_MAX_SHOWN = 10  # goals of a mission
 
 
 def go(
@@ -112,8 +114,7 @@ def follow(navigator: Navigator, goals: Sequence[Sequence[float]], *, as_json: b
             with _errors_as_json(as_json=as_json):
                 mission = goal.send()
             if not as_json:
-                through = ", then ".join(map(_pose_text, goals))
-                line(f"mission {mission}: go to {through}; Ctrl-C cancels")
+                line(f"mission {mission}: go to {_poses_text(goals)}; Ctrl-C cancels")
             status = _print_progress(goal, as_json=as_json)
         except (KeyboardInterrupt, SystemExit, BrokenPipeError, OutputLost):
             _cancel(goal, as_json=as_json)
@@ -131,6 +132,7 @@ def parse_goals(words: list[str]) -> list[list[float]]:
     """Return the goals [x, y, heading] of the command line; `CairnError` if they are invalid."""
     if not words:
         raise CairnError("give a goal, such as `cairn go 7.5 5.0 90deg`, or --cancel")
+    check_goal_count(len(words))
     if any("," in word for word in words):
         return [_pose(word.split(","), "goal") for word in words]
     return [_pose(words, "goal")]
@@ -204,6 +206,12 @@ def _print_mission(mission: int, state: str, *, as_json: bool) -> None:
 
 def _pose_text(pose: Sequence[float]) -> str:
     return f"({pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg)"
+
+
+def _poses_text(poses: Sequence[Sequence[float]]) -> str:
+    text = ", then ".join(map(_pose_text, poses[:_MAX_SHOWN]))
+    more = len(poses) - _MAX_SHOWN
+    return f"{text} and {more} more" if more > 0 else text
 
 
 def _sentence(status: NavigationStatus) -> str:

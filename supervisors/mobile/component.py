@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -23,6 +23,7 @@ from cairn import (
 )
 from cairn.planar.messages import packed_poses, planar_pose
 from cairn.schemas.cairn_nav_msgs import (
+    MAX_GOALS,
     NAVIGATION_END_STATES,
     NAVIGATION_STATES,
     NavigateGoal,
@@ -31,27 +32,27 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.supervisors.mobile.mission_file import (
-    LARGEST_COORDINATE,
+    Coordinate,
     Goal,
     Mission,
-    load_mission,
+    MissionFile,
     parse_goals,
     parse_token,
-    save_mission,
 )
-
-Coordinate = Annotated[float, Field(ge=-LARGEST_COORDINATE, le=LARGEST_COORDINATE)]
 
 # A mission is continued at most so often: one that is under way whenever this component dies may be
 # the reason why it dies.
 _MOST_RESUMED = 3
+_LONGEST_RESULT = 1000  # characters
 
 
 class MobileSupervisorConfig(Config):
     """Parameters of the supervisor of a mobile robot."""
 
     mission: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = Field(
-        (), description="Goals to drive to from the start: x [m], y [m], heading [rad]."
+        (),
+        max_length=MAX_GOALS,
+        description="Goals to drive to from the start: x [m], y [m], heading [rad].",
     )
     automove: str = Field(
         "automove",
@@ -64,8 +65,8 @@ class MobileSupervisorConfig(Config):
     )
     state_file: Path | None = Field(
         None,
-        description="File of the mission, from which a supervisor that is restarted continues; "
-        "none: the mission is lost, and the robot stands.",
+        description="File of the mission's goals, beside which its progress is kept; a restarted "
+        "supervisor continues from them. None: the mission is lost, and the robot stands.",
     )
 
 
@@ -94,12 +95,13 @@ class MobileSupervisor(Supervisor):
         self._saved_mission = RetriedSave(self, "mission")
         self._retrying = False
         file = self.config.state_file
-        if file is None:
+        self._file = None if file is None else MissionFile(file)
+        if self._file is None or file is None:
             return
         if not file.parent.is_dir():
             raise CairnError(f"{file.parent}: no such folder to keep the mission in (state_file)")
         if self.restarts == 0:
-            file.unlink(missing_ok=True)
+            self._file.remove()
 
     def on_activate(self) -> None:
         """Start the children; start the configured mission, or continue the one before."""
@@ -144,9 +146,10 @@ class MobileSupervisor(Supervisor):
             return
         if status.state in NAVIGATION_END_STATES:
             success = status.state == NavigationStatus.SUCCEEDED
-            result = f"{NAVIGATION_STATES[status.state]}: {status.reason}"
+            reason = status.reason[:_LONGEST_RESULT]
+            result = f"{NAVIGATION_STATES[status.state]}: {reason}"
             self._close(mission, result, success=success)
-        elif status.goal > mission.first:
+        elif mission.first < status.goal <= len(mission.goals):
             self._update(mission.model_copy(update={"first": status.goal}))
 
     def _start(
@@ -200,9 +203,8 @@ class MobileSupervisor(Supervisor):
 
     def _resume(self) -> None:
         """Continue the mission of an earlier process of this supervisor."""
-        file = self.config.state_file
         try:
-            mission = load_mission(file) if file is not None else None
+            mission = self._file.load() if self._file is not None else None
             if mission is None or mission.result:
                 self._mission = mission
                 return
@@ -229,13 +231,13 @@ class MobileSupervisor(Supervisor):
             which = f"mission {mission.mission_id}"
             self.finish(f"the mission was preempted by {which}, which {result}", success=False)
 
-    def _save_mission(self, file: Path, *, now: bool = False) -> None:
+    def _save_mission(self, *, now: bool = False) -> None:
         """Save the mission as it is now; while that fails, again later."""
-        mission = self._mission
-        if mission is None:
+        mission, file = self._mission, self._file
+        if mission is None or file is None:
             return
         saved = self._saved_mission.attempt(
-            lambda: save_mission(file, mission),
+            lambda: file.save(mission),
             lambda: f"mission {mission.mission_id} does not continue where it is",
             now=now,
         )
@@ -245,15 +247,12 @@ class MobileSupervisor(Supervisor):
 
     def _retry_mission(self) -> None:
         self._retrying = False
-        if self.config.state_file is not None:
-            self._save_mission(self.config.state_file)
+        self._save_mission()
 
     def _update(self, mission: Mission) -> None:
         """Keep the mission as it is now, and publish it to AutoMove."""
         self._mission = mission
-        file = self.config.state_file
-        if file is not None:
-            self._save_mission(file, now=True)
+        self._save_mission(now=True)
         goals = () if mission.result else mission.goals
         self.navigate_goal.publish(
             NavigateGoal(

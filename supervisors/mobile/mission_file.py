@@ -3,42 +3,65 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cairn import CairnError
 from cairn.bounded_files import STATE_BYTES, read_bounded
-from cairn.files import replace_file
+from cairn.files import explain_os_error, replace_file
+from cairn.schemas.cairn_nav_msgs import MAX_GOALS
 
-Goal = tuple[float, float, float]
 LARGEST_COORDINATE = 1e5
 """Coordinates of goals are at most so large [m]."""
 _LONGEST_TOKEN = 64
 
+Goal = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-LARGEST_COORDINATE, le=LARGEST_COORDINATE)]
 
-class Mission(BaseModel):
-    """A mission: goals x, y [m], heading [rad] in frame map, from index `first` on.
 
-    `requested_ns` is the time of the request, by the supervisor's clock. `result` is empty while
-    the mission is under way. `configured`: it is the mission of the deployment;
-    `replaces_configured`: it, or one before it, preempted that mission. `resumed` counts how often
-    a restarted supervisor continued it. A client that chose a `token` can cancel the mission
-    without knowing its id.
-    """
-
+class _Stored(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+S = TypeVar("S", bound=_Stored)
+
+
+class MissionRequest(_Stored):
+    """What does not change during a mission: goals x, y [m], heading [rad] in frame map.
+
+    `requested_ns` is the time of the request, by the supervisor's clock. `configured`: it is the
+    mission of the deployment; `replaces_configured`: it, or one before it, preempted that mission.
+    A client that chose a `token` can cancel the mission without knowing its id.
+    """
 
     mission_id: int
     requested_ns: int
-    goals: tuple[Goal, ...]
-    first: int = 0
-    result: str = ""
+    goals: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = Field(
+        min_length=1, max_length=MAX_GOALS
+    )
     configured: bool = False
     replaces_configured: bool = False
-    resumed: int = 0
     token: str | None = None
+
+
+class MissionProgress(_Stored):
+    """How far a mission is: the index `first` of its current goal, and its result.
+
+    `result` is empty while the mission is under way. `resumed` counts how often a restarted
+    supervisor continued it.
+    """
+
+    mission_id: int
+    first: int = Field(0, ge=0, le=MAX_GOALS)
+    result: str = ""
+    resumed: int = Field(0, ge=0)
+
+
+class Mission(MissionProgress, MissionRequest):
+    """A mission with its progress."""
 
     @property
     def ends_configured(self) -> bool:
@@ -50,7 +73,17 @@ def parse_goals(value: Any) -> tuple[Goal, ...]:
     """Return the goals of a request; raises `CairnError` with the invalid one."""
     if not isinstance(value, list) or not value:
         raise CairnError("a mission has at least one goal [x, y, heading]")
+    check_goal_count(len(value))
     return tuple(_parse_goal(number, goal) for number, goal in enumerate(value, start=1))
+
+
+def check_goal_count(count: int) -> None:
+    """Raise `CairnError` if a mission may not have that many goals."""
+    if count > MAX_GOALS:
+        raise CairnError(
+            f"{count:,} goals: a mission has at most {MAX_GOALS:,}; send the further ones when it "
+            "has ended"
+        )
 
 
 def _parse_goal(number: int, goal: Any) -> Goal:
@@ -74,16 +107,73 @@ def parse_token(value: Any) -> str | None:
     return value
 
 
-def save_mission(file: Path, mission: Mission) -> None:
-    """Replace the file atomically; raises `OSError`."""
-    replace_file(file, mission.model_dump_json().encode())
+class MissionFile:
+    """A mission on disk: its goals, written once, and beside them its progress.
+
+    Both are replaced atomically, the goals first. So the progress of another mission, which a
+    process that was killed in between leaves behind, is of an earlier one, and does not count.
+    """
+
+    def __init__(self, file: Path) -> None:
+        """Keep the goals in `file`, the progress in `NAME.progress` beside it."""
+        self.file = file
+        self.progress_file = file.with_name(f"{file.name}.progress")
+        self._goals_of: int | None = None  # the mission whose goals are in the file
+
+    def remove(self) -> None:
+        """Remove the mission; raises `OSError`."""
+        self._goals_of = None
+        self.file.unlink(missing_ok=True)
+        self.progress_file.unlink(missing_ok=True)
+
+    def save(self, mission: Mission) -> None:
+        """Save the mission as it is now.
+
+        Raises `OSError` if that fails. Then a mission that was preempted or has ended is removed,
+        so that no restarted supervisor continues it.
+        """
+        try:
+            if self._goals_of != mission.mission_id:
+                replace_file(self.file, _json(mission, MissionRequest))
+                self._goals_of = mission.mission_id
+            replace_file(self.progress_file, _json(mission, MissionProgress))
+        except OSError:
+            if mission.result or self._goals_of != mission.mission_id:
+                with suppress(OSError):
+                    self.remove()
+            raise
+
+    def load(self) -> Mission | None:
+        """Return the mission, None if there is none; raises `CairnError` if a file is invalid."""
+        request = _read(self.file, MissionRequest)
+        if request is None:
+            return None
+        progress = _read(self.progress_file, MissionProgress)
+        if progress is None or progress.mission_id < request.mission_id:
+            progress = MissionProgress(mission_id=request.mission_id)
+        if progress.mission_id > request.mission_id or progress.first > len(request.goals):
+            raise CairnError(
+                f"{self.progress_file}: the progress (mission {progress.mission_id}, goal "
+                f"{progress.first}) does not belong to the {len(request.goals)} goals of mission "
+                f"{request.mission_id} in {self.file}; send the goals again"
+            )
+        self._goals_of = request.mission_id
+        return Mission.model_validate({**dict(request), **dict(progress)})
 
 
-def load_mission(file: Path) -> Mission | None:
-    """Return the mission in a file, None without a file; raises `CairnError` if it is invalid."""
+def _json(mission: Mission, part: type[_Stored]) -> bytes:
+    return mission.model_dump_json(include=set(part.model_fields)).encode()
+
+
+def _read(file: Path, model: type[S]) -> S | None:
+    """Return what is in a file, None without a file; raises `CairnError` if it is invalid."""
     try:
-        return Mission.model_validate_json(read_bounded(file, STATE_BYTES))
+        return model.model_validate_json(read_bounded(file, STATE_BYTES))
     except FileNotFoundError:
         return None
-    except (OSError, UnicodeDecodeError, ValidationError) as error:
-        raise CairnError(f"{file} does not hold a mission: {error}") from error
+    except OSError as error:
+        reason = explain_os_error(error)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}".removeprefix(": ")
+    raise CairnError(f"{file} is not part of a mission: {reason}; send the goals again")

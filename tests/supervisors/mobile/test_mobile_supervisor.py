@@ -1,18 +1,26 @@
 """The mobile supervisor: accepts missions and keeps them until they end, also across restarts."""
 
+import errno
 import math
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from cairn import LATCHED, CairnError
-from cairn.planar.messages import planar_poses, pose_message
-from cairn.schemas.cairn_nav_msgs import NavigateGoal, NavigationStatus
+from cairn.client.connection import Connection
+from cairn.client.navigation import Navigator
+from cairn.files import replace_file
+from cairn.planar.messages import packed_poses, planar_poses, pose_message
+from cairn.schemas.cairn_nav_msgs import MAX_GOALS, NavigateGoal, NavigationStatus
 from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
-from cairn.supervisors.mobile.mission_file import load_mission, parse_goals
+from cairn.supervisors.mobile import cli, mission_file
+from cairn.supervisors.mobile.mission_file import Mission, MissionFile, parse_goals
 from cairn.testing.lockstep import DeploymentHarness
 from tests.wording import assert_words, words_in_order
 
@@ -72,7 +80,7 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
     (again,) = missions.take()
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
-    saved = load_mission(tmp_path / "mission.json")
+    saved = MissionFile(tmp_path / "mission.json").load()
     assert saved is not None
     assert (saved.mission_id, saved.first, saved.result) == (number, 1, "")
 
@@ -190,20 +198,45 @@ def test_mission_is_given_up_after_several_restarts(make_harness: MakeHarness) -
     )
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"mission_id": 1, "goals": [[NaN, 0, 0]]}', "\x00"])
-def test_unreadable_mission_file_is_logged(
-    make_harness: MakeHarness, tmp_path: Path, text: str
+OF_AN_OLDER_VERSION = (
+    '{"mission_id":1,"requested_ns":1,"goals":[[1,2,0]],"first":0,"result":"","configured":false,'
+    '"replaces_configured":false,"resumed":0,"token":null}'
+)
+TOO_MANY = f'{{"mission_id":1,"requested_ns":1,"goals":{[[0, 0, 0]] * (MAX_GOALS + 1)}}}'
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("mission.json", ""),
+        ("mission.json", "{}"),
+        ("mission.json", '{"mission_id": 1, "goals": [[NaN, 0, 0]]}'),
+        ("mission.json", "\x00"),
+        ("mission.json", OF_AN_OLDER_VERSION),
+        ("mission.json", TOO_MANY),
+        ("mission.json.progress", ""),
+        ("mission.json.progress", '{"mission_id": 9999999999, "first": 0}'),
+        ("mission.json.progress", '{"mission_id": 1, "first": -1}'),
+    ],
+)
+def test_unreadable_mission_is_logged_and_not_continued(
+    make_harness: MakeHarness,
+    tmp_path: Path,
+    name: str,
+    text: str,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
     robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
     missions.take()
-    (tmp_path / "mission.json").write_text(text, encoding="utf-8")
+    (tmp_path / name).write_text(text, encoding="utf-8")
 
     robot.request("root", "restart", name="mobile_supervisor")
 
     assert missions.take() == []
     assert robot.request("mobile_supervisor", "mission") is None
+    assert_words(caplog.text, "not continued", name, "send the goals again")
 
 
 def test_mission_of_an_earlier_run_is_removed(make_harness: MakeHarness, tmp_path: Path) -> None:
@@ -216,7 +249,7 @@ def test_mission_of_an_earlier_run_is_removed(make_harness: MakeHarness, tmp_pat
     second.request("root", "restart", name="mobile_supervisor")
 
     assert missions.take() == []
-    assert not (tmp_path / "mission.json").exists()
+    assert not list(tmp_path.glob("mission.json*"))
 
 
 def test_configured_mission_starts_at_once_and_ends_the_deployment(
@@ -283,3 +316,102 @@ def test_missing_state_folder_is_reported_at_once(make_harness: MakeHarness) -> 
 def test_invalid_goal_is_rejected_with_its_number(goals: Any, error: str) -> None:
     with pytest.raises(CairnError, match=error):
         parse_goals(goals)
+
+
+GOALS = tuple((float(number), -0.5, 0.25) for number in range(MAX_GOALS))
+
+
+def test_longest_mission_is_canceled_promptly_and_a_longer_one_refused_at_once(
+    make_harness: MakeHarness, tmp_path: Path
+) -> None:
+    robot = make_harness()
+    missions = robot.read("navigate_goal", NavigateGoal)
+    robot.request("mobile_supervisor", "go", goals=[[0.0, 0.0, 0.0]])  # loads AutoMove
+    begin = time.perf_counter()
+    with pytest.raises(CairnError, match=words_in_order("5,000,000 goals", "at most 1,000")):
+        robot.request("mobile_supervisor", "go", goals=[[0.0, 0.0, 0.0]] * 5_000_000)
+    number = robot.request("mobile_supervisor", "go", goals=[list(goal) for goal in GOALS])
+    assert robot.request("mobile_supervisor", "cancel") == number
+    assert time.perf_counter() - begin < 1.0
+
+    assert [len(mission.goals) for mission in missions.take()] == [1, MAX_GOALS, 0]
+    assert (tmp_path / "mission.json.progress").stat().st_size < 200
+
+
+def test_more_goals_than_allowed_are_refused_wherever_they_are_given(
+    make_harness: MakeHarness,
+) -> None:
+    too_many = [*GOALS, (0.0, 0.0, 0.0)]
+    with pytest.raises(InvalidMessage, match=words_in_order("goals = 1001", "at most 1000")):
+        NavigateGoal(goals=packed_poses(np.array(too_many)))
+    with pytest.raises(CairnError, match=words_in_order("1,001 goals", "at most 1,000")):
+        cli.parse_goals(["0,0"] * len(too_many))
+    with pytest.raises(CairnError, match=words_in_order("1,001 goals", "at most 1,000")):
+        Navigator(Connection(cast("Any", None), 0), "/robot/x", print).goal(too_many)
+    listed = [list(goal) for goal in too_many]
+    with pytest.raises(CairnError, match=words_in_order("mission", "at most 1000")):
+        make_harness(f"components.mobile_supervisor.parameters.mission={listed}")
+
+
+def test_progress_beyond_the_goals_is_ignored(make_harness: MakeHarness) -> None:
+    robot = make_harness()
+    missions = robot.read("navigate_goal", NavigateGoal)
+    number = robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
+    missions.take()
+    publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=2, goals=1)
+    assert missions.take() == []
+
+
+def a_mission(number: int = 1, **changes: Any) -> Mission:
+    mission = Mission(mission_id=number, requested_ns=number, goals=GOALS)
+    return mission.model_copy(update=changes)
+
+
+def test_goals_are_written_once_and_progress_apart_from_them(tmp_path: Path) -> None:
+    file = MissionFile(tmp_path / "mission.json")
+    file.save(a_mission())
+    written = file.file.stat()
+    for first in (1, 2):
+        file.save(a_mission(first=first))
+    assert file.file.stat().st_ino == written.st_ino
+    assert MissionFile(file.file).load() == a_mission(first=2)
+
+
+def test_kill_between_goals_and_progress_leaves_the_new_mission_at_its_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = MissionFile(tmp_path / "mission.json")
+    file.save(a_mission(1, first=7))
+
+    def killed(path: Path, data: bytes) -> None:
+        if path == file.progress_file:
+            raise KeyboardInterrupt
+        replace_file(path, data)
+
+    monkeypatch.setattr(mission_file, "replace_file", killed)
+    with pytest.raises(KeyboardInterrupt):
+        file.save(a_mission(2))
+
+    assert MissionFile(file.file).load() == a_mission(2)
+
+
+@pytest.mark.parametrize(
+    "after", [a_mission(1, result="canceled: on request"), a_mission(2)], ids=["ended", "preempted"]
+)
+def test_mission_that_is_over_is_not_continued_if_the_disk_takes_no_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: Mission
+) -> None:
+    file = MissionFile(tmp_path / "mission.json")
+    file.save(a_mission(1, first=7))
+    with monkeypatch.context() as full_disk:
+        full_disk.setattr(mission_file, "replace_file", refuse)
+        with pytest.raises(OSError, match="No space"):
+            file.save(after)
+    assert MissionFile(file.file).load() is None
+
+    file.save(after)
+    assert MissionFile(file.file).load() == after
+
+
+def refuse(path: Path, data: bytes) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device", str(path))
