@@ -63,6 +63,9 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
         raise
 
 
+TAKES_NO_DATA: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
+"""Errors of a disk that takes no data now: full, over quota, at a size limit, read-only."""
+
 _FREE_SPACE: Final = "free some space on its disk"
 _PERMISSION: Final = "change its permissions, or give another path"
 _REMEDIES: Final = {

@@ -6,7 +6,6 @@ reads and writes landmarks, evidence and changes (`landmark_store.py`).
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import sqlite3
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cairn.errors import CairnError
-from cairn.files import explain_os_error, replacing
+from cairn.files import TAKES_NO_DATA, explain_os_error, replacing
 
 APPLICATION: Final = 0x4361_726E
 """SQLite's application id of a visual map, in the file's header: "Carn"."""
@@ -106,9 +105,6 @@ FORMATS: Final[tuple[tuple[str, ...], ...]] = (
 
 _FORMAT: Final = len(FORMATS)
 _LITTLE_SPACE: Final = 256 * 1024  # bytes: SQLite's lock file and log need as much
-_NOT_WRITABLE: Final = {
-    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS,
-}  # fmt: skip
 _DAMAGED: Final = "It is damaged or not a map: restore a copy of it, or import it again"
 
 
@@ -221,7 +217,7 @@ def explained_errors(path: Path) -> Iterator[None]:
     except ValueError as error:  # an invalid row, or bytes that are not text
         raise MapFileError(f"{path}: {error}. {_DAMAGED}.") from error
     except OSError as error:
-        kind = MapNotWritable if error.errno in _NOT_WRITABLE else MapFileError
+        kind = MapNotWritable if error.errno in TAKES_NO_DATA else MapFileError
         raise kind(f"{error.filename or path}: {explain_os_error(error)}.") from error
 
 
@@ -436,5 +432,5 @@ def _writing_error(folder: Path) -> OSError | None:
             while written < _LITTLE_SPACE:  # a write that does not fit at all fails
                 written += os.write(probe.fileno(), bytes(_LITTLE_SPACE - written))
     except OSError as error:
-        return error if error.errno in _NOT_WRITABLE else None
+        return error if error.errno in TAKES_NO_DATA else None
     return None

@@ -8,9 +8,22 @@ from pathlib import Path
 
 from pydantic import Field
 
-from cairn import LATCHED, RELIABLE, CairnError, Component, Config, In, every, on, to_ns
-from cairn.components.report.run_record import RunJournal, RunRecord, Value
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    CairnError,
+    Component,
+    Config,
+    In,
+    RetriedSave,
+    every,
+    on,
+    to_ns,
+)
+from cairn.components.report.run_journal import RunJournal, Value
+from cairn.components.report.run_record import RunRecord
 from cairn.components.report.table import render_table
+from cairn.files import TAKES_NO_DATA
 from cairn.planar.messages import planar_pose, planar_poses
 from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.cairn_nav_msgs import (
@@ -64,13 +77,10 @@ class Report(Component):
         self._moved: tuple[int, str, int] | None = None
         self._journal: RunJournal | None = None
         if self.config.directory:
-            folder = Path(self.config.directory)
-            with _disk_errors_explained(folder):
-                folder.mkdir(parents=True, exist_ok=True)
-                resume = self.restarts > 0
-                self._journal = RunJournal(
-                    self._record, folder / "record.jsonl", self.log, resume=resume
-                )
+            journal = Path(self.config.directory) / "record.jsonl"
+            _check_can_be_written(journal)
+            saved = RetriedSave(self, "report journal")
+            self._journal = RunJournal(self._record, journal, saved, resume=self.restarts > 0)
 
     @every(hz=10)
     def on_start(self) -> None:
@@ -203,6 +213,17 @@ class Report(Component):
     def _write(self, method: str, *values: Value) -> None:
         if self._journal is not None:
             self._journal.write(method, *values)
+
+
+def _check_can_be_written(file: Path) -> None:
+    """Raise `CairnError` unless a file can be written, now or when the disk takes data again."""
+    with _disk_errors_explained(file.parent):
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.open("ab").close()
+        except OSError as error:
+            if error.errno not in TAKES_NO_DATA:
+                raise
 
 
 @contextmanager

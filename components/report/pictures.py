@@ -36,7 +36,7 @@ def draw_map(
     if grids is not None:
         _draw_grids(axes, *grids)
     _draw_goals(axes, record)
-    true, estimate = record.true_track(), record.track()
+    true, estimate = record.truth.to_draw(), record.estimate.to_draw()
     axes.plot(true[:, 0], true[:, 1], color=_TRUE, linewidth=2.0, alpha=0.7)
     axes.plot(estimate[:, 0], estimate[:, 1], color=_ESTIMATE, linewidth=0.8)
     for landmark in record.objects.values():
@@ -46,7 +46,7 @@ def draw_map(
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.grid(alpha=0.25)
-    error = record.error().position_rmse
+    error = record.errors().position_rmse
     title = "The repaired map" if grids is not None else "The repaired visual map"
     axes.set_title(title + (f": position error {error:.3f} m rms" if error is not None else ""))
     figure.legend(
