@@ -158,7 +158,7 @@ def drive_for_days(record: RunRecord) -> None:
         record.record_estimate(stamp, second * 0.1, 0.5, 0.0)
         if second % 4 == 0:
             reliability = (second % 100) / 100
-            record.record_map(stamp, [[second % 2000, "x" * 9999, 1.0, 2.0, "live", reliability]])
+            record.record_map(stamp, [(second % 2000, "x" * 9999, 1.0, 2.0, "live", reliability)])
             record.record_registration(stamp, second % 3)
             record.record_mission(second, [(1.0, 2.0, 3.0)] * 20)
             record.record_progress(second, "succeeded", 20, "arrived", 3.0, 0)
