@@ -103,13 +103,18 @@ class Text:
         """Return how pydantic validates such a field."""
         if self.one_of:
             inner: CoreSchema = core_schema.literal_schema(list(self.one_of))
-            requirement = f"one of {', '.join(map(repr, self.one_of))}"
         else:
             inner = core_schema.str_schema(strict=True, pattern="^[^\x00]*$")
-            requirement = "a string without NUL that UTF-8 can encode"
         return core_schema.custom_error_schema(
-            inner, custom_error_type="text", custom_error_message=f"must be {requirement}"
+            inner, custom_error_type="text", custom_error_message=f"must be {self.requirement}"
         )
+
+    @property
+    def requirement(self) -> str:
+        """What a text must be, for errors."""
+        if self.one_of:
+            return f"one of {', '.join(map(repr, self.one_of))}"
+        return "a string without NUL that UTF-8 can encode"
 
 
 @dataclass(frozen=True)

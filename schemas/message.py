@@ -178,12 +178,19 @@ def decoding_constructor(message: type[T]) -> Callable[..., T]:
     conditions = [
         text for name in names if (text := _validity_condition(name, hints[name], namespace))
     ]
+    texts = {name: mark for name in names if (mark := _text_sequence(hints[name])) is not None}
     parts = [
         f"{name}=tuple({name})" if get_origin(hints[name]) is tuple else f"{name}={name}"
         for name in names
     ]
     arguments = ", ".join(names)
     lines = [f"def make({arguments}):"]
+    for name, mark in texts.items():
+        # Not by the constructor, which would make an error for each text.
+        namespace[f"_reject_{name}"] = _text_rejection(type_name(message), name, mark)
+        lines += [f"    for _text in {name}:"]
+        lines += [f"        if not ({_text_condition('_text', mark)}):"]
+        lines += [f"            _reject_{name}({name}, _text)"]
     if conditions:
         lines += [f"    if not ({' and '.join(conditions)}):"]
         lines += [f"        return _message({arguments})"]
@@ -396,11 +403,23 @@ def _validity_condition(name: str, hint: Any, namespace: dict[str, Any]) -> str:
             return _text_condition(name, mark)
         case Array() as mark:
             return _array_condition(name, mark, namespace)
-    if get_origin(hint) is tuple:
-        element = mark_of(get_args(hint)[0])
-        if isinstance(element, Text):
-            return f"all([{_text_condition('text', element)} for text in {name}])"
-    return ""  # a message, or several, which were validated when they were made
+    return ""  # a message, or several, which were validated when they were made; or texts
+
+
+def _text_sequence(hint: Any) -> Text | None:
+    """Return the mark of the texts if a field is a sequence of them."""
+    element = mark_of(get_args(hint)[0]) if get_origin(hint) is tuple else None
+    return element if isinstance(element, Text) else None
+
+
+def _text_rejection(type_name: str, field: str, mark: Text) -> Callable[[Any, str], NoReturn]:
+    """Return a function that raises `InvalidMessage` for one of the texts of a sequence."""
+
+    def rejected(texts: Any, text: str) -> NoReturn:
+        path = f"{field}[{list(texts).index(text)}]"
+        raise InvalidMessage(type_name, path, text, f"must be {mark.requirement}")
+
+    return rejected
 
 
 def _number_condition(name: str, mark: Scalar) -> str:

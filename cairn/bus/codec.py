@@ -2,8 +2,12 @@
 
 rosbags generates the code for CDR; here are what decodes into Cairn's message classes, and packed
 sequences, which are encoded and decoded in one piece.
+
+A decoded message takes memory in proportion to its bytes: counts are checked against the bytes that
+follow, and sequences of messages that are much larger in memory than on the wire have a budget.
 """
 
+import threading
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar, cast
@@ -36,6 +40,14 @@ M = TypeVar("M")
 
 _NUMBER = 8  # bytes, and alignment, of a float64
 
+_MEMORY_PER_BYTE = 32
+"""A message that needs more memory than this for each of its bytes is dense. Those of ROS 2 with
+many points, such as a path, need 23 (measured)."""
+
+_DENSE_MEMORY = 4 * 1024 * 1024
+"""The dense messages in the sequences of one message may take this memory [bytes]: a scan of 1081
+beams with several echoes takes 1.2 MB."""
+
 
 class Codec:
     """CDR as ROS 2 writes it, for every class decorated with `@message`; thread-safe.
@@ -49,6 +61,9 @@ class Codec:
         self._wire = Typestore()
         # Decodes into tuples without validation, to find out which field of a message is invalid.
         self._plain = Typestore()
+        self._budget = _Budget()
+        # The types that have dense messages in a sequence, at any depth.
+        self._budgeted: set[str] = set()
 
     def encode(self, message: Any) -> bytes:
         """Return a message as little-endian CDR with the 4-byte encapsulation header.
@@ -67,6 +82,8 @@ class Codec:
         """
         name = self.register(cls)
         view = memoryview(data if _is_plain(data) else bytes(data))
+        if name in self._budgeted:
+            self._budget.left = _DENSE_MEMORY
         try:
             return self._wire.deserialize_cdr(view, name)  # type: ignore[return-value]
         except (SerdeError, InvalidMessage) as error:
@@ -114,17 +131,34 @@ class Codec:
                 whole = f"Packed[{type_name(element)}]"
                 self._wire.cache[whole] = _packed_msgdef(whole, element)
                 wire[-1] = (field.name, (Nodetype.NAME, whole))
+            elif isinstance(element, type):
+                if field.count == 0 and _memory(element) > _MEMORY_PER_BYTE * _least_size(element):
+                    plain[-1] = wire[-1] = (field.name, self._dense_sequence(element))
+                    self._budgeted.add(name)
+                if type_name(element) in self._budgeted:
+                    self._budgeted.add(name)
         self._plain.fielddefs[name] = ([], plain)
         self._plain.types[name] = cast("type", _as_tuple)
         self._wire.fielddefs[name] = ([], wire)
         self._wire.types[name] = cast("type", decoding_constructor(cls))
         self._classes[name] = cls  # last, so that a thread that finds it there finds all
 
+    def _dense_sequence(self, element: type[Any]) -> FieldDesc:
+        """Return the description of a sequence whose elements are charged to the budget."""
+        name = type_name(element)
+        charged = f"Charged[{name}]"
+        for store in (self._wire, self._plain):
+            store.fielddefs[charged] = store.fielddefs[name]
+            make = self._budget.charging(_memory(element), cast("Any", store.types[name]))
+            store.types[charged] = cast("type", make)
+        return (Nodetype.SEQUENCE, ((Nodetype.NAME, charged), 0))
+
     def _explained(self, cls: type[Any], data: memoryview, failure: str) -> InvalidMessage:
         # Decode the message a second time, slowly, to name the field that is invalid.
         name = type_name(cls)
+        self._budget.left = _DENSE_MEMORY
         try:
-            _build(cls, self._plain.deserialize_cdr(data, name))
+            self._build(cls, self._plain.deserialize_cdr(data, name))
         except InvalidMessage as invalid:
             return invalid
         except SerdeError as error:
@@ -132,6 +166,82 @@ class Codec:
         return InvalidMessage(
             name, "", bytes(data[:16]), f"{len(data)} bytes are not CDR of this type: {failure}"
         )
+
+    def _build(self, cls: type[Any], values: Any) -> Any:
+        """Return a message of plain values, built from the inside out.
+
+        Errors name the whole path.
+        """
+        built: list[Any] = []
+        for field, value in zip(fields_of(cls), values, strict=True):
+            if not isinstance(field.element, type):
+                built.append(value)
+                continue
+            items = [value] if field.count is None else value
+            made: list[Any] = []
+            for index, item in enumerate(items):
+                try:
+                    made.append(self._build(field.element, item))
+                except InvalidMessage as error:
+                    path = field.name if field.count is None else f"{field.name}[{index}]"
+                    raise error.within(type_name(cls), path) from None
+            built.append(made[0] if field.count is None else made)
+        made_by = cast("Callable[..., Any]", self._wire.types[type_name(cls)])
+        return made_by(*built)
+
+
+class _Budget(threading.local):
+    """The memory that the dense messages of the message being decoded may still take [bytes]."""
+
+    left: int = 0
+
+    def charging(self, memory: int, make: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a constructor that charges `memory` [bytes] for each call of `make`."""
+
+        def charged(*values: Any) -> Any:
+            self.left -= memory
+            if self.left < 0:
+                raise SerdeError(
+                    f"more than {_DENSE_MEMORY // memory} small messages in its sequences"
+                )
+            return make(*values)
+
+        return charged
+
+
+def _memory(cls: type[Any]) -> int:
+    """Return the memory that the smallest decoded message of a class takes [bytes], rounded up.
+
+    The numbers are those of CPython 3.11 and numpy 2: an object with its dictionary, entries of
+    that, and arrays each with a view of the bytes.
+    """
+    memory = 200
+    for field in fields_of(cls):
+        memory += 24
+        if field.packed:
+            memory += 450
+        elif isinstance(field.element, type):
+            memory += 72 if field.count == 0 else (field.count or 1) * (8 + _memory(field.element))
+        elif field.count is not None:
+            memory += 72 if field.element == "string" else 320
+        elif field.element != "string":
+            memory += 32
+    return memory
+
+
+def _least_size(cls: type[Any]) -> int:
+    """Return the size of the smallest message of a class on the wire [bytes], without padding."""
+    size = 0
+    for field in fields_of(cls):
+        if field.count == 0:
+            size += 4
+            continue
+        if isinstance(field.element, type):
+            least = _least_size(field.element)
+        else:
+            least = 5 if field.element == "string" else np.dtype(field.element).itemsize
+        size += least * (field.count or 1)
+    return size
 
 
 def to_plain(message: Any, longest: int | None = None) -> Any:
@@ -164,25 +274,6 @@ def _is_plain(data: bytes | memoryview) -> bool:
 
 def _as_tuple(*values: Any) -> tuple[Any, ...]:
     return values
-
-
-def _build(cls: type[Any], values: Any) -> Any:
-    """Return a message of plain values, built from the inside out; errors name the whole path."""
-    built: list[Any] = []
-    for field, value in zip(fields_of(cls), values, strict=True):
-        if not isinstance(field.element, type):
-            built.append(value)
-            continue
-        items = [value] if field.count is None else value
-        made: list[Any] = []
-        for index, item in enumerate(items):
-            try:
-                made.append(_build(field.element, item))
-            except InvalidMessage as error:
-                path = field.name if field.count is None else f"{field.name}[{index}]"
-                raise error.within(type_name(cls), path) from None
-        built.append(made[0] if field.count is None else made)
-    return cls(*built)
 
 
 def _qualified_name(cls: type[Any]) -> str:

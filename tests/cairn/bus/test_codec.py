@@ -3,15 +3,21 @@
 import math
 import struct
 import sys
-from typing import ClassVar
+import tracemalloc
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from cairn import CairnError
 from cairn.bus.codec import Codec
 from cairn.bus.type_hash import definition, type_hash
 from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.cairn_nav_msgs import NavigateGoal
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.field_types import (
     Bool,
     BoolArray,
@@ -35,7 +41,7 @@ from cairn.schemas.message import InvalidMessage, message
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
 from cairn.schemas.packed import Packed
 from cairn.schemas.rosgraph_msgs import Clock
-from cairn.schemas.sensor_msgs import Image, LaserScan
+from cairn.schemas.sensor_msgs import Image, LaserEcho, LaserScan, MultiEchoLaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from tests.wording import assert_words, words_in_order
@@ -233,3 +239,103 @@ def test_decoding_does_not_copy_the_bytes(codec: Codec) -> None:
     assert sys.getrefcount(data) > references
     del received
     assert sys.getrefcount(data) == references
+
+
+@message("acme_msgs/msg/Bit")
+class Bit:
+    """The smallest message: one byte on the wire, 250 in memory."""
+
+    on: Bool = False
+
+
+@message("acme_msgs/msg/Bits")
+class Bits:
+    """A sequence of the smallest message."""
+
+    bits: tuple[Bit, ...] = ()
+
+
+@message("acme_msgs/msg/Nested")
+class Nested:
+    """Sequences in sequences, of elements that are small on the wire."""
+
+    rows: tuple[Bits, ...] = ()
+    times: tuple[Time, ...] = ()
+    names: tuple[String, ...] = ()
+
+
+LITTLE_ENDIAN = b"\0\1\0\0"
+COUNTS = st.one_of(st.integers(0, 70_000), st.integers(0, 2**32 - 1))
+REPEATED = st.one_of(  # bytes, and how often they follow each other
+    st.tuples(COUNTS.map(lambda count: struct.pack("<I", count)), st.just(1)),
+    st.tuples(st.binary(min_size=1, max_size=8), st.integers(1, 5000)),
+    st.tuples(st.binary(max_size=60), st.just(1)),
+)
+TARGETS = (
+    Nested, Arm, ComponentStatus, DiagnosticArray, Image, MultiEchoLaserScan, NavigateGoal,
+    OccupancyGrid, Path, PoseArray, TFMessage,
+)  # fmt: skip
+SHARED = Codec()
+
+
+def count_of(number: int) -> tuple[bytes, int]:
+    return struct.pack("<I", number), 1
+
+
+def before_last(cls: type[Any], size: int) -> tuple[bytes, int]:
+    """Return the bytes of an empty message without the last ones, which are its counts."""
+    return SHARED.encode(cls())[4:-size], 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from(TARGETS), st.lists(REPEATED, max_size=12))
+@example(Nested, [count_of(1), count_of(60_000), (b"\0", 60_000)])
+@example(Nested, [count_of(600), (count_of(96)[0] + bytes(96), 600)])
+@example(Nested, [count_of(15_000), (b"\0", 60_000)])
+@example(Nested, [count_of(0), count_of(7_500), (b"\1\2\3\4", 15_000)])
+@example(Nested, [(b"\0", 8), count_of(7_500), (count_of(3)[0] + b"\0a\0\0", 7_500)])
+@example(
+    MultiEchoLaserScan, [before_last(MultiEchoLaserScan, 8), count_of(15_000), (b"\0", 60_000)]
+)
+@example(PoseArray, [before_last(PoseArray, 4), count_of(2**32 - 1), (b"\0", 60_000)])
+@example(Image, [before_last(Image, 4), count_of(2**32 - 1), (b"\0", 60_000)])
+def test_arbitrary_bytes_take_memory_in_proportion_and_raise_only_invalid_message(
+    cls: type[Any], pieces: list[tuple[bytes, int]]
+) -> None:
+    data = b"".join(piece * times for piece, times in pieces)
+    decode(cls, b"")  # generates the code for the class
+    tracemalloc.start()
+    try:
+        decode(cls, LITTLE_ENDIAN + data)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak <= 32 * len(data) + 5_000_000
+
+
+def decode(cls: type[Any], data: bytes) -> Any:
+    try:
+        return SHARED.decode(cls, data)
+    except InvalidMessage as error:
+        return str(error)
+
+
+def test_scan_with_several_echoes_is_within_the_budget_for_small_messages(codec: Codec) -> None:
+    echoes = tuple(LaserEcho(echoes=np.ones(3, np.float32)) for _ in range(1081))
+    scan = MultiEchoLaserScan(range_max=10.0, ranges=echoes, intensities=echoes)
+    assert codec.decode(MultiEchoLaserScan, codec.encode(scan)) == scan
+
+
+def test_too_many_small_messages_are_refused_with_the_limit(codec: Codec) -> None:
+    data = LITTLE_ENDIAN + struct.pack("<II", 1, 60_000) + bytes(60_000)
+    with pytest.raises(
+        InvalidMessage, match=words_in_order("Nested", "more than", "small messages")
+    ):
+        codec.decode(Nested, data)
+
+
+def test_first_invalid_text_of_a_sequence_is_named(codec: Codec) -> None:
+    texts = struct.pack("<II4sI2s", 2, 2, b"a", 2, b"")
+    data = LITTLE_ENDIAN + bytes(8) + texts
+    with pytest.raises(InvalidMessage, match=r"Nested: names\[1\] = .*without NUL"):
+        codec.decode(Nested, data)
