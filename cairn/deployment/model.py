@@ -112,6 +112,11 @@ class ChildSpec(_Section):
         return self.stop_timeout_s + sum(child.stop_limit_s + _KILL_S for child in children)
 
     @property
+    def components(self) -> int:
+        """The number of components in this part of the tree, this one included."""
+        return 1 + sum(child.components for child in self.children.values())
+
+    @property
     def handler_limit_s(self) -> float:
         """The time [s] one handler may take before the component counts as hung.
 

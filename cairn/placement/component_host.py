@@ -54,6 +54,7 @@ class ComponentHost:
         self._children: tuple[ComponentHost, ...] = ()  # those in this process
         self._starting: ProcessHandle | None = None
         self._starts_canceled = False
+        self._start_canceled = False  # its own
         self._zygote: ZygoteClient | None = None
         context = launch.context
         self.runtime = Runtime(
@@ -109,7 +110,9 @@ class ComponentHost:
             host.start()
             return host
         if self._zygote is None:
-            self._zygote = ZygoteClient(Path(launch.context.zygote), self._log_lost_zygote)
+            self._zygote = ZygoteClient(
+                Path(launch.context.zygote), self._log_lost_zygote, lambda: self._starts_canceled
+            )
         self._starting = handle = ProcessHandle(launch)
         if self._starts_canceled:  # since the supervisor checked it; `handle` was not known yet
             raise CairnError("a stop was requested")
@@ -120,7 +123,7 @@ class ComponentHost:
         """Have nothing started any more below, and cut short the start in progress; any thread."""
         self._starts_canceled = True
         for child in self._children:
-            child.request_stop()
+            child.expect_stop()
         if self._starting is not None:
             self._starting.cancel_start()
 
@@ -162,6 +165,8 @@ class ComponentHost:
             done = wait_for((answer, self._loop_end), step_s, FIRST_COMPLETED).done
             if done or left_s <= 0:
                 break
+            if self._start_canceled and verb in ("configure", "activate"):
+                raise CairnError("a stop was requested")
         if answer in done:
             return answer.result()
         if self._loop_end in done:
@@ -170,16 +175,23 @@ class ComponentHost:
         doing = f"; it is in {status.handler}" if status.handler else ""
         raise ChildUnavailable(f"no answer within {timeout_s:.1f} s{doing}")
 
-    def request_stop(self) -> None:
-        """Have a supervisor start nothing any more; from any thread."""
+    def expect_stop(self, limit_s: float | None = None) -> None:
+        """Cut short starts in progress; see `ChildHandle` and `ChildGroup.request_stop`."""
+        self._start_canceled = True
         if isinstance(self.runtime.component, Supervisor):
-            self.runtime.component.children.request_stop()
+            self.runtime.component.children.request_stop(limit_s)
+
+    @property
+    def stop_overdue(self) -> bool:
+        """Whether a supervisor takes longer to stop its children than it may; from any thread."""
+        component = self.runtime.component
+        return isinstance(component, Supervisor) and component.children.stop_overdue
 
     def terminate(self) -> None:
         """Ask the component to shut down."""
         self.send_request("shutdown")
 
-    def kill(self) -> None:
+    def kill(self, log_limit_s: float) -> None:  # noqa: ARG002
         """Raise `CairnError`: a thread cannot be killed; its whole process has to end."""
         raise CairnError(
             f"{self._name}: it runs in its supervisor's process and cannot be killed; "

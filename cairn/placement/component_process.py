@@ -2,7 +2,6 @@
 
 import faulthandler
 import logging
-import math
 import os
 import queue
 import signal
@@ -25,7 +24,7 @@ from cairn.placement.component_host import ComponentHost
 from cairn.placement.launcher import TRACEBACK_SIGNAL
 from cairn.process_exit import ExitReport, end_process, log_reason
 from cairn.runtime.launch_request import LaunchRequest
-from cairn.supervision.child_channel import Answer, ChildChannel, Request, sendable
+from cairn.supervision.child_channel import Answer, ChildChannel, Request, StopAhead, sendable
 
 LOG_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 HEARTBEAT_S = 0.25
@@ -82,8 +81,11 @@ def _answering(host: ComponentHost, channel: ChildChannel) -> Iterator[None]:
         channel.send_answer(Answer(request.number, "" if error is None else sendable(str(error))))
 
     def serve() -> None:
-        while (request := channel.receive()) is not None:
-            host.send_request(request.verb).add_done_callback(partial(answer, request))
+        while (message := channel.receive()) is not None:
+            if isinstance(message, StopAhead):
+                host.expect_stop(message.limit_s)
+            else:
+                host.send_request(message.verb).add_done_callback(partial(answer, message))
 
     thread = threading.Thread(target=serve, name="cairn supervision", daemon=True)
     thread.start()
@@ -105,7 +107,7 @@ class MainLoop:
         # Signal numbers, or `_WAKE_UP`. Unlike an Event it may be used by a signal handler at any
         # moment.
         self._inbox: queue.SimpleQueue[int] = queue.SimpleQueue()
-        self._stopping_since = math.inf
+        self._stopping = False
         host.on_exit = self.wake_up
 
     def run(
@@ -113,21 +115,20 @@ class MainLoop:
         on_turn: Callable[[], None] = lambda: None,
         *,
         force: bool = False,
-        stop_limit_s: float = math.inf,
     ) -> bool:
         """Publish heartbeats until the component has ended, and call `on_turn` with each of them.
 
         `on_turn` is called a last time after the end. With `force`, a second stop signal ends the
-        loop before the component has ended, and so does `stop_limit_s` [s] after the first; then
-        the result is False.
+        loop before the component has ended, and so does a stop that takes longer than it may,
+        whatever has caused it; then the result is False.
         """
         due = time.monotonic()
         while not self._host.ended.is_set():
             if self._received_signal(due - time.monotonic()):
-                if self._stopping_since < math.inf and force:
+                if self._stopping and force:
                     return False
                 self.stop()
-            if time.monotonic() - self._stopping_since > stop_limit_s:
+            if force and self._host.stop_overdue:
                 return False
             if time.monotonic() >= due:
                 due = time.monotonic() + HEARTBEAT_S
@@ -142,8 +143,8 @@ class MainLoop:
 
     def stop(self) -> None:
         """Have the component shut down; starts in progress below it are cut short."""
-        self._stopping_since = min(self._stopping_since, time.monotonic())
-        self._host.request_stop()
+        self._stopping = True
+        self._host.expect_stop()
         self._host.terminate()
 
     @contextmanager

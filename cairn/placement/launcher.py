@@ -26,7 +26,6 @@ ENTRY = "cairn.placement.component_process:main"
 """What every component's process runs."""
 TRACEBACK_SIGNAL = signal.SIGUSR1
 """A component's process that receives it logs the stacks of all of its threads."""
-_TRACEBACK_LIMIT_S = 5.0  # only a process that cannot log at all needs so long
 _TRACEBACK_POLL_S = 0.01
 _TRACEBACK = b"(most recent call first)"
 _KILL_LIMIT_S = 5.0
@@ -115,6 +114,12 @@ class ProcessHandle:
             self._canceled = True
             self.terminate()
 
+    def expect_stop(self, limit_s: float) -> None:
+        """Announce a stop, and cut short a start in progress; see `ChildHandle`."""
+        if self._starting:
+            self._canceled = True
+        self._channel.announce_stop(limit_s)
+
     def heartbeat(self) -> Heartbeat | None:
         """Return the newest heartbeat since the last call; see `ChildHandle`."""
         self._receive(0.0)
@@ -132,12 +137,12 @@ class ProcessHandle:
         if self._process is not None:
             self._process.terminate()
 
-    def kill(self) -> None:
+    def kill(self, log_limit_s: float) -> None:
         """Kill its process group, after its process has logged the stacks of its threads."""
         if self._process is not None:
             before, size = _threads_of(self._process.pid), self._log.size()
             self._process.signal(TRACEBACK_SIGNAL)
-            deadline = time.monotonic() + _TRACEBACK_LIMIT_S
+            deadline = time.monotonic() + log_limit_s
             while self._process.wait(_TRACEBACK_POLL_S) is None and time.monotonic() < deadline:
                 now = _threads_of(self._process.pid)
                 if now.stopped:

@@ -41,6 +41,7 @@ class LockstepRun:
             robot=deployment.robot,
             simulated_time=deployment.clock == "simulated",
             seed=seed,
+            stop_limit_s=deployment.stop_limit_s,
             lockstep=True,
             exclusive_topics=exclusive_topics(deployment),
         )
@@ -305,12 +306,15 @@ class _LockstepHost:
         """Return False: it has no process of its own."""
         return False
 
+    def expect_stop(self, limit_s: float) -> None:
+        """Do nothing: a stop takes no virtual time."""
+
     def terminate(self) -> None:
         """Shut it down."""
         if self.end is None:
             self.runtime.request("shutdown", {})
 
-    def kill(self) -> None:
+    def kill(self, log_limit_s: float) -> None:  # noqa: ARG002 - it has no process
         """Raise `CairnError` unless it has ended."""
         if self.end is None:
             raise CairnError(f"{self.runtime.name}: a component cannot be killed in lockstep")

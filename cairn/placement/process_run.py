@@ -38,8 +38,7 @@ from cairn.runtime_folder import run_folder
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
-_FORCE_S = 1.0
-"""What has not stopped this time before the deployment's limit is killed."""
+_FORCE_S = 1.0  # for the zygote to end, with all processes
 
 
 class RunView(Protocol):
@@ -99,6 +98,7 @@ def run_processes(
             endpoints=endpoints(deployment),
             simulated_time=deployment.clock == "simulated",
             seed=seed,
+            stop_limit_s=deployment.stop_limit_s,
             zygote=str(zygote.socket_path),
             socket_folder=str(folder),
             credentials=bus_settings.credentials if bus_settings.connect else NO_CREDENTIALS,
@@ -129,12 +129,12 @@ def run_processes(
             with loop.stop_signals(signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
                 root.send_request("configure")
                 root.send_request("activate")
-                limit_s = deployment.stop_limit_s
-                if not loop.run(on_turn, force=True, stop_limit_s=limit_s - _FORCE_S):
-                    zygote.close()
+                if not loop.run(on_turn, force=True):
+                    zygote.close(_FORCE_S)
                     raise CairnError(
                         "stopped by force, on a second signal or because not everything had "
-                        f"stopped within {limit_s:g} s (stop_limit_s); nothing is left running"
+                        f"stopped within {deployment.stop_limit_s:g} s (stop_limit_s); nothing is "
+                        "left running"
                     )
             monitor.finish()
         finally:

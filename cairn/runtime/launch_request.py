@@ -21,6 +21,7 @@ class RunContext(BaseModel):
     endpoints: tuple[str, ...] = ()
     simulated_time: bool = False
     seed: int = 0
+    stop_limit_s: float = 10.0
     lockstep: bool = False
     zygote: str = ""  # path of its socket
     socket_folder: str = ""  # for the sockets of the run's processes

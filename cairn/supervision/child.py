@@ -5,8 +5,10 @@ arrived are read before it is judged. Time in which the supervisor could not run
 """
 
 import logging
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, Protocol
 
 from cairn.errors import CairnError
@@ -26,6 +28,10 @@ StartResult = Literal[
 
 _TERMINATE_LIMIT_S = 2.0  # from terminating a child that has not stopped in time to killing it
 _KILL_LIMIT_S = 5.0  # for the kernel to end a killed process and its group
+_LOG_LIMIT_S = 5.0  # for a process to log its stacks before; only one that cannot log needs it all
+_LEAST_KILL_LIMIT_S = 1.0  # it takes some milliseconds, on a busy computer more
+_MAX_RESERVE_S = 1.0
+_RESERVE = 1 / 6
 _SILENCE_S = 3.0
 """A process may be silent for so long beyond its limit for one handler: it may get no processor."""
 _UNKILLABLE = "does not end even when killed"
@@ -39,6 +45,24 @@ _STOPPING: tuple[tuple[LifecycleState, Verb], ...] = (
 )
 _STARTING_CALLS = ("on_configure", "on_activate")
 _STOPPING_CALLS = ("on_deactivate", "on_cleanup", "on_shutdown")
+
+
+def without_reserve(limit_s: float) -> float:
+    """Return the part [s] of a time limit for stopping something that it may use itself.
+
+    The rest is for ending it by force, and for the end of the process that stops it.
+    """
+    return limit_s - min(_MAX_RESERVE_S, limit_s * _RESERVE)
+
+
+def stop_share(left_s: float, components: int, remaining: int) -> float:
+    """Return the time [s] that a child may take to stop if all that remain have `left_s` [s].
+
+    It has `components` components, itself and those below it, of `remaining`. Half of the time is
+    divided equally among these; the child may use the other half as well. So a child that hangs
+    leaves at least half of the others' equal shares, and one that answers leaves almost everything.
+    """
+    return max(0.0, left_s) * (1.0 + components / max(1, remaining)) / 2.0
 
 
 class ZygoteLost(CairnError):  # noqa: N818 - an event as much as an error
@@ -71,12 +95,22 @@ class ChildHandle(Protocol):
         """Return whether a signal such as SIGSTOP has stopped its process."""
         ...
 
+    def expect_stop(self, limit_s: float) -> None:
+        """Have the child start nothing any more, and stop all below it within `limit_s` [s].
+
+        Cuts short a start in progress; it is not stopped yet. From any thread.
+        """
+        ...
+
     def terminate(self) -> None:
         """Ask the child to end, a process by SIGTERM; no effect if it has ended."""
         ...
 
-    def kill(self) -> None:
-        """End the child by force; no effect if it has ended."""
+    def kill(self, log_limit_s: float) -> None:
+        """End the child by force; no effect if it has ended.
+
+        A process has at most `log_limit_s` [s] before to log the stacks of its threads.
+        """
         ...
 
     def wait(self, timeout_s: float) -> ExitReport | None:
@@ -163,6 +197,11 @@ class Child:
         """Return the state of the child."""
         return ChildStatus(self.name, self.state, self.incarnation, self.reason)
 
+    @property
+    def components(self) -> int:
+        """How many components stop with it, itself included; 0 if it does not run."""
+        return 0 if self.handle is None else self.spec.components
+
     def start(self, canceled: Callable[[], bool]) -> StartResult:
         """Launch the child and bring it to its target; if that fails, `reason` has the cause.
 
@@ -194,7 +233,7 @@ class Child:
             self.reason = self._without_name(error)
             self._log_event(logging.ERROR, "start failed", self.reason)
             if self.handle is not None:
-                self._force_end(self.handle, self.handle.terminate, self.handle.kill)
+                self._force_end(self.handle, terminate=True)
             self.handle, self.state = None, "ended"
             return "unavailable" if isinstance(error, ChildUnavailable) else "refused"
         self._heartbeat, self._heartbeat_at, self._deviates = None, self._host.awake(), False
@@ -301,7 +340,7 @@ class Child:
     def _kill(self, event: str, reason: str) -> ExitReport:
         assert self.handle is not None
         self.reason = reason
-        self._force_end(self.handle, self.handle.kill)
+        self._force_end(self.handle)
         report = ExitReport(False, self.reason)
         self._note_exit(logging.ERROR, event, report)
         return report
@@ -334,15 +373,21 @@ class Child:
         self.state = "active" if self.target is LifecycleState.ACTIVE else "held"
         self._log_event(logging.INFO, self.target.value)
 
-    def stop(self) -> None:
-        """Deactivate and shut down the child; terminate and kill it if that fails."""
+    def stop(self, limit_s: float = math.inf) -> None:
+        """Deactivate and shut down the child and all below it; kill it if that fails.
+
+        All of this takes at most `limit_s` [s], even if the deployment allows the child more.
+        """
         self.stop_failure = ""
         handle = self.handle
         if handle is None:
             return
+        latest = self._host.awake() + limit_s
         report = handle.wait(0)
         if report is None:
-            deadline = self._host.awake() + self.spec.stop_limit_s
+            answer_limit_s = min(self.spec.stop_limit_s, without_reserve(limit_s))
+            deadline = self._host.awake() + answer_limit_s
+            handle.expect_stop(answer_limit_s)
             verbs: tuple[Verb, ...] = ("deactivate", "shutdown")
             for verb in verbs if self.state == "active" else verbs[1:]:
                 # Otherwise the step before has ended the child, or has used up the time.
@@ -351,7 +396,7 @@ class Child:
             report = handle.wait(max(0.0, deadline - self._host.awake()))
         if report is None:
             self.reason = self.stop_failure
-            report = self._force_end(handle, handle.terminate, handle.kill)
+            report = self._force_end(handle, latest - self._host.awake())
         if report.normal:
             self._note_exit(logging.INFO, "stopped", report)
         else:
@@ -381,20 +426,27 @@ class Child:
         except Exception as error:  # the other children must be stopped all the same
             self._note_stop_failure(self._without_name(error))
 
-    def _force_end(self, handle: ChildHandle, *steps: Callable[[], None]) -> ExitReport:
-        """Take steps of growing force, the last one killing, until the child has ended.
+    def _force_end(
+        self, handle: ChildHandle, limit_s: float = math.inf, *, terminate: bool = False
+    ) -> ExitReport:
+        """Kill the child within `limit_s` [s]; before, with `terminate`, ask it to end.
 
         If it does not end, that is added to `reason`, the cause.
         """
-        for step in steps:
-            limit_s = _KILL_LIMIT_S if step is steps[-1] else _TERMINATE_LIMIT_S
+        log_limit_s = max(0.0, min(_LOG_LIMIT_S, limit_s / 2))
+        kill = partial(handle.kill, log_limit_s)
+        kill_limit_s = min(_KILL_LIMIT_S, max(_LEAST_KILL_LIMIT_S, limit_s - log_limit_s))
+        steps = [(kill, kill_limit_s)]
+        if terminate:
+            steps.insert(0, (handle.terminate, _TERMINATE_LIMIT_S))
+        for step, step_limit_s in steps:
             self._host.report_progress(f"ending {self.name} by force")
             try:
                 step()
             except Exception as error:  # the next step must be taken all the same
                 self._note_stop_failure(self._without_name(error))
-                limit_s = 0.0
-            report = handle.wait(limit_s)
+                step_limit_s = 0.0
+            report = handle.wait(step_limit_s)
             if report is not None:
                 return report
         self._unkillable = handle

@@ -3,13 +3,14 @@
 A pair of connected sockets: the supervisor keeps one end, and the child's process gets the other
 one when it is spawned (`zygote_client.py`). No other process can write to it, so supervision
 believes what it reads here, and nothing that is published on the bus. The supervisor sends requests
-for transitions of the life cycle; the child answers them, and sends heartbeats. Each message is one
-JSON object in one packet.
+for transitions of the life cycle, and announces a stop; the child answers requests, and sends
+heartbeats. Each message is one JSON object in one packet.
 """
 
 import json
 import select
 import socket
+import threading
 from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated, Literal, TypeVar
@@ -38,6 +39,14 @@ class Request:
 
 
 @dataclass(frozen=True, config=_STRICT)
+class StopAhead:
+    """Supervisor: start nothing any more; all below you must stop within `limit_s` [s]."""
+
+    limit_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    kind: Literal["stop_ahead"] = "stop_ahead"
+
+
+@dataclass(frozen=True, config=_STRICT)
 class Answer:
     """Child: the requested transition was made, or with `error` the component's own reason why not.
 
@@ -59,7 +68,9 @@ class Heartbeat:
     kind: Literal["heartbeat"] = "heartbeat"
 
 
-_REQUEST = TypeAdapter(Request)
+_TO_CHILD: TypeAdapter[Request | StopAhead] = TypeAdapter(
+    Annotated[Request | StopAhead, Field(discriminator="kind")]
+)
 _FROM_CHILD: TypeAdapter[Answer | Heartbeat] = TypeAdapter(
     Annotated[Answer | Heartbeat, Field(discriminator="kind")]
 )
@@ -76,7 +87,9 @@ def channel_pair() -> tuple[socket.socket, socket.socket]:
 
 
 class SupervisorChannel:
-    """The supervisor's end; all methods are for one thread. It never waits for the child to read.
+    """The supervisor's end; it never waits for the child to read.
+
+    All methods are for one thread, except `announce_stop`.
 
     `heartbeat` is the newest that was received, None before the first; `heartbeats` counts them.
     """
@@ -87,8 +100,15 @@ class SupervisorChannel:
         self.closed = False
         """Whether the child's end is closed: its process has ended, or is about to."""
         self._end = end
+        self._lock = threading.Lock()  # while another thread sends, this end stays open
         self._number = 0
         self._answer: Answer | None = None
+
+    def announce_stop(self, limit_s: float) -> None:
+        """Tell the child that all below it must stop within `limit_s` [s]; from any thread."""
+        with self._lock:
+            if not self.closed:
+                _send(self._end, StopAhead(max(0.0, limit_s)), 0.0)
 
     def request(self, verb: Verb) -> bool:
         """Send a request; its answer will be `answer`. Return whether it could be sent.
@@ -121,8 +141,9 @@ class SupervisorChannel:
 
     def close(self) -> None:
         """Close this end."""
-        self.closed = True
-        self._end.close()
+        with self._lock:
+            self.closed = True
+            self._end.close()
 
     def _packet(self) -> bytes | None:
         """Return the next packet, None if there is none now."""
@@ -144,8 +165,8 @@ class ChildChannel:
     def __init__(self, end: socket.socket) -> None:
         self._end = end
 
-    def receive(self) -> Request | None:
-        """Wait for a request and return it; None when one side has closed the channel.
+    def receive(self) -> Request | StopAhead | None:
+        """Wait for a message and return it; None when one side has closed the channel.
 
         Raises `InvalidPacket`.
         """
@@ -153,7 +174,7 @@ class ChildChannel:
             packet = self._end.recv(LONGEST_PACKET + 1)
         except OSError:
             return None
-        return _parsed(_REQUEST, packet) if packet else None
+        return _parsed(_TO_CHILD, packet) if packet else None
 
     def send_heartbeat(self, heartbeat: Heartbeat) -> None:
         """Send a heartbeat; it is dropped if the supervisor does not read now."""
@@ -175,7 +196,9 @@ def sendable(text: str) -> str:
     return valid if len(valid) <= _LONGEST_TEXT else f"{valid[: _LONGEST_TEXT - 3]}..."
 
 
-def _send(end: socket.socket, message: Request | Answer | Heartbeat, limit_s: float) -> bool:
+def _send(
+    end: socket.socket, message: Request | StopAhead | Answer | Heartbeat, limit_s: float
+) -> bool:
     """Send a message; wait at most `limit_s` [s] while the other side does not read."""
     packet = json.dumps(asdict(message)).encode()
     try:

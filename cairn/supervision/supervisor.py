@@ -23,6 +23,7 @@ Level DEBUG adds `child starting` and `child stopping`.
 """
 
 import logging
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
@@ -33,7 +34,14 @@ from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.ports import every
-from cairn.supervision.child import Child, ChildStatus, StartResult, SupervisorHost
+from cairn.supervision.child import (
+    Child,
+    ChildStatus,
+    StartResult,
+    SupervisorHost,
+    stop_share,
+    without_reserve,
+)
 from cairn.supervision.restart_policy import Decision, RestartPolicy
 
 HELD_STATES = ("unconfigured", "inactive", "active")
@@ -147,6 +155,9 @@ class ChildGroup:
         """The report on the normal end of a significant child; None if there was none."""
         self.stop_requested = False
         self._name = launch.name
+        self._stop_limit_s = launch.context.stop_limit_s
+        # Awake times [s] at which all must have stopped: as requested, and of the stop in progress.
+        self._requested_by = self._stopping_by = math.inf
         self._host = host
         self._log = log
         self._policy = RestartPolicy(launch.spec.children, launch.spec.supervision)
@@ -158,10 +169,25 @@ class ChildGroup:
         """Return the states of all children in start order."""
         return [child.status() for child in self._children.values()]
 
-    def request_stop(self) -> None:
-        """Start nothing any more, and cut short the start in progress; `stop_all` is then due."""
+    def request_stop(self, limit_s: float | None = None) -> None:
+        """Start nothing any more, here and below, and cut short the starts in progress.
+
+        `stop_all` is then due, and takes at most `limit_s` [s] from now on, by default the
+        deployment's `stop_limit_s`.
+        """
+        own_s = without_reserve(self._stop_limit_s if limit_s is None else limit_s)
+        self._requested_by = min(self._requested_by, self._host.awake() + own_s)
         self.stop_requested = True
         self._host.cancel_starts()
+        for child in self._children.values():
+            handle = child.handle
+            if handle is not None:
+                handle.expect_stop(own_s)
+
+    @property
+    def stop_overdue(self) -> bool:
+        """Whether a stop takes longer than it may; from any thread."""
+        return self._host.awake() > min(self._requested_by, self._stopping_by)
 
     def start_all(self) -> None:
         """Start the children that load at start, each when the one before is active.
@@ -171,6 +197,7 @@ class ChildGroup:
         requested, or a significant child has finished. Raises the same as `reconcile`.
         """
         self.finished = None
+        self._stopping_by = math.inf
         for name, child in self._children.items():
             if child.spec.load == "at_start":
                 self._policy.load(name)
@@ -249,7 +276,7 @@ class ChildGroup:
             return
         reason = child.reason
         if result == "canceled":
-            child.stop()
+            self._stop(child)
             reason = "a stop was requested"
         self._policy.unload(name)
         raise StartFailed(f"{name}: {reason}")
@@ -258,7 +285,7 @@ class ChildGroup:
         """Stop a child and leave it stopped. Raises `UnknownChild`."""
         child = self._child(name)
         self._policy.unload(name)
-        child.stop()
+        self._stop(child)
         child.state, child.target = "unloaded", LifecycleState.ACTIVE
 
     def restart(self, name: str) -> None:
@@ -268,17 +295,23 @@ class ChildGroup:
             self.load(name)
             return
         self._policy.unload(name)
-        child.stop()
+        self._stop(child)
         child.target = LifecycleState.ACTIVE
         self._policy.load(name)
         self.reconcile()
 
     def stop_all(self) -> None:
-        """Stop all children in reverse order, whatever any of them does, and unload them."""
+        """Stop all children in reverse order, whatever any of them does, and unload them.
+
+        All of this takes no longer than `request_stop` allowed, or the deployment's `stop_limit_s`.
+        Each child gets its `stop_share` of the time that is left then.
+        """
         for name in self._children:
             self._policy.unload(name)
+        latest = self._host.awake() + without_reserve(self._stop_limit_s)
+        self._stopping_by = min(self._stopping_by, latest)
         for child in reversed(self._children.values()):
-            child.stop()
+            self._stop(child)
             child.state, child.target = "unloaded", LifecycleState.ACTIVE
 
     def check_stops(self) -> None:
@@ -290,6 +323,12 @@ class ChildGroup:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items() if reason)
         if reasons:
             raise CairnError(f"not all children stopped cleanly: {reasons}")
+
+    def _stop(self, child: Child) -> None:
+        """Stop a child in the time that it may take if all must stop, otherwise in its own."""
+        left_s = min(self._requested_by, self._stopping_by) - self._host.awake()
+        remaining = sum(one.components for one in self._children.values())
+        child.stop(stop_share(left_s, child.components, remaining))
 
     def _start(self, child: Child) -> StartResult:
         result = child.start(lambda: self.stop_requested)
@@ -314,7 +353,7 @@ class ChildGroup:
             count = self._policy.restart_count
             self._log.info("restarting child %s: %s (%s)", child.name, child.reason, count)
         for name in decision.stop:
-            self._children[name].stop()
+            self._stop(self._children[name])
 
     def _give_up(self, reason: str) -> NoReturn:
         self.stop_all()

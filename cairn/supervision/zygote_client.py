@@ -15,6 +15,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -79,6 +80,7 @@ class ZygoteProcess:
         """
         if self.process.stdin is not None:
             self.process.stdin.close()
+        self.process.terminate()  # while it imports, it does not watch its standard input
         try:
             self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
@@ -178,15 +180,17 @@ class ZygoteClient:
         self,
         socket_path: Path,
         on_lost: Callable[[ZygoteLost], None] = lambda _: None,
+        canceled: Callable[[], bool] = lambda: False,
         timeout_s: float = 60.0,
     ) -> None:
         """Connect, and wait at most `timeout_s` seconds for the zygote's imports.
 
-        Raises `ZygoteLost` if no zygote listens there or it ends, `ChildUnavailable` at the time
-        limit.
+        Once `canceled()`, nothing is waited for any more. Raises `ZygoteLost` if no zygote listens
+        there or it ends, `ChildUnavailable` at the time limit, `CairnError` if canceled.
         """
         self._path = socket_path
         self._on_lost = on_lost
+        self._canceled = canceled
         self._lock = threading.Lock()
         self._closed: CairnError | None = None  # why no more processes can be spawned
         self._numbers = itertools.count(1)
@@ -250,17 +254,23 @@ class ZygoteClient:
     def _wait(
         self, number: int, answer: "Future[ChildProcess]", timeout_s: float, step: str
     ) -> ChildProcess:
-        try:
-            return answer.result(timeout_s)
-        except TimeoutError:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            left_s = deadline - time.monotonic()
+            with contextlib.suppress(TimeoutError):
+                return answer.result(max(0.0, min(left_s, _PIECE_S)))
+            if left_s > _PIECE_S and not self._canceled():
+                continue
             with self._lock:
                 unanswered = self._pending.pop(number, None) is not None
             if not unanswered:  # the reader has just taken the answer
                 return answer.result()
+            if left_s > _PIECE_S:
+                raise CairnError("a stop was requested")
             raise ChildUnavailable(
                 f"the zygote on {self._path} did not {step} within {timeout_s:g} s; "
                 "reduce the load of this computer"
-            ) from None
+            )
 
     def _send(self, request: Spawn | Signal, channel: socket.socket | None = None) -> None:
         line = encode(request)

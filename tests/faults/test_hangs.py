@@ -167,33 +167,47 @@ def test_forged_status_and_false_queryables_have_no_effect(launch: Launching) ->
     assert run.pid_of("talker") == talker
 
 
-def test_component_that_hangs_while_stopping_is_killed_in_time(
-    launch: Launching,
-) -> None:
+def test_components_that_hang_leave_time_to_stop_for_those_that_answer(launch: Launching) -> None:
     run = launch(
         """
+    stop_limit_s: 3
     components:
+      beacon: {plugin: test_beacon}
       mobile:
         plugin: supervisor
         children:
-          beacon: {plugin: test_beacon}
-          base:
+          talker: {plugin: test_talker}
+          stopped: {plugin: test_faulty, topics: {velocity: v1}}
+          holding:
             plugin: test_faulty
-            parameters: {fault: sleep, where: on_shutdown}
-            stop_timeout_s: 4  # deactivation, which does not hang, takes a part of it
-      talker: {plugin: test_talker}
+            parameters: {fault: hold_gil, where: on_shutdown}
+            topics: {velocity: v2}
+          late:
+            plugin: test_faulty
+            parameters: {fault: sleep, where: on_configure}
+            topics: {velocity: v3}
+            load: on_request
     """
     )
-    run.await_line("child active: talker")
+    run.await_line("child active: mobile")
+    os.kill(run.pid_of("stopped"), signal.SIGSTOP)
+    load = threading.Thread(target=cairn, args=("load", "late"), kwargs={"connect": run.endpoint})
+    load.start()
+    run.pid_of("late")  # `mobile` is busy with its start
+    began = time.monotonic()
 
     assert run.stop() == 1
 
+    assert time.monotonic() - began < 6.0
     run.await_line(
-        r"WARNING robot.mobile: child stop failed: base: shutdown: no answer within \d\.\d s"
+        r"WARNING robot.mobile: child stop failed: holding: shutdown: no answer within \d\.\d s"
     )
-    run.await_line("WARNING robot.mobile: child stopped: base: killed by SIGKILL")
-    run.await_line("robot.mobile: child stopped: beacon: shut down")
-    run.await_line(r"failed: .*base: shutdown: no answer within \d\.\d s")
+    for component in ("holding", "stopped"):
+        run.await_line(f"WARNING robot.mobile: child stopped: {component}: killed by SIGKILL")
+    run.await_line("robot.mobile: child stopped: talker: shut down")
+    run.await_line("robot.root: child stopped: beacon: shut down")
+    run.await_line(r"failed: .*holding: shutdown: no answer within \d\.\d s")
+    load.join()
 
 
 @pytest.mark.parametrize("supervisor", ["  ", "mobile"])

@@ -18,6 +18,7 @@ from cairn.supervision.supervisor import ChildGroup
 from cairn.supervision.zygote import Exited, Signal
 from cairn.supervision.zygote_client import ChildProcess
 from tests.cairn.supervision.scripted_children import World
+from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
 pytestmark = pytest.mark.processes
@@ -111,6 +112,6 @@ def test_hung_process_is_killed_when_its_stacks_are_logged(
     handle = ProcessHandle(launch)
     handle.launch(process, lambda: None)  # type: ignore[arg-type]  # only `spawn` is called
 
-    handle.kill()
+    handle.kill(LIMIT_S)
 
     assert "in tick" in process.killed_with

@@ -14,9 +14,11 @@ class HangingHost:
     def __init__(self) -> None:
         self.ended = threading.Event()
         self.stops = 0
+        self.stop_overdue = False
 
-    def request_stop(self) -> None:
+    def expect_stop(self) -> None:
         self.stops += 1
+        self.stop_overdue = True
 
     def terminate(self) -> None:
         """Do nothing: the component hangs."""
@@ -31,5 +33,16 @@ def test_component_that_hangs_ends_the_loop_at_the_stop_limit() -> None:
     with loop.stop_signals(signal.SIGUSR2):
         signal.raise_signal(signal.SIGUSR2)
 
-        assert not loop.run(force=True, stop_limit_s=0.1)
+        assert not loop.run(force=True)
     assert host.stops == 1
+
+
+def test_stop_without_a_signal_ends_the_loop_at_its_limit() -> None:
+    host = HangingHost()
+    loop = MainLoop(cast("ComponentHost", host))
+
+    def escalate() -> None:
+        host.stop_overdue = True
+
+    assert not loop.run(escalate, force=True)
+    assert host.stops == 0

@@ -89,10 +89,13 @@ class ScriptedChild:
     def is_stopped(self) -> bool:
         return self.stopped
 
+    def expect_stop(self, limit_s: float) -> None:
+        self.world.limits.append((f"expect_stop {self.name}", limit_s))
+
     def terminate(self) -> None:
         self._step("terminate", 0.0, ends)
 
-    def kill(self) -> None:
+    def kill(self, log_limit_s: float) -> None:
         self._step("kill", 0.0, is_killed)
 
     def wait(self, timeout_s: float) -> ExitReport | None:

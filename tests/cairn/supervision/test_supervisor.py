@@ -7,7 +7,7 @@ from cairn.deployment.model import ChildSpec, Supervision
 from cairn.errors import Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.supervision.child import ZygoteLost
+from cairn.supervision.child import ZygoteLost, stop_share
 from cairn.supervision.supervisor import ChildGroup, StartFailed, UnknownChild
 from tests.wording import assert_words, words_in_order
 
@@ -357,16 +357,92 @@ def test_all_children_are_stopped_even_if_one_fails_to_stop(world: World) -> Non
     supervisor.check_stops()
 
 
-def test_child_that_does_not_stop_is_terminated_and_then_killed(world: World) -> None:
-    world.script("base", {"deactivate": does_not_answer, "terminate": is_ignored})
+def test_child_that_does_not_stop_is_killed(world: World) -> None:
+    world.script("base", {"deactivate": does_not_answer})
     supervisor = world.supervisor(base=ChildSpec(plugin="test", stop_timeout_s=3.0))
     supervisor.start_all()
     world.take_steps()
     before = world.now_s
     supervisor.stop_all()
-    assert world.steps == ["deactivate base", "terminate base", "kill base"]
+    assert world.steps == ["deactivate base", "kill base"]
     assert world.running() == []
-    assert world.now_s - before == pytest.approx(3.0 + 2.0)
+    assert world.now_s - before == pytest.approx(3.0)
+
+
+def test_children_that_all_hang_are_stopped_within_the_limit_of_the_deployment(
+    world: World,
+) -> None:
+    names = [f"child_{number}" for number in range(12)]
+    for name in names:
+        world.script(name, {"deactivate": does_not_answer})
+    supervisor = world.supervisor(*names)
+    supervisor.start_all()
+    before = world.now_s
+
+    supervisor.stop_all()
+
+    assert world.running() == []
+    assert world.now_s - before <= 10.0
+
+
+def test_child_that_hangs_leaves_time_for_those_that_answer(world: World) -> None:
+    world.script("scanner", {"deactivate": does_not_answer})
+    world.script("camera", {"deactivate": does_not_answer})
+    supervisor = world.supervisor("base", "gate", "scanner", "camera")
+    supervisor.start_all()
+    world.take_steps()
+    before = world.now_s
+
+    supervisor.request_stop(6.0)
+    supervisor.stop_all()
+
+    assert world.now_s - before < 5.0
+    assert world.steps == [
+        *("deactivate camera", "kill camera", "deactivate scanner", "kill scanner"),
+        *("deactivate gate", "shutdown gate", "deactivate base", "shutdown base"),
+    ]
+    limits = dict(world.limits)
+    assert limits["deactivate camera"] > limits["deactivate scanner"] > 1.0
+    assert limits["deactivate base"] > 0.8
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_hanging_children_leave_half_of_their_equal_share_to_each_other(components: int) -> None:
+    assert stop_share(8.0, components, components) == 8.0, "the last one may use everything"
+    assert stop_share(-1.0, components, 5) == 0.0
+    left_s, remaining = 8.0, 4 * components
+    while remaining > components:
+        share_s = stop_share(left_s, components, remaining)
+        equal_s = left_s / remaining
+        assert share_s >= left_s / 2
+        left_s, remaining = left_s - share_s, remaining - components
+        assert left_s / remaining >= equal_s / 2
+
+
+def test_stop_request_reaches_running_children_at_once_with_the_time_that_they_have(
+    world: World,
+) -> None:
+    supervisor = world.supervisor(
+        "base", "scanner", late=ChildSpec(plugin="test", load="on_request")
+    )
+    supervisor.start_all()
+    assert not supervisor.stop_overdue
+    supervisor.request_stop(12.0)
+    assert world.limits[-2:] == [("expect_stop base", 11.0), ("expect_stop scanner", 11.0)]
+    supervisor.request_stop(60.0)
+    world.now_s += 10.9
+    assert not supervisor.stop_overdue
+    world.now_s += 0.2
+    assert supervisor.stop_overdue
+
+
+def test_escalation_without_a_signal_has_the_same_time_limit(world: World) -> None:
+    world.script("base", {"deactivate": takes(9.5)})
+    world.script("scanner", {"activate": fails("no device")})
+    supervisor = world.supervisor("base", "scanner")
+    with pytest.raises(Escalate, match="no device"):
+        supervisor.start_all()
+    assert supervisor.stop_overdue
 
 
 def test_child_that_cannot_be_killed_does_not_keep_the_others_from_stopping(world: World) -> None:
@@ -459,6 +535,7 @@ def test_each_request_gets_the_remaining_time_and_is_reported_before_it_starts(
     assert world.limits == [
         ("configure base", 8.0),
         ("activate base", 8.0),
+        ("expect_stop base", 4.0),
         ("deactivate base", 4.0),
         ("shutdown base", 4.0),
     ]

@@ -7,6 +7,7 @@ import signal
 import socket
 import stat
 import sys
+import time
 from concurrent.futures import Future
 from pathlib import Path
 
@@ -178,6 +179,19 @@ def test_module_that_starts_threads_when_imported_is_named(
     assert "module starts threads: starts_thread: " in zygote.log_file.read_text()
     client.close()
     zygote.close()
+
+
+def test_module_that_hangs_when_imported_does_not_delay_a_stop(
+    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "hangs_when_imported.py").write_text("import time\ntime.sleep(1000)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    zygote = start_zygote(["hangs_when_imported"], tmp_path / "run")
+    began = time.monotonic()
+    with pytest.raises(CairnError, match="a stop was requested"):
+        ZygoteClient(zygote.socket_path, canceled=lambda: True)
+    zygote.close()
+    assert time.monotonic() - began < 5.0
 
 
 def test_log_that_cannot_be_written_fails_the_start(owner: Owner, tmp_path: Path) -> None:
