@@ -75,6 +75,7 @@ def check_document(
         problems += plugin_problems
         problems += _unknown_ports(component)
         problems += _conflicting_keys(component)
+        problems += _unattainable_stop(root, component)
     if not import_plugins:
         return problems
     problems += _file_problems(root)
@@ -162,6 +163,19 @@ def _conflicting_keys(component: CheckedComponent) -> Iterator[Problem]:
     ):
         found = "a component in its parent's process uses its parent's interpreter"
         yield Problem(interpreter.where, f"{name}.interpreter", found, "use placement: process")
+
+
+def _unattainable_stop(root: DocumentNode, component: CheckedComponent) -> Iterator[Problem]:
+    """Yield a component's time limit for stopping if the deployment's does not allow it."""
+    own, whole = component.node.find("stop_timeout_s"), root.find("stop_limit_s")
+    default = Deployment.model_fields["stop_limit_s"].default
+    limit_s = default if whole is None else whole.value
+    if own is None or not all(isinstance(one, int | float) for one in (own.value, limit_s)):
+        return
+    if own.value >= limit_s:
+        found = f"{own.value:g} s are not less than the deployment's stop_limit_s, {limit_s:g} s"
+        path = dotted((*component.path, "stop_timeout_s"))
+        yield Problem(own.where, path, found, "decrease it, or increase stop_limit_s")
 
 
 def _is(node: DocumentNode | None, value: str, default: bool = False) -> bool:

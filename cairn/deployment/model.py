@@ -70,7 +70,7 @@ class ChildSpec(_Section):
     significant: bool = Field(False, description="Its normal end ends the deployment.")
     start_timeout_s: Seconds = Field(60.0, description="Limit for becoming active [s].")
     stop_timeout_s: Seconds = Field(
-        5.0, description="Limit for stopping [s]; then its process is terminated and killed."
+        5.0, description="Limit for stopping [s]; then its process is killed."
     )
     hang_timeout_s: Seconds = Field(
         5.0, description="Limit for one handler [s]; then it counts as hung and is killed."
@@ -173,7 +173,7 @@ class Deployment(_Section):
         ge=2,
         le=3600,
         allow_inf_nan=False,
-        description="Limit for stopping everything on a signal [s]; what still runs is killed.",
+        description="Limit for stopping everything [s], shared out in the tree; what hangs is killed.",
     )
     supervision: Supervision = Field(
         default_factory=Supervision, description="For the components directly below the root."

@@ -43,6 +43,8 @@ def test_service_bounds_memory_processes_and_log_messages() -> None:
 
     bounds = {"MemoryMax", "TasksMax", "LogRateLimitIntervalSec", "LogRateLimitBurst"}
     assert bounds <= settings.keys()
+    stop_limit_s = load_deployment(DEPLOY / "robot.yaml").stop_limit_s
+    assert stop_limit_s < float(settings["TimeoutStopSec"]) <= stop_limit_s + 10
 
 
 def _components(deployment: Deployment) -> dict[str, dict[str, Any]]:

@@ -132,6 +132,7 @@ def test_stop_signal_stops_all_components_in_reverse_order(
 def test_second_ctrl_c_kills_everything(launch: Launching) -> None:
     run = launch(
         """
+    stop_limit_s: 700
     components:
       base: {plugin: test_faulty, parameters: {fault: sleep, where: on_shutdown, helpers: 2},
              stop_timeout_s: 600}

@@ -263,8 +263,17 @@ CASES = {
             7,
             "components.other.stop_timeout_s",
             "'5' should be a valid number; "
-            "expected Limit for stopping [s]; then its process is terminated and killed "
+            "expected Limit for stopping [s]; then its process is killed "
             "(> 0, <= 3600)",
+        ),
+    ),
+    "stop limits": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    stop_timeout_s: 10\n",
+        (
+            7,
+            "components.other.stop_timeout_s",
+            "10 s are not less than the deployment's stop_limit_s, 10 s; "
+            "decrease it, or increase stop_limit_s",
         ),
     ),
     "component name": (
