@@ -173,7 +173,7 @@ class Deployment(_Section):
         ge=2,
         le=3600,
         allow_inf_nan=False,
-        description="Limit for stopping everything [s], shared out in the tree; what hangs is killed.",
+        description="Limit for stopping everything [s], shared out; what hangs is killed.",
     )
     supervision: Supervision = Field(
         default_factory=Supervision, description="For the components directly below the root."
