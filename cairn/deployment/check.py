@@ -168,12 +168,12 @@ def _conflicting_keys(component: CheckedComponent) -> Iterator[Problem]:
 def _unattainable_stop(root: DocumentNode, component: CheckedComponent) -> Iterator[Problem]:
     """Yield a component's time limit for stopping if the deployment's does not allow it."""
     own, whole = component.node.find("stop_timeout_s"), root.find("stop_limit_s")
-    default = Deployment.model_fields["stop_limit_s"].default
-    limit_s = default if whole is None else whole.value
-    if own is None or not all(isinstance(one, int | float) for one in (own.value, limit_s)):
+    if own is None:
         return
-    if own.value >= limit_s:
-        found = f"{own.value:g} s are not less than the deployment's stop_limit_s, {limit_s:g} s"
+    own_s = own.value
+    limit_s = Deployment.model_fields["stop_limit_s"].default if whole is None else whole.value
+    if isinstance(own_s, int | float) and isinstance(limit_s, int | float) and own_s >= limit_s:
+        found = f"{own_s:g} s are not less than the deployment's stop_limit_s, {limit_s:g} s"
         path = dotted((*component.path, "stop_timeout_s"))
         yield Problem(own.where, path, found, "decrease it, or increase stop_limit_s")
 

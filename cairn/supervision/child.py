@@ -434,9 +434,10 @@ class Child:
         If it does not end, that is added to `reason`, the cause.
         """
         log_limit_s = max(0.0, min(_LOG_LIMIT_S, limit_s / 2))
-        kill = partial(handle.kill, log_limit_s)
         kill_limit_s = min(_KILL_LIMIT_S, max(_LEAST_KILL_LIMIT_S, limit_s - log_limit_s))
-        steps = [(kill, kill_limit_s)]
+        steps: list[tuple[Callable[[], None], float]] = [
+            (partial(handle.kill, log_limit_s), kill_limit_s)
+        ]
         if terminate:
             steps.insert(0, (handle.terminate, _TERMINATE_LIMIT_S))
         for step, step_limit_s in steps:
