@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import lzma
 import os
 import sqlite3
 import struct
@@ -355,15 +356,22 @@ def _gzipped_lines() -> bytes:
     return gzip.compress(line * (10 * MB // len(line)), compresslevel=9) * 30
 
 
-def mcap(compression: str, packed: bytes, size: int, *, index: int = 1) -> bytes:
-    """Return an MCAP file with one chunk of declared `size`, listed `index` times (0: no index)."""
+def mcap(
+    compression: str, packed: bytes, size: int, *, chunks: int = 1, claim: int | None = None
+) -> bytes:
+    """Return an MCAP file without index with equal chunks of declared `size`.
+
+    The first chunk's record claims `claim` bytes.
+    """
 
     def text(value: str | bytes) -> bytes:
         raw = value.encode() if isinstance(value, str) else value
         return struct.pack("<I", len(raw)) + raw
 
-    def record(kind: int, content: bytes) -> bytes:
-        return bytes([kind]) + struct.pack("<Q", len(content)) + content
+    def record(kind: int, content: bytes, length: int | None = None) -> bytes:
+        return (
+            bytes([kind]) + struct.pack("<Q", len(content) if length is None else length) + content
+        )
 
     schema = record(
         3,
@@ -374,31 +382,12 @@ def mcap(compression: str, packed: bytes, size: int, *, index: int = 1) -> bytes
     )
     channel = record(4, struct.pack("<HH", 1, 1) + text("/scan") + text("cdr") + text(b""))
     magic = b"\x89MCAP0\r\n"
-    start = magic + record(1, text("ros2") + text("test"))
-    chunk = record(
-        6,
-        struct.pack("<QQQI", 1, 2, size, 0)
-        + text(compression)
-        + struct.pack("<Q", len(packed))
-        + packed,
-    )
-    where = len(start)
-    data = start + chunk + record(15, struct.pack("<I", 0))
-    chunk_index = record(
-        8,
-        struct.pack("<QQQQ", 1, 2, where, len(chunk))
-        + text(struct.pack("<HQ", 1, where + len(chunk)))
-        + struct.pack("<Q", 31)
-        + text(compression)
-        + struct.pack("<QQ", len(packed), size),
-    )
-    statistics = record(
-        11,
-        struct.pack("<QHIIIIQQ", 1, 1, 1, 0, 0, index, 1, 2) + text(struct.pack("<HQ", 1, 1)),
-    )
-    summary = schema + channel + chunk_index * index + statistics if index else b""
-    footer = record(2, struct.pack("<QQI", len(data) if summary else 0, 0, 0))
-    return data + summary + footer + magic
+    start = magic + record(1, text("ros2") + text("test")) + schema + channel
+    content = struct.pack("<QQQI", 1, 2, size, 0) + text(compression)
+    content += struct.pack("<Q", len(packed)) + packed
+    data = start + record(6, content, claim) + record(6, content) * (chunks - 1)
+    footer = record(2, struct.pack("<QQI", 0, 0, 0))
+    return data + record(15, struct.pack("<I", 0)) + footer + magic
 
 
 def zeros_zstd(size: int) -> bytes:
@@ -407,11 +396,24 @@ def zeros_zstd(size: int) -> bytes:
     return zstandard.ZstdCompressor(level=3).compress(bytes(block)) * (size // block)
 
 
-def _string_messages(number: int, length: int) -> bytes:
-    """Return MCAP message records of strings."""
-    body = b"\0\1\0\0" + struct.pack("<I", length) + bytes(length)
+def _foreign_messages() -> bytes:
+    """Return 10 MB of messages of a channel that is not replayed."""
+    definition = struct.pack("<H", 2) + struct.pack("<I", 1) + b"x" + bytes(8)
+    channel = (
+        struct.pack("<HH", 2, 2) + struct.pack("<I", 2) + b"/x" + struct.pack("<I", 3) + b"cdr"
+    )
+    message = struct.pack("<HIQQ", 2, 0, 1, 1) + bytes(100_000)
+    records = [(3, definition), (4, channel + bytes(4)), *[(5, message)] * 100]
+    return b"".join(bytes([k]) + struct.pack("<Q", len(c)) + c for k, c in records)
+
+
+def _many_scans() -> bytes:
+    """Return 100 kB that expand to 400,000 scans without beams."""
+    body = b"\0\1\0\0" + struct.pack("<iIIB3x", 1, 0, 1, 0) + bytes(4 * 7 + 8)
     content = struct.pack("<HIQQ", 1, 0, 1, 1) + body
-    return (b"\x05" + struct.pack("<Q", len(content)) + content) * number
+    record = b"\x05" + struct.pack("<Q", len(content)) + content
+    data = record * 400_000
+    return mcap("zstd", zstandard.compress(data), len(data))
 
 
 def _fields(**fields: bytes) -> bytes:
@@ -428,10 +430,9 @@ def _u32(value: int) -> bytes:
     return struct.pack("<I", value)
 
 
-def ros1_bag(
-    compression: str, packed: bytes, size: int, *, index: bool = True, repeat: int = 1
-) -> bytes:
-    """Return a ROS 1 bag with one chunk of declared `size`, listed `repeat` times."""
+def ros1_bag(compression: str, packed: bytes, size: int | None, *, index: bool = True) -> bytes:
+    """Return a ROS 1 bag with one chunk of declared `size`."""
+    size = len(packed) if size is None else size
     magic = b"#ROSBAG V2.0\n"
     definition = _fields(
         type=b"sensor_msgs/LaserScan",
@@ -458,11 +459,11 @@ def ros1_bag(
         op=b"\x03",
         index_pos=struct.pack("<Q", index_at),
         conn_count=_u32(1),
-        chunk_count=_u32(repeat),
+        chunk_count=_u32(1),
     )
     padding = header_size - len(fields) - 4
     header = fields + struct.pack("<I", padding) + b" " * padding
-    return magic + header + chunk + entry + connection + info * repeat
+    return magic + header + chunk + entry + connection + info
 
 
 def zeros_bz2(size: int) -> bytes:
@@ -512,55 +513,102 @@ def _compressed_ros2_folder(folder: Path) -> Path:
     return bag
 
 
+def _sqlite_bag(*statements: str) -> Callable[[Path], Path]:
+    """Return a builder of a bag of SQLite with these statements for its tables."""
+    topics = "CREATE TABLE topics (id INTEGER PRIMARY KEY, name, type, serialization_format)"
+    topic = "INSERT INTO topics VALUES (1, '/scan', 'sensor_msgs/msg/LaserScan', 'cdr')"
+
+    def build(folder: Path) -> Path:
+        file = folder / "bag.db3"
+        with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+            for statement in (topics, topic, *statements):
+                connection.execute(statement)
+        return file
+
+    return build
+
+
+_MESSAGES: Final = (
+    "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+)
+_ENDLESS: Final = (
+    "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) "
+    "SELECT k AS id, 1 AS topic_id, k AS timestamp, zeroblob(10000000) AS data FROM n"
+)
+
 RECORDINGS: Final[Mapping[str, HostileFile]] = {
     "carmen_line": HostileFile(_bytes("line.log.gz", _gzipped_line), "longer than"),
     "carmen_line_bz2": HostileFile(
         _bytes("line.log.bz2", lambda: bz2.compress(b"FLASER 1 ") + zeros_bz2(1800 * MB)),
         "longer than",
     ),
-    "carmen_lines": HostileFile(_bytes("lines.log.gz", _gzipped_lines), "MB"),
-    "carmen_sparse": HostileFile(
-        sparse("s.log", 5_000 * MB, b"ODOM 0 0 0 0 0 0 1 r 1\n"), "longer"
+    "carmen_line_xz": HostileFile(
+        _bytes("line.log.xz", lambda: lzma.compress(b"FLASER 1 " + b"0 " * 20 * MB, preset=0)),
+        "longer than",
     ),
+    "carmen_lines": HostileFile(_bytes("lines.log.gz", _gzipped_lines), "lines, the limit"),
+    "carmen_sparse": HostileFile(sparse("s.log", 5_000 * MB, b"ODOM 0 0 0 0 0 0 1 r 1\n"), "MB"),
     "carmen_zeros": HostileFile(device("/dev/zero", "zeros.log"), "device"),
     "carmen_fifo": HostileFile(fifo("pipe.log"), "FIFO"),
     "mcap_zstd": HostileFile(
         _bytes("bomb.mcap", lambda: mcap("zstd", zeros_zstd(4 << 30), 4 << 30)), "MB"
     ),
     "mcap_zstd_liar": HostileFile(
-        _bytes("liar.mcap", lambda: mcap("zstd", zeros_zstd(4 << 30), 1000)), "MB"
-    ),
-    "mcap_zstd_unindexed": HostileFile(
-        _bytes("scan.mcap", lambda: mcap("zstd", zeros_zstd(4 << 30), 4 << 30, index=0)), "MB"
+        _bytes("liar.mcap", lambda: mcap("zstd", zeros_zstd(4 << 30), 1000)),
+        "more than the 1,000 bytes",
     ),
     "mcap_lz4": HostileFile(
         _bytes("lz4.mcap", lambda: mcap("lz4", zeros_lz4(1 << 30), 1 << 30)), "MB"
     ),
-    "mcap_repeated": HostileFile(
+    "mcap_messages": HostileFile(_bytes("many.mcap", _many_scans), "memory"),
+    "mcap_chunks": HostileFile(
         _bytes(
-            "again.mcap",
+            "chunks.mcap",
             lambda: mcap(
-                "zstd",
-                zstandard.compress(_string_messages(20, MB)),
-                len(_string_messages(20, MB)),
-                index=1000,
+                "zstd", zstandard.compress(_foreign_messages()), len(_foreign_messages()), chunks=40
             ),
         ),
-        "twice",
+        "64 MB",
+    ),
+    "mcap_record": HostileFile(
+        _bytes("record.mcap", lambda: mcap("", b"", 0, claim=1 << 62)), "claims"
     ),
     "ros1_bz2": HostileFile(
-        _bytes("bomb.bag", lambda: ros1_bag("bz2", zeros_bz2(2970 * MB), 1000)), "MB"
+        _bytes("bomb.bag", lambda: ros1_bag("bz2", zeros_bz2(2970 * MB), 1000)),
+        "more than the 1,000 bytes",
     ),
     "ros1_bz2_unindexed": HostileFile(
-        _bytes("cut.bag", lambda: ros1_bag("bz2", zeros_bz2(2970 * MB), 1000, index=False)), "MB"
+        _bytes("cut.bag", lambda: ros1_bag("bz2", zeros_bz2(2970 * MB), 1000, index=False)),
+        "more than the 1,000 bytes",
     ),
     "ros1_lz4": HostileFile(
-        _bytes("lz4.bag", lambda: ros1_bag("lz4", zeros_lz4(1 << 30), 1000)), "MB"
+        _bytes("lz4.bag", lambda: ros1_bag("lz4", zeros_lz4(1 << 30), 1000)),
+        "more than the 1,000 bytes",
     ),
     "ros1_nested": HostileFile(
-        _bytes("nested.bag", lambda: ros1_bag("none", _nested_chunks(), 1000, index=False)), "chunk"
+        _bytes("nested.bag", lambda: ros1_bag("none", _nested_chunks(), None, index=False)),
+        "in another chunk",
     ),
     "ros1_sparse": HostileFile(sparse("sparse.bag", 5_000 * MB, b"#ROSBAG V2.0\n"), "no message"),
+    "ros2_view": HostileFile(_sqlite_bag(f"CREATE VIEW messages AS {_ENDLESS}"), "the view"),
+    "ros2_computed": HostileFile(
+        _sqlite_bag(
+            "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+            "data BLOB AS (zeroblob(900000000)))",
+            "INSERT INTO messages VALUES (1, 1, 1)",
+        ),
+        "computed",
+    ),
+    "ros2_trigger": HostileFile(
+        _sqlite_bag(
+            _MESSAGES, "CREATE TRIGGER t AFTER INSERT ON messages BEGIN DELETE FROM topics; END"
+        ),
+        "the trigger",
+    ),
+    "ros2_blob": HostileFile(
+        _sqlite_bag(_MESSAGES, "INSERT INTO messages VALUES (1, 1, 1, zeroblob(200000000))"),
+        "too big",
+    ),
     "ros2_metadata": HostileFile(_ros2_folder(f"{merges()}\nb: {{<<: *a23}}\n"), "values"),
     "ros2_depth": HostileFile(_ros2_folder(nested(50_000)), "deep"),
     "ros2_compressed": HostileFile(_compressed_ros2_folder, "MB"),

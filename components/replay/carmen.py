@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import from_ns
+from cairn.components.replay.bounded_streams import text_lines
 from cairn.components.replay.recording import (
     ImageStream,
     ObservationStream,
@@ -30,7 +31,6 @@ from cairn.components.replay.recording import (
     covariances_of,
     damaged_line,
     nanoseconds,
-    text_lines,
 )
 from cairn.components.replay.wheel_odometry import (
     odometry_deviations,
@@ -257,7 +257,7 @@ _STAMP = 3  # the fields that end each line
 _LATEST = 2.0**31
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class OdometryLine:
     """Pose [m, m, rad] and velocities [m/s, rad/s] of the robot, from its wheels."""
 
@@ -268,7 +268,7 @@ class OdometryLine:
     line: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class LaserLine:
     """One scan: `ranges` [m] in `beams`, and the recorded poses of laser and robot."""
 

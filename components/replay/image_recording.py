@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from cairn import SECOND, CairnError
+from cairn.components.replay.bounded_streams import text_lines
 from cairn.components.replay.recording import (
     Gray,
     ImageStream,
@@ -21,7 +22,6 @@ from cairn.components.replay.recording import (
     RecordingError,
     ScanStream,
     TimedPoses,
-    text_lines,
 )
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.vision.image_files import (

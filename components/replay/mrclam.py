@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.replay.bounded_streams import text_lines
 from cairn.components.replay.recording import (
     ImageStream,
     ObservationStream,
@@ -27,7 +28,6 @@ from cairn.components.replay.recording import (
     covariances_of,
     damaged_line,
     nanoseconds,
-    text_lines,
 )
 from cairn.schemas.cairn_msgs import VisualMap, VisualObject
 from cairn.schemas.std_msgs import Header

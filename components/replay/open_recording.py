@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
+from cairn.bounded_files import open_regular
+from cairn.components.replay.bounded_streams import first_lines
 from cairn.components.replay.carmen import MESSAGES, CarmenRecording
 from cairn.components.replay.image_recording import ImageRecording, holds_images, is_video
 from cairn.components.replay.mrclam import MrclamRecording
-from cairn.components.replay.recording import Recording, RecordingError, text_lines
+from cairn.components.replay.recording import Recording, RecordingError
 from cairn.components.replay.ros_bag import BagRecording
+from cairn.files import explain_os_error
 
 _FORMATS = (
     "an MRCLAM folder (Barcodes.dat and Robot<n>_*.dat), a CARMEN log, a ROS 1 bag, "
@@ -72,15 +75,15 @@ def open_recording(
 
 def _first_bytes(path: Path) -> bytes:
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return stream.read(32)
     except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror}.") from error
+        raise RecordingError(f"{path} cannot be read: {explain_os_error(error)}.") from error
 
 
 def _is_carmen(path: Path) -> bool:
     try:
-        first = [text.split(maxsplit=1) for _, text in islice(text_lines(path), _LINES_READ)]
+        first = [text.split(maxsplit=1) for _, text in islice(first_lines(path), _LINES_READ)]
     except RecordingError as error:
         if "not a text file" in str(error):
             return False

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from io import BufferedReader
 from pathlib import Path
 from typing import Protocol
 
@@ -157,41 +153,9 @@ def covariances_of(deviations: Array) -> Array:
     return covariances
 
 
-def text_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield each line of a text file with its number, from 1 on.
-
-    The file may be compressed by gzip or bzip2, which is found out by its content. Raises
-    `RecordingError` for a file that cannot be read, is cut off or is not text.
-    """
-    line = 0
-    try:
-        with _open(path) as stream:
-            for line, raw in enumerate(stream, start=1):
-                yield line, raw.decode("ascii")
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise damaged_line(path, line + 1, f"the gzip stream is broken ({error})") from error
-    except UnicodeDecodeError as error:
-        raise damaged_line(path, line, "not a text file") from error
-    except OSError as error:
-        if error.errno is None:  # raised by bz2 for a damaged stream
-            raise damaged_line(path, line + 1, f"the bzip2 stream is broken ({error})") from error
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}.") from error
-
-
 def damaged_line(path: Path, line: int, fault: str) -> RecordingError:
     """Return the error for a damaged line."""
     return RecordingError(
         f"{path}, line {line}: {fault}. The file is cut off, changed or of another format: "
         "take a fresh copy of the data set."
     )
-
-
-def _open(path: Path) -> BufferedReader:
-    with path.open("rb") as stream:
-        magic = stream.read(3)
-    if magic[:2] == b"\x1f\x8b":
-        # Their own iterators are written in Python, and slow.
-        return BufferedReader(gzip.open(path, "rb"))
-    if magic == b"BZh":
-        return BufferedReader(bz2.open(path, "rb"))
-    return path.open("rb")

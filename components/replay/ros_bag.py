@@ -1,25 +1,31 @@
-"""ROS 1 bags, ROS 2 bags and MCAP files: reading their messages, and the streams that they hold.
+"""ROS 1 bags, ROS 2 bags and MCAP files: their messages, and the streams that they hold.
 
-Images are read from the file as they are replayed: all at once would fill the memory. A ROS 1 bag
-with a broken index is read in sequence, see `ros1_bag_recovery`.
+Images are read from the file as they are replayed: all at once would fill the memory. `bag_files`
+reads the files.
 """
 
 from __future__ import annotations
 
+import sqlite3
 import struct
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.msg import normalize_msgtype
+import yaml
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
 from cairn import SECOND, CairnError, from_ns
+from cairn.bounded_files import megabytes
+from cairn.bounded_yaml import yaml_fault
+from cairn.components.replay.bag_files import BagFile, BagTopic
 from cairn.components.replay.recording import (
     Gray,
     ImageStream,
@@ -31,7 +37,6 @@ from cairn.components.replay.recording import (
     TimedPoses,
     covariances_of,
 )
-from cairn.components.replay.ros1_bag_recovery import SequentialBagReader
 from cairn.components.replay.wheel_odometry import odometry_deviations, odometry_velocities
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose
@@ -56,6 +61,7 @@ _POSE_TYPES = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
     _ODOMETRY: lambda message: message.pose.pose,
 }
+_READ = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES)
 _BASES = ("base_footprint", "base_link")
 
 
@@ -69,7 +75,7 @@ class BagRecording:
         """Read everything but the images; raises `RecordingError`."""
         self._path = path
         self._named = {kind: "/" + name.lstrip("/") for kind, name in topics.items()}
-        bag = read_bag(path, self._choose)
+        bag = read_bag(path)
         self._types = {"/" + topic.lstrip("/"): kind for topic, kind in bag.types.items()}
         self._messages = {"/" + topic.lstrip("/"): of for topic, of in bag.messages.items()}
         self._counts = {"/" + topic.lstrip("/"): count for topic, count in bag.counts.items()}
@@ -150,11 +156,6 @@ class BagRecording:
     def notes(self) -> Sequence[str]:
         """Return what was lost or assumed."""
         return self._notes
-
-    def _choose(self, types: Mapping[str, str]) -> list[str]:
-        kinds = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES)
-        named = set(self._named.values())
-        return [t for t, kind in types.items() if kind in kinds or "/" + t.lstrip("/") in named]
 
     def _topic(self, kind: str, types: Sequence[str]) -> str | None:
         """Return the topic to replay, None if the bag has none of that kind."""
@@ -276,10 +277,10 @@ def _pose_of(position: Any, rotation: Any) -> Pose:
     return planar_pose(message)
 
 
-Choice = Callable[[Mapping[str, str]], Collection[str]]
-"""Which topics to read, given the message type (`package/msg/Name`) of each."""
-
-_SUFFIXES = {b"\x89MCAP0\r\n": ".mcap", b"SQLite format 3\x00": ".db3"}
+_KEPT_BYTES: Final = 300_000_000
+_KEPT_RATIO: Final = 20
+_MESSAGE_COST: Final = 4_000  # what a message takes beside its serialized bytes, about [bytes]
+_TF_FACTOR: Final = 20  # what a transform takes in relation to its serialized bytes
 
 
 @dataclass(frozen=True)
@@ -295,108 +296,124 @@ class BagContents:
     notes: list[str]
 
 
-def read_bag(path: Path, choose: Choice) -> BagContents:
-    """Read the messages of those topics of the bag at `path` that `choose` returns.
+def read_bag(path: Path) -> BagContents:
+    """Read the scans, odometry, transforms and poses of the bag at `path`.
 
     `path` is a ROS 1 bag, the folder of a ROS 2 bag, or one of its files. Messages have the
     attributes of their ROS 2 definition. Raises `RecordingError`.
     """
-    if _is_ros1(path):
-        try:
-            # The library does not read format 1.2, nor bags with another suffix.
-            if _is_ros1(path, b"#ROSRECORD") or path.suffix != ".bag":
-                return _in_sequence(path, choose, "")
-            return _by_index(path, choose)
-        except RecordingError:
-            raise
-        except Exception as error:  # the library raises various errors for a broken bag
-            return _in_sequence(path, choose, _error_text(error))
-    _check_suffix(path)
+    bag = BagFile(path)
+    messages: dict[str, list[tuple[int, Any]]] = {}
+    damaged: list[str] = []
+    kept = 0
+    with _explained(bag):
+        for topic, received, raw in bag.messages(lambda topic: topic.type in _READ):
+            kept += _MESSAGE_COST + len(raw) * (_TF_FACTOR if topic.type in _TF else 1)
+            most = max(_KEPT_BYTES, _KEPT_RATIO * bag.size)
+            if kept > most:
+                raise RecordingError(
+                    f"{path}: its messages would take more than {megabytes(most)} MB of memory, "
+                    "the limit for a bag of its size. Replay a part of it."
+                )
+            try:
+                message = _deserialize(bag, topic, raw)
+            except SerdeError as error:
+                if not bag.is_ros1:
+                    raise
+                damaged.append(f"a message of {topic.name} is damaged: {_error_text(error)}")
+                continue
+            messages.setdefault(topic.name, []).append((received, message))
+        if not bag.counts.total():
+            raise ValueError("; ".join(["it holds no message that can be read", *bag.lost[:5]]))
+        if damaged and not messages:
+            raise ValueError(damaged[0])
+    for of in messages.values():
+        of.sort(key=lambda pair: pair[0])  # files are almost in this order
+    notes = [*bag.lost, *damaged]
+    if len(notes) > _MOST_NOTES:
+        notes = [*notes[:_MOST_NOTES], f"{len(notes) - _MOST_NOTES} more damages of this kind"]
+    counts: dict[str, int] = {}
+    for topic, count in bag.counts.items():
+        counts[topic.name] = counts.get(topic.name, 0) + count
+    types = {topic.name: topic.type for topic in bag.counts}
+    chosen = {topic.name: messages.get(topic.name, []) for topic in bag.counts}
+    return BagContents(types, counts, chosen, notes)
+
+
+_MOST_NOTES: Final = 20
+
+
+@contextmanager
+def _explained(bag: BagFile) -> Iterator[None]:
+    """Turn errors of reading a bag into `RecordingError` with the file and a remedy."""
     try:
-        return _by_index(path, choose)
+        yield
     except RecordingError:
         raise
-    except Exception as error:  # the library raises various errors for a broken bag
-        repair = (
-            f"mcap recover {path.name}" if path.suffix == ".mcap" else f"ros2 bag reindex {path}"
-        )
+    except _UNREADABLE as error:
+        path = bag.path
+        why = _error_text(error)
+        if bag.is_ros1:
+            raise RecordingError(
+                f"{path} cannot be read as a ROS 1 bag ({why}). It is cut off or damaged: repair "
+                "it with `rosbag reindex`, or take a fresh copy."
+            ) from error
+        repair = f"mcap recover {path.name}" if _is_mcap(path) else f"ros2 bag reindex {path}"
         raise RecordingError(
-            f"{path} cannot be read as a ROS 2 bag ({_error_text(error)}). It is cut off, damaged, "
-            f"or was not closed after recording: repair it with `{repair}`, or take a fresh copy."
+            f"{path} cannot be read as a ROS 2 bag ({why}). It is cut off, damaged, or was not "
+            f"closed after recording: repair it with `{repair}`, or take a fresh copy."
         ) from error
 
 
-def _by_index(path: Path, choose: Choice) -> BagContents:
-    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        types = {connection.topic: connection.msgtype for connection in reader.connections}
-        counts = Counter[str]()
-        for connection in reader.connections:
-            counts[connection.topic] += connection.msgcount
-        chosen = choose(types)
-        messages: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in chosen}
-        connections = [c for c in reader.connections if c.topic in chosen]
-        # Without connections the library would read all of them.
-        for connection, received, raw in reader.messages(connections) if connections else ():
-            message = reader.deserialize(raw, connection.msgtype)
-            messages[connection.topic].append((received, message))
-    return BagContents(types, counts, messages, [])
+_UNREADABLE: Final = (
+    ValueError, OSError, struct.error, sqlite3.Error, yaml.YAMLError, SerdeError,
+)  # fmt: skip
 
 
-def _in_sequence(path: Path, choose: Choice, cause: str) -> BagContents:
-    """Read whatever can be found in the file from start to end; `cause`: why."""
-    sequence = SequentialBagReader(path)
-    found = list(sequence.messages())
-    notes = list(sequence.lost)
-    if not found:
-        raise RecordingError(
-            f"{path} holds no message that can be read ({'; '.join([cause, *notes])}). Repair it "
-            "with `rosbag reindex`, or take a fresh copy."
-        )
-    types = {c.topic: normalize_msgtype(c.type) for c, _, _ in found}
-    chosen = choose(types)
-    messages: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in chosen}
-    typestore = get_typestore(Stores.EMPTY)
-    for connection in {c.topic: c for c, _, _ in found if c.topic in chosen}.values():
-        fields = get_types_from_msg(connection.definition, types[connection.topic])
-        if "roslib/msg/Header" in fields:  # its name until the end of 2010
-            fields["std_msgs/msg/Header"] = fields.pop("roslib/msg/Header")
-        typestore.register({t: f for t, f in fields.items() if t not in typestore.fielddefs})
-    for number, (connection, received, raw) in enumerate(found, start=1):
-        if connection.topic in chosen:
-            try:
-                message = typestore.deserialize_ros1(raw, types[connection.topic])
-            except (struct.error, AssertionError, ValueError, IndexError) as error:
-                notes.append(
-                    f"message {number} ({connection.topic}) is damaged: {_error_text(error)}"
-                )
-                continue
-            messages[connection.topic].append((received, message))
-    if cause:
-        notes.insert(0, f"its index is broken ({cause}): read in sequence, {len(found)} messages")
-    return BagContents(types, Counter(c.topic for c, _, _ in found), messages, notes)
-
-
-def _is_ros1(path: Path, magic: bytes = b"#ROS") -> bool:
-    if path.is_dir():
-        return False
-    with path.open("rb") as stream:
-        return stream.read(len(magic)) == magic
-
-
-def _check_suffix(path: Path) -> None:
-    if path.is_dir():
-        return
-    with path.open("rb") as stream:
-        magic = stream.read(16)
-    for start, suffix in _SUFFIXES.items():
-        if magic.startswith(start) and path.suffix != suffix:
-            raise RecordingError(
-                f"{path} is a {suffix} file: rename it so that it ends in {suffix}."
-            )
+def _is_mcap(path: Path) -> bool:
+    return path.suffix == ".mcap"
 
 
 def _error_text(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, yaml.YAMLError):
+        position, fault = yaml_fault(error)
+        return f"metadata.yaml{position}: {fault}"
+    if isinstance(error, OSError):
+        return str(error.strerror or error)
+    return " ".join(str(error).split())[:500] or type(error).__name__
+
+
+@cache
+def _typestore(is_ros1: bool) -> Typestore:
+    """Return the definitions of ROS; those in a bag are not used, because they are code to run."""
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    humble = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+    transforms = humble[_TF[0]]
+    store.register({name: transforms for name in _TF if name not in store.fielddefs})
+    return store
+
+
+@cache
+def _md5(type_name: str) -> str:
+    return str(_typestore(is_ros1=True).generate_msgdef(type_name)[1])
+
+
+def _deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
+    """Return a message; raise `SerdeError` if it is damaged, `ValueError` for an unknown type."""
+    store = _typestore(bag.is_ros1)
+    if topic.type not in store.fielddefs:
+        raise ValueError(f"{topic.name} has the type {topic.type[:100]!r}, which is not known")
+    if bag.is_ros1 and topic.md5 not in ("", "*", _md5(topic.type)):
+        raise ValueError(
+            f"{topic.name} has the type {topic.type}, but another definition of it (MD5 "
+            f"{topic.md5[:40]!r}) than ROS"
+        )
+    try:
+        if bag.is_ros1:
+            return store.deserialize_ros1(raw, topic.type)
+        return store.deserialize_cdr(raw, topic.type)
+    except (AssertionError, IndexError, MemoryError) as error:
+        raise SerdeError(_error_text(error)) from error
 
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -492,15 +509,14 @@ def _first_whole(images: _SequentialImages, count: int) -> Gray:
 
 def _image_messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
     """Yield the messages of a topic with their times of receipt [ns]."""
+    bag = BagFile(path)
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            connections = [c for c in reader.connections if "/" + c.topic.lstrip("/") == topic]
-            for connection, receipt, raw in reader.messages(connections):
-                yield receipt, reader.deserialize(raw, connection.msgtype)
-    except Exception as error:  # the library raises various errors for a broken bag
+        for found, received, raw in bag.messages(lambda of: "/" + of.name.lstrip("/") == topic):
+            yield received, _deserialize(bag, found, raw)
+    except _UNREADABLE as error:
         raise RecordingError(
-            f"{path}: its images cannot be read ({' '.join(str(error).split())}): repair the bag "
-            "with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
+            f"{path}: its images cannot be read ({_error_text(error)}): repair the bag with "
+            "`rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
         ) from error
 
 

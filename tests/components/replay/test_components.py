@@ -131,7 +131,7 @@ def test_data_set_of_several_robots_needs_a_robot_number(dataset: Path) -> None:
         (b"\x89PNG\r\n\x1a\n", "is not a recording that can be read .it starts with b'.x89PNG"),
         (b"hello world\n", "is not a recording that can be read"),
         (b"", "is not a recording that can be read"),
-        (b"\x1f\x8bcut", "line 1: the gzip stream is broken"),
+        (b"\x1f\x8bcut", "line 1: the compressed stream is broken"),
     ],
 )
 def test_unknown_file_is_rejected_with_the_known_formats(

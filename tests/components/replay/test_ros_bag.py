@@ -183,9 +183,7 @@ def test_bag_of_the_old_format_is_read_in_sequence() -> None:
     assert list(recording.notes()) == []
 
 
-def test_ros1_bag_with_a_broken_index_is_recovered_with_a_note(
-    tmp_path: Path,
-) -> None:
+def test_ros1_bag_with_a_broken_index_is_read_with_a_note(tmp_path: Path) -> None:
     """As in a bag of scan_tools: the record behind the first chunk claims a wrong length."""
     path = tmp_path / "broken.bag"
     with Ros1Writer(path) as writer:
@@ -207,8 +205,6 @@ def test_ros1_bag_with_a_broken_index_is_recovered_with_a_note(
     assert scans is not None
     assert len(scans.stamps) == 4
     notes = " ".join(recording.notes())
-    assert "its index is broken" in notes
-    assert "read in sequence, 4 messages" in notes
     assert "bytes from byte" in notes
 
 
@@ -237,7 +233,7 @@ def test_ros1_bag_without_readable_messages_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "wrong.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + bytes(2000))
 
-    with pytest.raises(RecordingError, match=r"wrong.bag holds no message .* `rosbag reindex`"):
+    with pytest.raises(RecordingError, match=r"wrong.bag .* no message .* `rosbag reindex`"):
         open_recording(path)
 
 
@@ -251,11 +247,13 @@ def test_cut_off_mcap_file_is_rejected_with_a_remedy(tmp_path: Path) -> None:
         open_recording(cut)
 
 
-def test_file_with_a_wrong_suffix_is_rejected(tmp_path: Path) -> None:
+def test_mcap_file_with_another_suffix_is_read(tmp_path: Path) -> None:
     (file,) = ros2(tmp_path / "bag", drive(), StoragePlugin.MCAP).glob("*.mcap")
 
-    with pytest.raises(RecordingError, match=words_in_order(".mcap", "rename")):
-        open_recording(file.rename(tmp_path / "run.bin"))
+    scans = open_recording(file.rename(tmp_path / "run.bin")).scans()
+
+    assert scans is not None
+    assert len(scans.stamps) == 5
 
 
 def test_ros1_bag_with_another_suffix_is_read(tmp_path: Path) -> None:

@@ -1,0 +1,211 @@
+"""Decompresses recordings with limits: a few bytes of a compressed file may stand for gigabytes."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import lzma
+import os
+import sys
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+from lz4.frame import LZ4FrameDecompressor
+
+from cairn.bounded_files import megabytes, open_regular, too_large
+from cairn.components.replay.recording import RecordingError, damaged_line
+from cairn.files import explain_os_error
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+LINE_BYTES: Final = 1 << 20
+"""Longest line of a text recording [bytes]."""
+
+TEXT_BYTES: Final = 1_000_000_000
+"""Largest text recording, decompressed [bytes]."""
+
+RECORD_BYTES: Final = 128_000_000
+"""Longest record or decompressed chunk of a bag [bytes]."""
+
+_SMALL_BYTES: Final = 64_000_000
+_RATIO: Final = 20  # recordings of robots compress 3 to 12 times
+_FEW_LINES: Final = 150_000
+_BYTES_OF_LINE: Final = 20  # least room of a line in a genuine compressed file
+
+
+def most_unpacked(size: int) -> int:
+    """Return how many bytes may come out of a compressed file of `size` bytes."""
+    return max(_SMALL_BYTES, _RATIO * size)
+
+
+def too_much_unpacked(path: Path, most: int) -> RecordingError:
+    """Return the error for a file that unpacks to more than `most` bytes."""
+    return RecordingError(
+        f"{path} unpacks to more than {megabytes(most)} MB, the limit for a file of its size "
+        f"({megabytes(_SMALL_BYTES)} MB, or {_RATIO} times the size). If it is genuine, decompress "
+        "it, and replay the decompressed file."
+    )
+
+
+_DECOMPRESSORS: Final[Mapping[str, Callable[[], Any]]] = {
+    "bz2": bz2.BZ2Decompressor,
+    "lz4": LZ4FrameDecompressor,
+    "zstd": zstd.ZstdDecompressor,
+}
+
+
+def unpack(packed: bytes, compression: str, size: int) -> bytes:
+    """Return the `size` bytes that a chunk of a bag declares to hold.
+
+    Memory stays below `size`, whatever the chunk holds. Raises `ValueError` if these are not
+    exactly the bytes that come out, or the compression is not known.
+    """
+    if size > RECORD_BYTES:
+        raise ValueError(
+            f"it declares {megabytes(size)} MB, more than the {megabytes(RECORD_BYTES)} MB that "
+            "are allowed"
+        )
+    if compression in ("", "none"):
+        data = packed
+    elif compression not in _DECOMPRESSORS:
+        raise ValueError(f"its compression {compression[:20]!r} is not known")
+    else:
+        data = _unpacked_frame(packed, _DECOMPRESSORS[compression](), size)
+    if len(data) != size:
+        more = "more" if len(data) > size else f"{len(data):,}, not"
+        raise ValueError(f"{more} than the {size:,} bytes that it declares come out of it")
+    return data
+
+
+def _unpacked_frame(packed: bytes, decompressor: Any, size: int) -> bytes:
+    """Return what one frame holds, but at most `size` + 1 bytes."""
+    pieces = []
+    rest, left = packed, size + 1
+    try:
+        while left and not decompressor.eof:
+            piece = decompressor.decompress(rest, left)
+            if not piece and decompressor.needs_input:
+                raise ValueError("it is cut off")
+            pieces.append(piece)
+            rest, left = b"", left - len(piece)
+    except (OSError, EOFError, RuntimeError, MemoryError, zstd.ZstdError) as error:
+        raise ValueError(f"it cannot be decompressed ({error})") from error
+    if decompressor.unused_data:
+        raise ValueError(f"{len(decompressor.unused_data):,} bytes follow its compressed data")
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+
+def unpack_message(packed: bytes) -> bytes:
+    """Return a message that rosbag2 compressed by zstd; raise `ValueError` as `unpack`."""
+    data = _unpacked_frame(packed, zstd.ZstdDecompressor(), RECORD_BYTES)
+    if len(data) > RECORD_BYTES:
+        raise ValueError(f"a message unpacks to more than {megabytes(RECORD_BYTES)} MB")
+    return data
+
+
+def unpack_file(path: Path, target: Path) -> None:
+    """Decompress a file that rosbag2 compressed by zstd; raise `RecordingError` if too large."""
+    with open_regular(path) as packed, target.open("wb") as written:
+        most = most_unpacked(os.fstat(packed.fileno()).st_size)
+        try:
+            with zstd.open(packed, "rb") as stream:
+                while piece := stream.read(1 << 20):
+                    if written.tell() + len(piece) > most:
+                        raise too_much_unpacked(path, most)
+                    written.write(piece)
+        except (EOFError, zstd.ZstdError) as error:
+            raise ValueError(f"{path.name} cannot be decompressed ({error})") from error
+
+
+def text_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield each line of a text file with its number, from 1 on.
+
+    The file may be compressed by gzip, bzip2 or xz, which is found out by its content. Raises
+    `RecordingError` for a file that cannot be read, is cut off, is not text, or exceeds a limit;
+    all limits are checked before the first line is returned.
+    """
+    with _explained(path) as at:
+        for _ in _raw_lines(path, at):
+            pass
+    yield from first_lines(path)
+
+
+def first_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield lines as `text_lines` does, without reading the whole file before."""
+    with _explained(path) as at:
+        for raw in _raw_lines(path, at):
+            yield at.line, raw.decode("ascii")
+
+
+@dataclass
+class _Position:
+    """The number of the line that was read last."""
+
+    line: int = 0
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[_Position]:
+    """Turn errors of reading and decompressing into `RecordingError`."""
+    at = _Position()
+    try:
+        yield at
+    except (EOFError, zlib.error, gzip.BadGzipFile, lzma.LZMAError) as error:
+        fault = f"the compressed stream is broken ({error})"
+        raise damaged_line(path, at.line + 1, fault) from error
+    except UnicodeDecodeError as error:
+        raise damaged_line(path, at.line, "not a text file") from error
+    except MemoryError as error:  # an xz stream states how much memory it needs
+        raise damaged_line(path, at.line + 1, "its decompression needs too much memory") from error
+    except OSError as error:
+        if error.errno is None:  # raised by bz2 for a damaged stream
+            fault = f"the bzip2 stream is broken ({error})"
+            raise damaged_line(path, at.line + 1, fault) from error
+        raise RecordingError(f"{path} cannot be read: {explain_os_error(error)}.") from error
+
+
+def _raw_lines(path: Path, at: _Position) -> Iterator[bytes]:
+    with open_regular(path) as packed:
+        size = os.fstat(packed.fileno()).st_size
+        stream = _unpacking(packed)
+        most = TEXT_BYTES if stream is packed else min(TEXT_BYTES, most_unpacked(size))
+        most_lines = max(_FEW_LINES, size // _BYTES_OF_LINE)
+        if stream is packed and size > most:
+            raise too_large(path, size, most)
+        total = 0
+        while raw := stream.readline(LINE_BYTES + 1):
+            at.line += 1
+            total += len(raw)
+            if len(raw) > LINE_BYTES:
+                fault = f"it is longer than {LINE_BYTES:,} bytes, which is the limit"
+                raise damaged_line(path, at.line, fault)
+            if total > most:
+                raise too_much_unpacked(path, most)
+            if at.line > most_lines:
+                raise RecordingError(
+                    f"{path} has more than {most_lines:,} lines, the limit for a file of its size. "
+                    "If it is genuine, decompress it, and replay the decompressed file."
+                )
+            yield raw
+
+
+def _unpacking(packed: BinaryIO) -> BinaryIO:
+    """Return the stream that decompresses a file, or the file itself if it is not compressed."""
+    magic = packed.read(6)
+    packed.seek(0)
+    # Their own iterators are written in Python, and slow.
+    if magic.startswith(b"\x1f\x8b"):
+        return BufferedReader(gzip.open(packed, "rb"))
+    if magic.startswith(b"BZh"):
+        return BufferedReader(bz2.open(packed, "rb"))
+    if magic.startswith(b"\xfd7zXZ\0"):
+        return BufferedReader(lzma.open(packed, "rb"))
+    return packed
