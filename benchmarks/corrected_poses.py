@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import spsolve
 
+from cairn.components.replay.bounded_streams import text_lines
 from cairn.components.replay.carmen import LaserLine, read_log, restore_driving_direction
-from cairn.components.replay.recording import text_lines
 from cairn.planar.poses import compose, wrap, wrap_all
 
 Array = NDArray[np.float64]
