@@ -230,7 +230,9 @@ def test_cut_off_log_is_named(tmp_path: Path) -> None:
     path = tmp_path / "cut.log.gz"
     path.write_bytes(FR101.read_bytes()[:100_000])
 
-    with pytest.raises(RecordingError, match=r"cut.log.gz, line \d+: the compressed stream is broken"):
+    with pytest.raises(
+        RecordingError, match=r"cut.log.gz, line \d+: the compressed stream is broken"
+    ):
         CarmenRecording(path)
 
 

@@ -81,7 +81,9 @@ def test_cut_off_gzip_file_is_named(dataset: Path, copy: Path) -> None:
     whole = (dataset / "Robot2_Odometry.dat.gz").read_bytes()
     (copy / "Robot2_Odometry.dat.gz").write_bytes(whole[: len(whole) // 2])
 
-    with pytest.raises(RecordingError, match=r"Robot2_Odometry.dat.gz, line \d+: the compressed stream"):
+    with pytest.raises(
+        RecordingError, match=r"Robot2_Odometry.dat.gz, line \d+: the compressed stream"
+    ):
         MrclamDataset(copy).odometry(2)
 
 
