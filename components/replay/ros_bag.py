@@ -278,8 +278,8 @@ def _pose_of(position: Any, rotation: Any) -> Pose:
 
 
 _KEPT_BYTES: Final = 200_000_000
-_KEPT_RATIO: Final = 40
-_MESSAGE_COST: Final = 1_500  # what a message takes beside its serialized bytes, about [bytes]
+_KEPT_RATIO: Final = 60
+_MESSAGE_COST: Final = 3_000  # what a message takes beside its serialized bytes, about [bytes]
 _TF_FACTOR: Final = 20  # what a transform takes in relation to its serialized bytes
 
 
