@@ -1,7 +1,7 @@
 """Reads hostile files with the product's readers, each in a process with little memory.
 
 `python -m tests.hostile_reading KIND/NAME ...` prints a line of JSON for each: what the reader
-raised, the time that it took [s], and the highest memory use of its process [MB]. A process is
+raised, the processor time that it took [s], and the highest memory use of its process [MB]. A process is
 forked for each file, so that the readers are imported once, and no file adds to the memory of
 another one.
 """
@@ -30,9 +30,10 @@ MOST_MEMORY_MB: Final = 500
 """No process may use more memory for a hostile file [MB]."""
 
 MOST_SECONDS: Final = 5.0
+"""No file may take more processor time [s]; a reader that waits is killed."""
 
 _ADDRESS_SPACE: Final = 4 << 30  # libraries and threads take 1.5 GB of it, a bomb the rest
-_KILLED_AFTER_S: Final = 3 * MOST_SECONDS
+_KILLED_AFTER_S: Final = 12 * MOST_SECONDS  # of real time, also on a machine that is busy
 _MODULES: Final = (
     "components.replay.open_recording",
     "components.simulation.textures",
@@ -49,7 +50,7 @@ _MODULES: Final = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """How reading a file ended: type and text of the error, time [s], peak of memory [MB]."""
+    """How reading a file ended: type and text of the error, processor time [s], peak memory [MB]."""
 
     error: str
     text: str
@@ -154,15 +155,15 @@ def _read(case: str) -> Outcome:
 
 
 def _attempt(reader: Callable[[Path], Any], file: Path) -> tuple[str, str, float]:
-    """Return what a reader raised, type and text, and the time that it took [s]."""
-    begin = time.perf_counter()
+    """Return what a reader raised, type and text, and the processor time that it took [s]."""
+    begin = time.process_time()
     error, text = "nothing", ""
     try:
         reader(file)
     except Exception as raised:
         error = "CairnError" if isinstance(raised, CairnError) else type(raised).__name__
         text = str(raised)[:1000]
-    return error, text, round(time.perf_counter() - begin, 3)
+    return error, text, round(time.process_time() - begin, 3)
 
 
 def _forked(call: Callable[[], Any]) -> tuple[Any, float]:
