@@ -1,9 +1,9 @@
 """Reads hostile files with the product's readers, each in a process with little memory.
 
 `python -m tests.hostile_reading KIND/NAME ...` prints a line of JSON for each: what the reader
-raised, the processor time that it took [s], and the highest memory use of its process [MB]. A process is
-forked for each file, so that the readers are imported once, and no file adds to the memory of
-another one.
+raised, the processor time that it took [s], and the highest memory use of its process [MB]. A
+process is forked for each file, so that the readers are imported once, and no file adds to the
+memory of another one.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _MODULES: Final = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """How reading a file ended: type and text of the error, processor time [s], peak memory [MB]."""
+    """How reading a file ended: type and text of the error, processor time [s], peak memory."""
 
     error: str
     text: str
