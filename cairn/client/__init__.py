@@ -13,6 +13,7 @@ from cairn.bus.control import ControlError, NoReplyError
 from cairn.client.connection import Connection
 from cairn.client.navigation import NavigationGoal
 from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
+from cairn.client.velocity_gate import Teleoperation
 
 __all__ = [
     "Connection",
@@ -23,6 +24,7 @@ __all__ = [
     "Parameter",
     "Robot",
     "Subscription",
+    "Teleoperation",
     "Topic",
     "connect",
 ]

@@ -1,12 +1,14 @@
 """Check a whole deployment in one pass: every problem, each with its line and its remedy.
 
 The sections and the parameters of each plugin are validated by `cairn.deployment.validation`; here
-are the rules between them: unique names, ports and topics, message types, clocks.
+are the rules between them: unique names, ports and topics, message types, clocks, and what the
+components' own classes require of their neighbors.
 """
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
@@ -19,6 +21,7 @@ from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import validation_problems
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.errors import CairnError
+from cairn.runtime.parameters import Config
 from cairn.runtime.ports import PortSpec, handlers_of, ports_of
 from cairn.schemas.message import type_name
 
@@ -28,13 +31,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CheckedComponent:
-    """A component of the document with its plugin's class and ports, None if they are unknown."""
+    """A component of the document with its plugin's class, ports and parameters.
+
+    These are None if they are unknown, the parameters also if they are invalid.
+    """
 
     name: str
     path: KeyPath
     node: DocumentNode
     cls: "type[Component] | None" = None
     ports: "dict[str, PortSpec] | None" = None
+    config: Config | None = None
 
     def topic(self, port: str) -> str:
         """Return the topic that the document gives to the port."""
@@ -119,13 +126,15 @@ def _resolve_plugin(
     except CairnError as error:
         remedy = "correct the class, or use another plugin"
         return component, [Problem(plugin.where, dotted(path), str(error), remedy)]
-    known = CheckedComponent(component.name, component.path, component.node, cls, ports)
+    known = replace(component, cls=cls, ports=ports)
     parameters = component.node.find("parameters") or DocumentNode({}, component.node.where)
     if not isinstance(parameters.value, Mapping):
         return known, []
-    return known, validation_problems(
-        config, parameters, (*component.path, "parameters"), unresolved
-    )
+    problems = validation_problems(config, parameters, (*component.path, "parameters"), unresolved)
+    if not problems:
+        with suppress(ValidationError):  # of references that are reported already
+            known = replace(known, config=config.model_validate(parameters.plain()))
+    return known, problems
 
 
 def _unknown_ports(component: CheckedComponent) -> Iterator[Problem]:
@@ -216,6 +225,7 @@ def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> 
         yield from _exclusive_conflicts(topic, uses)
         if topic not in written:
             yield from _missing_publishers(topic, uses, written, complete)
+    yield from _neighbor_problems(topics)
     yield from _device_problems(root, components)
     yield from _clock_problems(root, topics[_CLOCK], _CLOCK in external)
 
@@ -241,6 +251,31 @@ def _exclusive_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
     if readers and len(writers) > 1:
         *_, last = writers.values()
         yield last.problem(two_writers(topic, writers, readers[0].component.name), ONE_WRITER)
+
+
+def _neighbor_problems(topics: Mapping[str, list[_PortUse]]) -> Iterator[Problem]:
+    """Yield what the components' classes find wrong with the parameters of their neighbors."""
+    found: dict[str, CheckedComponent] = {}
+    neighbors: defaultdict[str, dict[str, dict[str, Config]]] = defaultdict(dict)
+    for uses in topics.values():
+        for use in uses:
+            found[use.component.name] = use.component
+            neighbors[use.component.name][use.port.name] = {
+                other.component.name: other.component.config
+                for other in uses
+                if other.port.direction != use.port.direction and other.component.config is not None
+            }
+    for name, component in found.items():
+        if component.cls is None or component.config is None:
+            continue
+        for key, reason, remedy in component.cls.check_neighbors(component.config, neighbors[name]):
+            node = (
+                component.node.find("parameters", *key.split("."))
+                or component.node.find("plugin")
+                or component.node
+            )
+            path = dotted((*component.path, "parameters", key))
+            yield Problem(node.where, path, reason, remedy)
 
 
 def _missing_publishers(

@@ -1,7 +1,7 @@
 """The base class of every component: what its author overrides, and what it may use."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Protocol, get_type_hints
 
@@ -85,6 +85,20 @@ class Component:
             )
         return annotation
 
+    @classmethod
+    def check_neighbors(
+        cls,
+        config: Config,  # noqa: ARG003 - for overriding methods
+        neighbors: Mapping[str, Mapping[str, Config]],  # noqa: ARG003
+    ) -> Iterable[tuple[str, str, str]]:
+        """Return which parameters do not fit those of the components on the same topics.
+
+        `cairn check` and `cairn up` report them as errors. `neighbors` has, for each port, the
+        components at its other end with their parameters. An error is a parameter of this
+        component (dotted), what is wrong, and the remedy. By default there is none.
+        """
+        return ()
+
     @property
     def name(self) -> str:
         """The component's name in its deployment."""
@@ -140,6 +154,10 @@ class Component:
         There is one problem for each `subject`, the last one reported.
         """
         self._context.report_problem(subject, problem)
+
+    def report_state(self, state: str) -> None:
+        """Show in the status (`cairn ps`) what the component is doing; "": nothing to report."""
+        self._context.report_problem("", state or None)
 
     def on_configure(self) -> None:
         """Allocate memory, open devices and files; raise an error that says why that fails."""

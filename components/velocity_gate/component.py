@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -97,6 +97,44 @@ class VelocityGate(Component):
     _scan_at: int | None = None
     _odometry_at: int | None = None
     _teleoperated_at = 0
+
+    @classmethod
+    def check_neighbors(
+        cls, config: Config, neighbors: Mapping[str, Mapping[str, Config]]
+    ) -> Iterator[tuple[str, str, str]]:
+        """Yield limits lower than the navigator's, and braking harder than the base's.
+
+        The gate would reduce the navigator's commands without its knowledge, or rely on a
+        deceleration that the base does not reach.
+        """
+        assert isinstance(config, VelocityGateConfig)
+        for key, limited in (
+            ("speed", "speed"),
+            ("turn_speed", "turn_speed"),
+            ("acceleration", "acceleration"),
+            ("deceleration", "acceleration"),
+            ("turn_acceleration", "turn_acceleration"),
+        ):
+            own = getattr(config, key)
+            for name, navigator in neighbors["navigator_cmd_vel"].items():
+                wanted = getattr(navigator, limited, None)
+                if isinstance(wanted, float) and wanted > own:
+                    yield (
+                        key,
+                        f"{own:g} is less than {limited} {wanted:g} of {name}: the gate would "
+                        "reduce its commands",
+                        f"raise {key} to {wanted:g}, or lower {limited} of {name}",
+                    )
+        braking = config.braking
+        for name, base in neighbors["cmd_vel"].items():
+            reached = getattr(base, "acceleration", None)
+            if isinstance(reached, float) and reached < braking:
+                yield (
+                    "braking",
+                    f"{braking:g} is more than acceleration {reached:g} of {name}: the robot "
+                    "would stop too late before obstacles",
+                    f"lower braking to {reached:g}, or raise acceleration of {name}",
+                )
 
     def on_configure(self) -> None:
         """Take the state of the emergency stop; start without commands."""
@@ -417,6 +455,7 @@ class VelocityGate(Component):
         if stopped and hold[0] != last.reason_code and requested != STILL:
             self._warnings.warn("hold", f"holding the robot: {hold[1]}")
         self._status_at = now
+        self.report_state(_state(source, operator, hold))
         self._status = VelocityGateStatus(
             header=Header(stamp=from_ns(now), frame_id="base_link"),
             source=source,
@@ -438,6 +477,16 @@ class VelocityGate(Component):
         )
         self._limits.clear()
         self.velocity_gate_status.publish(self._status)
+
+
+def _state(source: str, operator: str, hold: _Hold) -> str:
+    """Return the state of the gate for `cairn ps`."""
+    code, held = hold
+    if held and code != ReasonCode.EMERGENCY_STOP:
+        held = f"holds the robot: {held}"
+    lease = f"{operator} has the operator's lease" if operator else ""
+    drives = f"{source or 'no source'} drives"
+    return "; ".join(filter(None, (held, lease, drives)))
 
 
 def _stale(what: str, topic: str, at: int | None, now: int, limit_s: float) -> str:

@@ -22,13 +22,13 @@ from cairn.components.velocity_gate.sources import (
     SourceSettings,
 )
 
+_PRIORITY = "Of the sources with fresh commands, the highest drives [1]."
+
 
 class SourceConfig(Config):
-    """When the commands of a source count."""
+    """When the commands of a source count; that of the navigator."""
 
-    priority: int = Field(
-        10, ge=0, le=100, description="Of the sources with fresh commands, the highest drives [1]."
-    )
+    priority: int = Field(10, ge=0, le=100, description=_PRIORITY)
     timeout: float = Field(
         0.3, gt=0, le=2, description="Age of a command from which it is stale [s]."
     )
@@ -37,15 +37,22 @@ class SourceConfig(Config):
 class ExternalConfig(SourceConfig):
     """Commands of another program, such as a ROS 2 node."""
 
+    priority: int = Field(20, ge=0, le=100, description=_PRIORITY)
     enabled: bool = Field(False, description="Whether commands on external_cmd_vel count.")
+
+
+class TeleoperationConfig(SourceConfig):
+    """Commands of an operator."""
+
+    priority: int = Field(30, ge=0, le=100, description=_PRIORITY)
 
 
 class VelocityGateConfig(Config):
     """Parameters of the velocity gate."""
 
-    navigator: SourceConfig = SourceConfig(priority=10)
-    external: ExternalConfig = ExternalConfig(priority=20)
-    teleoperation: SourceConfig = SourceConfig(priority=30)
+    navigator: SourceConfig = SourceConfig()
+    external: ExternalConfig = ExternalConfig()
+    teleoperation: TeleoperationConfig = TeleoperationConfig()
     radius: float = Field(0.22, gt=0.05, le=2, description="Radius of the round robot [m].")
     footprint: Corners = Field(
         (),

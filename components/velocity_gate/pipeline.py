@@ -63,6 +63,7 @@ class CommandPipeline:
         outline = config.outline()
         self._stop_zone = outline.inflated(config.stop_margin)
         self._slow_zone = outline.inflated(config.slowdown_margin)
+        self._reach = self._slow_zone.reach
         self._behind = _places_behind(outline)
         self._axes = AxisState(), AxisState()
 
@@ -98,8 +99,8 @@ class CommandPipeline:
         if target != desired:
             limits.append("speed")
         points = np.empty((0, 2))
-        if around is not None:
-            points = around.scans.points(around.robot)
+        if around is not None and not STILL == target == self.command:
+            points = around.scans.points(around.robot, self._range(target, around))
             target = self._slowed(target, points, limits)
         self._axes = (
             ramp(self._axes[0], target[0], self._ramps[0], seconds),
@@ -111,6 +112,21 @@ class CommandPipeline:
         if max(abs(target[0]) / _STANDS, abs(target[1]) / _TURNS_NOT) < 1.0:
             blocked = ""
         return GateOutput(self.command, tuple(limits), blocked)
+
+    def _range(self, target: Velocity, around: Surroundings) -> float:
+        """Return the distance [m] from which points matter neither to slow-down nor to stop."""
+        config = self._config
+        # A ramp that must reverse its rate exceeds both velocities by as much as it eases.
+        fastest, turn = (
+            max(abs(target[axis]), abs(self.command[axis]), abs(around.measured[axis]))
+            + limits.acceleration**2 / (2.0 * limits.jerk)
+            for axis, limits in enumerate(self._ramps)
+        )
+        stops_s = fastest / config.braking
+        if not self._stop_zone.is_round:
+            stops_s = max(stops_s, turn / config.turn_braking)
+        stops_s = config.latency + around.scan_age_s + 0.5 * stops_s
+        return self._reach + fastest * max(stops_s, config.slowdown_time)
 
     def _slowed(self, target: Velocity, points: Array, limits: list[str]) -> Velocity:
         """Reduce the speed if a point is in the slow-down zone."""

@@ -28,6 +28,8 @@ _MOST_POINTS = 3000
 # Ground beside a ray counts as seen up to this angle [rad] from it: the spacing of coarse scanners.
 _BESIDE_RAD = 0.06
 
+_NONE: Array = np.empty((0, 2))
+
 
 @dataclass(frozen=True)
 class _Sweep:
@@ -100,10 +102,14 @@ class RecentScans:
         while self._sweeps[0].stamp < stamp - self._memory:
             self._sweeps.popleft()
 
-    def points(self, robot: Pose) -> Array:
-        """Return the points (n, 2) [m] in the frame of a robot at `robot`."""
-        cosine, sine = math.cos(robot[2]), math.sin(robot[2])
+    def points(self, robot: Pose, within: float) -> Array:
+        """Return the points (n, 2) [m] in the frame of a robot at `robot`, up to `within` [m]."""
         x, y = self._points[:, 0] - robot[0], self._points[:, 1] - robot[1]
+        near = x * x + y * y < within * within
+        if not near.any():
+            return _NONE
+        x, y = x[near], y[near]
+        cosine, sine = math.cos(robot[2]), math.sin(robot[2])
         return np.column_stack((cosine * x + sine * y, cosine * y - sine * x))
 
     def share_seen(self, robot: Pose, places: Array) -> float:

@@ -9,12 +9,14 @@ from pathlib import Path
 import pytest
 
 import cairn.client
+from cairn.deployment.load import load_deployment
+from cairn.deployment.problems import DeploymentError
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import NavigationStatus, ReasonCode
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.robot import RunningDeployment
 from tests.commands import cairn as run_cairn
-from tests.navigation.driving import STOPS_S, LockstepRobot
+from tests.navigation.driving import SIM, STOPS_S, LockstepRobot
 from tests.navigation.processes import robot_in
 
 RobotFactory = Callable[..., LockstepRobot]
@@ -56,11 +58,35 @@ def test_navigator_waits_while_an_operator_has_the_lease(drive: RobotFactory) ->
     robot.assert_arrives((7.5, 5.0))  # once the lease has ended by itself
 
 
+@pytest.mark.parametrize(
+    ("value", "parameter", "other"),
+    [
+        ("motion_control.parameters.speed=0.9", "velocity_gate.parameters.speed", "motion_control"),
+        (
+            "motion_control.parameters.acceleration=1.6",
+            "velocity_gate.parameters.deceleration",
+            "motion_control",
+        ),
+        ("base.parameters.acceleration=0.5", "velocity_gate.parameters.braking", "base"),
+    ],
+)
+def test_check_reports_limits_that_do_not_fit_navigator_or_base(
+    value: str, parameter: str, other: str
+) -> None:
+    with pytest.raises(DeploymentError) as failed:
+        load_deployment(SIM, sets=[f"components.{value}"])
+    problem = failed.value.problems[-1]
+    assert problem.path == f"components.{parameter}"
+    assert other in problem.found
+    assert other in problem.remedy
+
+
 @pytest.mark.processes
 def test_stop_command_works_while_the_supervisor_is_stopped(tmp_path: Path) -> None:
     with robot_in(tmp_path) as robot:
         endpoint = robot.run.endpoint
         with cairn.client.connect(endpoint) as client, client.teleoperation("anna") as drive:
+            assert isinstance(drive, cairn.client.Teleoperation)
             begin = robot.pose
             drive(0.3, 0.0, seconds=2.0)
             assert distance(begin, robot.pose) > 0.2

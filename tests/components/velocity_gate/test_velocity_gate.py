@@ -187,6 +187,28 @@ def test_unknown_state_of_the_emergency_stop_counts_as_engaged(
     assert robot.status.emergency_stop
 
 
+def test_status_for_people_names_source_operator_and_what_holds_the_robot() -> None:
+    robot = GatedRobot()
+
+    def state() -> str:
+        return robot.gate.runtime.status().reason
+
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=0.6)
+    assert state() == "navigator drives"
+    robot.points = np.array([[robot.pose[0] + 0.3, 0.0]])
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.5)
+    assert "an obstacle" in state()
+    robot.gate.request("acquire_lease", operator="anna", seconds=2.0)
+    robot.gate.request("stop", reason="test")
+    assert state() == "emergency stop: test; anna has the operator's lease; no source drives"
+
+
+def test_external_source_can_be_enabled_without_giving_priorities() -> None:
+    robot = GatedRobot(external={"enabled": True}, teleoperation={"timeout": 0.5})
+    robot.step(("external_cmd_vel", AHEAD), ("navigator_cmd_vel", Twist()), seconds=1.0)
+    assert robot.command == (0.4, 0.0)
+
+
 def test_pressed_button_cannot_be_released_by_request() -> None:
     robot = GatedRobot(hardware_stop_timeout=1.0)
     robot.gate.publish("hardware_stop", Bool(data=True))
