@@ -488,7 +488,8 @@ def real_times() -> RealTimes:
     found: dict[str, Any] = {}
     for result in results(output):
         found |= result
-    direct, gated = [], []
+    direct: list[float] = []
+    gated: list[float] = []
     waiting = {int(number): at for number, at in found["sent"].items()}
     for at, value, by_gate in found["arrived"]:
         # The ramp of the gate may reach a command in several steps: the first one counts.

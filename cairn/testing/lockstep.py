@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, Self, TypeVar, cast
 
 from cairn.bus.bus import full_name
 from cairn.bus.lockstep_bus import (
@@ -411,7 +411,7 @@ class DeploymentHarness(Lockstep):
         ended = "" if self.end is None else f"; the deployment has ended: {self.end.reason}"
         return super().__str__() + ended
 
-    def __enter__(self) -> DeploymentHarness:
+    def __enter__(self) -> Self:
         """Return itself; nothing is started yet."""
         return self
 
