@@ -359,11 +359,11 @@ def stop_times(folder: Path, seed: int) -> StopTimes | None:
         assert not robot.collisions, f"seed {seed}: collision"
         assert max(now for _, now, _ in after[-20:]) < _CREEPS, f"seed {seed}: still driving"
         end = planar_pose(robot.states[-1].robot)
-        gap = _points(robot.boxes[0], end)
+        outline = _points(robot.boxes[0], end)
         return StopTimes(
             (stopped - appeared) / 1e6,
             (stopped - first) / 1e6,
-            float(np.hypot(gap[:, 0], gap[:, 1]).min()) - _RADIUS,
+            float(np.hypot(outline[:, 0], outline[:, 1]).min()) - _RADIUS,
         )
 
 
