@@ -10,6 +10,7 @@ import bz2
 import gzip
 import lzma
 import os
+import socket
 import sqlite3
 import struct
 import zlib
@@ -134,20 +135,42 @@ def zeros_deflated(size: int) -> bytes:
     return b"\x78\xda" + piece * (size // block) + tail + struct.pack(">I", checksum)
 
 
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    """Return a chunk of a PNG image."""
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
 def png(width: int, height: int, *, color: int = 0, bits: int = 8, complete: bool = True) -> bytes:
     """Return a black PNG image; `color`: 0 gray, 2 RGB, 6 RGBA. Incomplete: a header alone."""
     channels = {0: 1, 2: 3, 6: 4}[color]
     row = 1 + (width * channels * bits + 7) // 8
     pixels = zeros_deflated(row * height) if complete else b""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        checksum = zlib.crc32(kind + data)
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum)
-
     header = struct.pack(">IIBBBBB", width, height, bits, color, 0, 0, 0)
     return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+        b"\x89PNG\r\n\x1a\n"
+        + png_chunk(b"IHDR", header)
+        + png_chunk(b"IDAT", pixels)
+        + png_chunk(b"IEND", b"")
     )
+
+
+_PNG_PIXELS_AT: Final = 33  # the signature and the header precede them
+
+
+def png_with(chunks: bytes, width: int = 64, height: int = 64, *, complete: bool = True) -> bytes:
+    """Return a black PNG image with these chunks before its pixels."""
+    image = png(width, height, complete=complete)
+    return image[:_PNG_PIXELS_AT] + chunks + image[_PNG_PIXELS_AT:]
+
+
+def expanding_chunks(number: int) -> bytes:
+    """Return color profiles and texts of 1 MB each, compressed to 1 kB."""
+    packed = zeros_deflated(MB)
+    return (
+        png_chunk(b"iCCP", b"p\0\0" + packed)
+        + png_chunk(b"zTXt", b"t\0\0" + packed)
+        + png_chunk(b"iTXt", b"t\0\1\0\0\0" + packed)
+    ) * (number // 3)
 
 
 def _bytes(name: str, content: Callable[[], bytes]) -> Callable[[Path], Path]:
@@ -180,49 +203,123 @@ def _tiff_with_huge_tiles() -> bytes:
     return b"II*\0" + struct.pack("<I", 8 + len(pixels)) + pixels + directory
 
 
-def _jpeg_header(width: int, height: int) -> bytes:
+def jpeg(width: int = 64, height: int = 64, **options: bool) -> bytes:
+    """Return a black JPEG image."""
     buffer = BytesIO()
-    Image.new("L", (64, 64)).save(buffer, "JPEG")
-    data = bytearray(buffer.getvalue())
+    Image.new("L", (width, height)).save(buffer, "JPEG", **options)
+    return buffer.getvalue()
+
+
+def _jpeg_header(width: int, height: int) -> bytes:
+    data = bytearray(jpeg())
     at = data.find(b"\xff\xc0")
     data[at + 5 : at + 9] = struct.pack(">HH", height, width)
     return bytes(data)
 
 
+def _jpeg_scans(number: int) -> bytes:
+    """Return a progressive JPEG image of 24 megapixels whose last scan is repeated."""
+    data = jpeg(4900, 4900, progressive=True)
+    at = data.rfind(b"\xff\xda")
+    return data[:at] + data[at:-2] * number + data[-2:]
+
+
+def jpeg_with(segments: bytes) -> bytes:
+    """Return a JPEG image with these segments at its begin."""
+    return b"\xff\xd8" + segments + jpeg()[2:]
+
+
+def exif_bomb() -> bytes:
+    """Return a segment of Exif data with 2,700 entries that each refer to the same 32 kB."""
+    entries = b"".join(
+        struct.pack("<HHII", 0x9000 + number, 7, 32_000, 32_500) for number in range(2_700)
+    )
+    content = b"Exif\0\0II*\0" + struct.pack("<IH", 8, 2_700) + entries
+    content = content.ljust(65_533, b"\0")
+    return b"\xff\xe1" + struct.pack(">H", len(content) + 2) + content
+
+
+def _bmp(width: int, height: int, compression: int = 0) -> bytes:
+    bits = 8 if compression else 24
+    return b"BM" + struct.pack(
+        "<IIIIiiHHIIIIII", 1000, 0, 54, 40, width, height, 1, bits, compression, 0, 0, 0, 0, 0
+    )
+
+
+def _socket(folder: Path) -> Path:
+    file = folder / "socket.png"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(file))
+    return file
+
+
+_UNKNOWN: Final = "not an image of a known format"
+
 PICTURES: Final[Mapping[str, HostileFile]] = {
     "png_pixels": HostileFile(_bytes("big.png", lambda: png(26_000, 26_000)), "megapixels"),
     "png_rgba16": HostileFile(
-        _bytes("deep.png", lambda: png(8_000, 8_000, color=6, bits=16)), "MB"
+        _bytes("deep.png", lambda: png(8_000, 8_000, color=6, bits=16)), "megapixels"
     ),
     "png_header": HostileFile(
         _bytes("bomb.png", lambda: png(200_000, 200_000, complete=False)), "megapixels"
     ),
-    "jpeg_pixels": HostileFile(_bytes("big.jpg", lambda: _jpeg_header(65_000, 65_000)), "megapix"),
-    "tiff_tiles": HostileFile(_bytes("tiles.tif", _tiff_with_huge_tiles), "tile"),
-    "hdr_pixels": HostileFile(
+    "png_side": HostileFile(_bytes("long.png", lambda: png(2_000_000, 5)), "on a side"),
+    "png_chunks": HostileFile(
+        _bytes("chunks.png", lambda: png_with(png_chunk(b"tEXt", b"a\0b") * 3 * MB)), "chunks"
+    ),
+    "png_parts": HostileFile(
+        _bytes("parts.png", lambda: png_with(png_chunk(b"IDAT", b"") * 6 * MB)), "chunks"
+    ),
+    "png_profiles": HostileFile(
+        _bytes("profiles.png", lambda: png_with(expanding_chunks(900), complete=False)),
+        "truncated",
+    ),
+    "png_late_profiles": HostileFile(
         _bytes(
-            "big.hdr",
+            "late.png",
             lambda: (
-                b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 30000 +X 30000\n"
-                + (b"\x02\x02\x75\x30" + bytes([255, 0]) * 472) * 100
+                png(64, 64, complete=False)[:-12]
+                + expanding_chunks(19_000)
+                + png_chunk(b"IEND", b"")
             ),
         ),
-        "megapixels",
+        "truncated",
     ),
-    "pam_pixels": HostileFile(
-        _bytes(
-            "big.pam",
-            lambda: b"P7\nWIDTH 30000\nHEIGHT 30000\nDEPTH 3\nMAXVAL 255\nTUPLTYPE RGB\nENDHDR\n",
-        ),
-        "megapixels",
+    "jpeg_pixels": HostileFile(_bytes("big.jpg", lambda: _jpeg_header(65_000, 65_000)), "megapix"),
+    "jpeg_scans": HostileFile(_bytes("scans.jpg", lambda: _jpeg_scans(3_000)), "scans"),
+    "jpeg_most_scans": HostileFile(
+        _bytes("many.jpg", lambda: _jpeg_scans(44)), "truncated or damaged"
     ),
+    "jpeg_segments": HostileFile(
+        _bytes("segments.jpg", lambda: jpeg_with(b"\xff\xe3\x00\x02" * 19 * MB)), "segments"
+    ),
+    "jpeg_fill": HostileFile(_bytes("fill.jpg", lambda: jpeg_with(b"\xff" * 79 * MB)), "segments"),
+    "jpeg_exif": HostileFile(
+        _bytes("exif.jpg", lambda: jpeg_with(exif_bomb() * 500)[:-20]), "truncated"
+    ),
+    "pgm_pixels": HostileFile(_text("big.pgm", "P5 65535 65535 255\n"), "megapixels"),
+    "pgm_short": HostileFile(_text("short.pgm", "P5 4999 4999 255\nshort"), "5 of 24990001"),
+    "pgm_comment": HostileFile(
+        _bytes("comment.pgm", lambda: b"P5\n#" + b"#" * 70 * MB + b"\n9 9 255\n" + bytes(81)),
+        "header",
+    ),
+    "pgm_text": HostileFile(
+        _bytes("text.pgm", lambda: b"P2 5000 5000 255\n" + b"99 " * 24_999_999), "24999999 of"
+    ),
+    "pgm_words": HostileFile(_text("words.pgm", "P2 2 2 255\n1 2 many 3\n"), "not numbers"),
+    "pgm_white": HostileFile(_text("white.pgm", "P2 2 2 99\n1 2 3 100\n"), "above .* 99"),
+    "bmp_pixels": HostileFile(_bytes("big.bmp", lambda: _bmp(60_000, -60_000)), "megapixels"),
+    "bmp_rle": HostileFile(_bytes("rle.bmp", lambda: _bmp(4_000, 4_000, 1)), "compressed"),
+    "tiff_tiles": HostileFile(_bytes("tiles.tif", _tiff_with_huge_tiles), _UNKNOWN),
+    "hdr": HostileFile(_text("big.hdr", "#?RADIANCE\n\n-Y 30000 +X 30000\n"), _UNKNOWN),
     "eps": HostileFile(
         _text("page.eps", "%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 99 99\n%%EndComments\n"),
-        "not an image",
+        _UNKNOWN,
     ),
     "zeros": HostileFile(device("/dev/zero", "zeros.png"), "device"),
     "fifo": HostileFile(fifo("pipe.png"), "FIFO"),
-    "folder": HostileFile(lambda folder: folder, "folder"),
+    "socket": HostileFile(_socket, "socket|device"),
+    "folder": HostileFile(lambda folder: folder, "directory"),
     "sparse": HostileFile(sparse("sparse.png", 5_000 * MB, b"\x89PNG\r\n\x1a\n"), "MB"),
 }
 
@@ -276,16 +373,16 @@ GRID_MAPS: Final[Mapping[str, HostileFile]] = {
     "date": HostileFile(_map(resolution="2026-99-99"), "2026-99-99"),
     "tag": HostileFile(_map(resolution="!!int 'x'"), "'x'"),
     "image_pixels": HostileFile(
-        _map_with_image("big.png", _bytes("big.png", lambda: png(26_000, 26_000))), "cells"
+        _map_with_image("big.png", _bytes("big.png", lambda: png(26_000, 26_000))), "megapixels"
     ),
     "image_header": HostileFile(
         _map_with_image(
             "bomb.png", _bytes("bomb.png", lambda: png(200_000, 200_000, complete=False))
         ),
-        "cells",
+        "megapixels",
     ),
     "image_side": HostileFile(
-        _map_with_image("long.png", _bytes("long.png", lambda: png(2_000_000, 5))), "cells"
+        _map_with_image("long.png", _bytes("long.png", lambda: png(2_000_000, 5))), "on a side"
     ),
     "image_eps": HostileFile(_map_with_image("page.eps", PICTURES["eps"].build), "image"),
     "image_zeros": HostileFile(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import yaml
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from cairn.bounded_images import decode_image, look_up, read_image_file
 from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replace_file
@@ -82,16 +83,17 @@ def read_map(file: Path) -> OccupancyCells:
     """
     description = _read_description(file)
     path = file.parent / description.image
-    pixels, opaque = _pixels(path)
-    _check_size(file, path, description, pixels)
+    levels, lightness, opaque = _pixels(path)
+    _check_size(file, path, description, levels)
     if description.mode == "raw":
-        values = _raw_cells(pixels)
+        cells = look_up(_raw_cells(lightness), levels)
     else:
-        lightness = pixels / 255.0
         occupied = lightness if description.negate else 1.0 - lightness
-        values = _cells(occupied, opaque, description)
+        cells = look_up(_cells(occupied, description), levels)
+        if description.mode == "scale" and opaque is not None:
+            cells[~opaque] = UNKNOWN
     x, y, yaw = description.origin
-    return Grid(np.ascontiguousarray(values[::-1]), Frame(description.resolution, (x, y, yaw)))
+    return Grid(np.ascontiguousarray(cells[::-1]), Frame(description.resolution, (x, y, yaw)))
 
 
 def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
@@ -174,35 +176,27 @@ def _read_description(file: Path) -> MapFile:
     return description
 
 
-def _pixels(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the mean of the colors (rows, columns), 0 to 255, and a mask of opaque pixels."""
-    try:
-        with Image.open(path) as opened:
-            opened.load()
-            image: Image.Image = opened
-            if image.mode in ("I;16", "I;16B", "I"):
-                pixels = np.asarray(image, np.float64) / 257.0
-                return pixels, np.ones(pixels.shape, np.bool_)
-            if image.mode == "P":
-                image = image.convert("RGBA")
-            elif image.mode == "1":
-                image = image.convert("L")
-            raster = np.asarray(image, np.float64)
-            bands = image.getbands()
-    except FileNotFoundError as error:
-        raise CairnError(
-            f"{path}: no such image; correct `image` in the map's YAML file"
-        ) from error
-    except (OSError, ValueError, SyntaxError) as error:
-        raise CairnError(f"{path}: not a readable image: {error}") from error
-    if raster.ndim == 2:
-        return raster, np.ones(raster.shape, np.bool_)
-    if bands[-1] == "A":
-        return raster[:, :, :-1].mean(axis=2), raster[:, :, -1] > 0
-    return raster.mean(axis=2), np.ones(raster.shape[:2], np.bool_)
+def _pixels(
+    path: Path,
+) -> tuple[NDArray[np.unsignedinteger[Any]], NDArray[np.float64], NDArray[np.bool_] | None]:
+    """Return the sum of the colors (rows, columns), the lightness 0 to 1 of each sum, and opacity.
+
+    The lightness is a table, because an image has few different sums and may have many pixels.
+    """
+    if not path.exists():
+        raise CairnError(f"{path}: no such image; correct `image` in the map's YAML file")
+    _, pixels = decode_image(str(path), read_image_file(path))
+    white = int(np.iinfo(pixels.dtype).max)
+    opaque, colors = None, 1
+    if pixels.ndim == 3:
+        if pixels.shape[2] in (2, 4):
+            opaque, pixels = pixels[..., -1] > 0, pixels[..., :-1]
+        colors = pixels.shape[2]
+        pixels = np.add.reduce(pixels, axis=2, dtype=np.uint32 if white > 255 else np.uint16)
+    return pixels, np.arange(colors * white + 1) / colors / white, opaque
 
 
-def _check_size(file: Path, path: Path, description: MapFile, pixels: NDArray[np.float64]) -> None:
+def _check_size(file: Path, path: Path, description: MapFile, pixels: NDArray[Any]) -> None:
     height, width = pixels.shape
     for name, expected, actual in (
         ("width", description.width, width),
@@ -214,15 +208,14 @@ def _check_size(file: Path, path: Path, description: MapFile, pixels: NDArray[np
             )
 
 
-def _raw_cells(pixels: NDArray[np.float64]) -> NDArray[np.int8]:
-    values = np.rint(pixels)
-    cells: NDArray[np.int8] = np.where(values > OCCUPIED, UNKNOWN, values).astype(np.int8)
-    return cells
+def _raw_cells(lightness: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Return the cell values of pixels with these degrees of lightness, in mode `raw`."""
+    values = np.rint(255.0 * lightness)
+    return np.where(values > OCCUPIED, UNKNOWN, values).astype(np.int8)
 
 
-def _cells(
-    occupied: NDArray[np.float64], opaque: NDArray[np.bool_], description: MapFile
-) -> NDArray[np.int8]:
+def _cells(occupied: NDArray[np.float64], description: MapFile) -> NDArray[np.int8]:
+    """Return the cell values of these probabilities of an obstacle."""
     cells = np.full(occupied.shape, UNKNOWN, np.int8)
     least, most = description.free_thresh, description.occupied_thresh
     if description.mode == "scale":
@@ -233,6 +226,4 @@ def _cells(
         cells = np.clip(between, FREE, OCCUPIED).astype(np.int8)
     cells[occupied > most] = OCCUPIED
     cells[occupied < least] = FREE
-    if description.mode == "scale":
-        cells[~opaque] = UNKNOWN
     return cells

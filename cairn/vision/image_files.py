@@ -13,8 +13,8 @@ from cairn.files import explain_os_error
 
 Side = Literal["left", "right"]
 
-SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
-"""Suffixes of image files."""
+SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm")
+"""Suffixes of image files that can be read."""
 
 # `left` and `right` as separate words: left01, img_left, LeftImage; not bright, not leftover.
 _SIDE = re.compile(

@@ -7,15 +7,14 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as Picture
 
+from cairn.bounded_images import decode_image
 from cairn.errors import CairnError
 from cairn.vision.features import DESCRIPTOR, Features
 from cairn.vision.object_model import ModelView, ObjectModel
@@ -315,14 +314,12 @@ def _blob(value: Any, length: int | None, what: str) -> bytes:
 def _picture(value: Any, width: int, height: int) -> NDArray[np.uint8]:
     data = _blob(value, None, "pixels")
     try:
-        # Not by OpenCV, which prints errors to the terminal.
-        with Picture.open(BytesIO(data), formats=["PNG"]) as png:
-            picture = np.asarray(png.convert("L"), np.uint8)
-    except (OSError, SyntaxError) as error:
-        raise ValueError("its picture is not a PNG image") from error
-    if picture.shape != (height, width):
+        header, pixels = decode_image("its picture", data)
+    except CairnError as error:
+        raise ValueError(f"its picture is not a PNG image: {error}") from error
+    if header.format != "PNG" or pixels.shape != (height, width) or pixels.dtype != np.uint8:
         raise ValueError(f"its picture is not a PNG image of {width} x {height} pixels")
-    return picture
+    return pixels
 
 
 def _side(value: Any) -> int:

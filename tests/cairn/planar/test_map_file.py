@@ -144,7 +144,7 @@ def test_full_disk_is_reported_and_leaves_the_old_map_unchanged(tmp_path: Path) 
 def test_damaged_image_and_missing_map_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "map.pgm").write_bytes(b"P5\n100 100\n255\nshort")
 
-    with pytest.raises(CairnError, match=r"map\.pgm: not a readable image"):
+    with pytest.raises(CairnError, match=r"map\.pgm: is truncated or damaged \(.* 5 of 10000"):
         read_map(described(tmp_path))
     with pytest.raises(CairnError, match="no such file"):
         read_map(tmp_path / "none.yaml")

@@ -130,11 +130,10 @@ def test_invalid_message_is_rejected(image: Image, message_text: str) -> None:
         gray_of(image)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".bmp", ".tiff", ".pgm", ".webp"])
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".pgm"])
 def test_gray_files_are_read_unchanged(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
-    parameters = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
-    cv2.imwrite(str(path), GRAY, parameters)
+    cv2.imwrite(str(path), GRAY)
 
     assert np.abs(read_image(path).astype(int) - GRAY).max() <= 1
 
@@ -143,12 +142,12 @@ def test_color_palette_and_16_bit_files_are_read(tmp_path: Path) -> None:
     color = colored()
     gray = cv2.cvtColor(color, cv2.COLOR_BGR2GRAY).astype(int)
     cv2.imwrite(str(tmp_path / "color.png"), color)
-    cv2.imwrite(str(tmp_path / "color16.tiff"), color.astype(np.uint16) << 4)
+    cv2.imwrite(str(tmp_path / "color16.png"), color.astype(np.uint16) << 4)
     cv2.imwrite(str(tmp_path / "gray16.png"), GRAY.astype(np.uint16) << 4)
     Picture.fromarray(GRAY).convert("P").save(tmp_path / "palette.png")
 
     assert np.abs(read_image(tmp_path / "color.png") - gray).max() <= 1
-    assert np.abs(read_image(tmp_path / "color16.tiff") - gray).max() <= 1
+    assert np.abs(read_image(tmp_path / "color16.png") - gray).max() <= 1
     assert np.abs(read_image(tmp_path / "gray16.png").astype(int) - GRAY).max() <= 1
     assert np.abs(read_image(tmp_path / "palette.png").astype(int) - GRAY).max() <= 1
 
@@ -184,14 +183,14 @@ def test_photographs_are_rotated_upright(tmp_path: Path, orientation: int) -> No
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), GRAY)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tiff", ".bmp", ".pgm"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".pgm"])
 def test_truncated_file_is_rejected(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"a{suffix}"
     cv2.imwrite(str(path), texture(1, 320, 240))
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])
 
-    with pytest.raises(CairnError, match=rf"a\{suffix} is .*truncated"):
+    with pytest.raises(CairnError, match=rf"a\{suffix}: is truncated"):
         read_image(path)
 
 
@@ -211,7 +210,7 @@ def test_file_damaged_in_the_middle_is_rejected(tmp_path: Path, suffix: str, how
     path.write_bytes(data[:middle] + part + data[middle + 200 :])
 
     with pytest.raises(
-        CairnError, match=rf"a\{suffix} is truncated or damaged .* give an intact copy"
+        CairnError, match=rf"a\{suffix}: is truncated or damaged .*; give an intact copy"
     ):
         read_image(path)
 
@@ -232,11 +231,11 @@ def test_jpeg_with_unusual_sampling_is_read(tmp_path: Path, factors: int) -> Non
 
 @pytest.mark.parametrize("factors", [0x00, 0x11, 0x44, 0xFF])
 def test_jpeg_with_invalid_sampling_is_rejected(tmp_path: Path, factors: int) -> None:
-    with pytest.raises(CairnError, match=r"a\.jpg is truncated or damaged"):
+    with pytest.raises(CairnError, match=r"a\.jpg: is truncated or damaged"):
         read_image(jpeg_with_sampling(tmp_path / "a.jpg", factors))
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
 @pytest.mark.parametrize("orientation", [1, 3, 6])
 def test_upright_size_matches_the_decoded_image(
     tmp_path: Path, suffix: str, orientation: int
@@ -269,16 +268,14 @@ def test_files_that_are_not_images_are_rejected_by_name(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     (tmp_path / "text.png").write_text("no image " * 50)
     cv2.imwrite(str(tmp_path / "tiny.png"), GRAY[:3, :3])
-    cv2.imwrite(str(tmp_path / "bright.tif"), np.maximum(GRAY, 255).astype(np.float32))
     Picture.new("1", (20000, 10000)).save(tmp_path / "huge.png")
 
     for name, message_text in {
         "missing.png": "No such file",
         "empty.png": "is empty",
-        "text.png": "is not an image",
+        "text.png": "not an image of a known format, .* give a PNG, JPEG, PGM, PPM or BMP file",
         "tiny.png": "has 3 x 3 pixels, too few",
         "huge.png": "is too large",
-        "bright.tif": "has float32 pixels up to 255, but 1 is white",
         ".": "Is a directory",
     }.items():
         with pytest.raises(CairnError, match=message_text) as raised:
