@@ -232,6 +232,8 @@ def _essential_chunks(png: bytes) -> bytes:
     parts = [view[: len(_PNG) + 25]]
     at = len(_PNG) + 25
     for _ in range(_MOST_CHUNKS):
+        if at + 12 > len(png):
+            raise ValueError("it ends before its last chunk")
         length, kind = struct.unpack_from(">I4s", png, at)
         end = at + 12 + length
         if kind in _PNG_CHUNKS:

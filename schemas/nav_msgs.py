@@ -1,6 +1,6 @@
 """ROS 2 package nav_msgs: odometry, maps and paths."""
 
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 
@@ -9,6 +9,15 @@ from cairn.schemas.field_types import Int8Array, Scalar, String, UInt32, empty
 from cairn.schemas.geometry_msgs import Pose, PoseStamped, PoseWithCovariance, TwistWithCovariance
 from cairn.schemas.message import message, reject
 from cairn.schemas.std_msgs import Header
+
+MOST_CELLS: Final = 25_000_000
+"""Most cells of a grid map: 250 m x 250 m at 5 cm."""
+
+SMALLEST_CELL: Final = 1e-3
+"""Finest resolution of a grid map [m]; a laser scanner measures to about 1 cm."""
+
+LARGEST_ORIGIN: Final = 1e7
+"""Largest coordinate of a grid map's origin [m]: those of UTM reach 1e7."""
 
 
 @message("nav_msgs/msg/Odometry")
@@ -43,12 +52,22 @@ class OccupancyGrid:
     def __post_init__(self) -> None:
         """Check that there are width * height cells with valid values."""
         cells = self.info.width * self.info.height
+        if cells > MOST_CELLS:
+            reject(self, "info.width", self.info.width, f"makes {cells} cells, above {MOST_CELLS}")
         if self.data.size != cells:
             reject(self, "data", self.data, f"must have width * height = {cells} cells")
         if cells and not (self.data.min() >= -1 and self.data.max() <= 100):
             reject(self, "data", self.data, "must hold values from -1 to 100")
-        if cells and self.info.resolution == 0:
-            reject(self, "info.resolution", 0.0, "must be above 0 where there are cells")
+        if cells and self.info.resolution < SMALLEST_CELL:
+            reject(
+                self,
+                "info.resolution",
+                self.info.resolution,
+                f"must be at least {SMALLEST_CELL} where there are cells",
+            )
+        corner = self.info.origin.position
+        if max(abs(corner.x), abs(corner.y)) > LARGEST_ORIGIN:
+            reject(self, "info.origin", corner, f"must be at most {LARGEST_ORIGIN:g} from 0")
 
 
 @message("nav_msgs/msg/Path")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
@@ -27,6 +27,7 @@ from cairn.planar.grid import (
     Grid,
     OccupancyCells,
 )
+from cairn.schemas.nav_msgs import LARGEST_ORIGIN, SMALLEST_CELL
 
 Mode = Literal["trinary", "scale", "raw"]
 
@@ -40,12 +41,6 @@ def _no_boolean(value: object) -> object:
         raise ValueError("must be a number, not a boolean")
     return value
 
-
-SMALLEST_CELL: Final = 1e-3
-"""Finest resolution of a map [m]; a laser scanner measures to about 1 cm."""
-
-LARGEST_ORIGIN: Final = 1e7
-"""Largest coordinate of a map's origin [m]: those of UTM reach 1e7."""
 
 Number = Annotated[float, BeforeValidator(_no_boolean)]
 Coordinate = Annotated[

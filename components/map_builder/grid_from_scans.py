@@ -13,6 +13,7 @@ from cairn.planar.compiled import compiled
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
+from cairn.schemas.nav_msgs import MOST_CELLS
 from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
@@ -40,7 +41,8 @@ def build_grid(
     counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] only pass. A ray
     is not evidence about cells before its end that are within a cell's size of the surface that it
     hit: where it grazes a wall, errors of a few centimeters lead it through many cells of that
-    wall. Raises `ValueError` if `scans` is empty.
+    wall. Raises `ValueError` if `scans` is empty, or the map had more than
+    `MOST_CELLS`.
     """
     segments = [
         _segments(pose, scan, mount, min(reach, scan.range_max), resolution)
@@ -51,7 +53,13 @@ def build_grid(
     starts, ends, hit, free_share = (np.concatenate(part) for part in zip(*segments, strict=True))
     least = np.minimum(starts.min(axis=0), ends.min(axis=0)) - _BORDER_M
     most = np.maximum(starts.max(axis=0), ends.max(axis=0)) + _BORDER_M
-    columns, rows = np.ceil((most - least) / resolution).astype(int)
+    columns, rows = np.ceil((most - least) / resolution).tolist()
+    if not columns * rows <= MOST_CELLS:
+        raise ValueError(
+            f"its scans cover {most[0] - least[0]:g} x {most[1] - least[1]:g} m, which are "
+            f"{columns * rows:g} cells of {resolution} m, more than {MOST_CELLS}"
+        )
+    columns, rows = int(columns), int(rows)
     ended = np.zeros((rows, columns), np.int32)
     passed = np.zeros((rows, columns), np.int32)
     _count(

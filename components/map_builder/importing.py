@@ -64,7 +64,7 @@ def import_grid(
 ) -> OccupancyCells:
     """Return the grid map of the importer of that name, or build one from its scans.
 
-    Raises `CairnError` if there is no such importer, or there are no scans.
+    Raises `CairnError` if there is no such importer, there are no scans, or the map is too large.
     """
     if name in entry_points(group=GRID_IMPORTERS_GROUP).names:
         read: Callable[[Path, float], OccupancyCells]
@@ -75,7 +75,8 @@ def import_grid(
         return build_grid(scans(path), resolution, mount, reach)
     except ValueError as error:
         raise CairnError(
-            f"{path}: {error}, so no map can be built; give a recording with scans"
+            f"{path}: {error}, so no map can be built; give a recording with scans and "
+            "correct poses, or a coarser --resolution"
         ) from error
 
 

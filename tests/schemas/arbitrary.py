@@ -24,7 +24,7 @@ from cairn.schemas.cairn_msgs import (
 from cairn.schemas.cairn_nav_msgs import Plan
 from cairn.schemas.cairn_sim_msgs import WorldGeometry
 from cairn.schemas.field_types import Array, Covariance2, Covariance3, Scalar, Text, finite, mark_of
-from cairn.schemas.geometry_msgs import Pose
+from cairn.schemas.geometry_msgs import Point, Pose
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
@@ -200,7 +200,8 @@ def _grids(draw: st.DrawFn) -> Any:
         MapMetaData,
         width=st.just(width),
         height=st.just(height),
-        resolution=st.floats(2**-10, 10, width=32),
+        resolution=st.floats(2**-9, 10, width=32),
+        origin=_built(Pose, position=_built(Point, x=METERS, y=METERS)),
     )
     cells = hnp.arrays(np.int8, width * height, elements=st.integers(-1, 100))
     return draw(_built(OccupancyGrid, info=info, data=cells))

@@ -20,7 +20,14 @@ from cairn.schemas.cairn_msgs import (
     VisualObject,
 )
 from cairn.schemas.diagnostic_msgs import DiagnosticStatus
-from cairn.schemas.geometry_msgs import Point, PoseWithCovariance, Quaternion, Transform, Vector3
+from cairn.schemas.geometry_msgs import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    Vector3,
+)
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
 from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
@@ -45,6 +52,10 @@ def recognized_object(**changed: Any) -> RecognizedObject:
 def grid(cells: Any, width: int, height: int, resolution: float = 0.05) -> OccupancyGrid:
     info = MapMetaData(resolution=resolution, width=width, height=height)
     return OccupancyGrid(info=info, data=cells)
+
+
+def grid_at(x: float) -> OccupancyGrid:
+    return OccupancyGrid(info=MapMetaData(origin=Pose(position=Point(x=x))))
 
 
 def scan(beams: int, first: float, last: float, step: float, **more: Any) -> LaserScan:
@@ -82,7 +93,10 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
         (lambda: grid([0, 0], 3, 1), "data = int8[2] [0 0]: must have width * height = 3 cells"),
         (lambda: grid([0, 101], 2, 1), ": must hold values from -1 to 100"),
         (lambda: grid([-2], 1, 1), "data = int8[1] [-2]: must hold values from -1 to 100"),
-        (lambda: grid([0], 1, 1, 0.0), "info.resolution = 0.0: must be above 0 where there are"),
+        (lambda: grid([0], 1, 1, 0.0), "info.resolution = 0.0: must be at least 0.001 where there"),
+        (lambda: grid([0], 1, 1, 1e-30), "must be at least 0.001 where there are cells"),
+        (lambda: grid([0], 5001, 5000), "makes 25005000 cells, above 25000000"),
+        (lambda: grid_at(1e300), "must be at most 1e+07 from 0"),
         (lambda: scan(3, 0.0, 1.0, 0.1), "angle_max = 1.0: must be within a step of the last of 3"),
         (lambda: scan(3, 0.0, 0.2, NAN), "angle_increment = nan: must be a finite number"),
         (lambda: scan(1, 0.0, 0.5, 0.0), "angle_max = 0.5: must be within a step"),

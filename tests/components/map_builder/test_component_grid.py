@@ -221,7 +221,7 @@ def test_full_disk_leaves_the_last_copy_intact(
     [
         ("copy.origin.json", b"", r"copy\.origin\.json is not valid"),
         ("copy.origin.json", b'{"source": "\xff', r"copy\.origin\.json is not valid"),
-        ("copy.pgm", b"P5\n180 140\n255\nshort", r"copy\.pgm: not a readable image"),
+        ("copy.pgm", b"P5\n180 140\n255\nshort", r"copy\.pgm: is truncated or damaged"),
         ("copy.pgm", None, r"copy\.pgm: no such image"),
         ("copy.yaml", b"", r"copy\.yaml: not a map_server YAML file"),
         ("map.pgm", b"", "it is a copy of another map"),

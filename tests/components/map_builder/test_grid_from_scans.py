@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from cairn.components.map_builder.grid_from_scans import build_grid
 from cairn.planar.grid import OCCUPIED, OccupancyCells, distance_field
@@ -74,3 +75,11 @@ def test_passing_people_leave_no_trace() -> None:
     top, left = drawn.frame.cell(6.8, 2.0)
     bottom, right = drawn.frame.cell(7.5, 2.7)
     assert not np.any(drawn.values[top:bottom, left:right] == OCCUPIED)
+
+
+def test_pose_that_is_far_away_is_refused_before_memory_is_taken() -> None:
+    posed = drive(corridor(), 0)
+    posed.append(((1e9, 0.0, 0.0), posed[0][1]))
+
+    with pytest.raises(ValueError, match=r"cover 1e\+09 x .* m, which are .* cells of 0.05 m"):
+        build_grid(posed, 0.05, (0.0, 0.0, 0.0), 15.0)

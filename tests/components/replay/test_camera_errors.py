@@ -82,7 +82,7 @@ def broken(tmp_path: Path, what: str) -> tuple[Path, dict[str, Any]]:
         ("too few times", r"times.txt .* 1 times.* 2 images"),
         ("no time", r"times.txt, line 1: soon .* seconds"),
         ("sizes", r"1.png .* 64 x 48 .*0.png .* 320 x 240"),
-        ("no image", r"1.png cannot be read as an image"),
+        ("no image", r"1.png: not an image"),
         ("no pairs", "no left image has a right one"),
         ("calibrated at another size", r"left.yaml .* 320 x 240 .* 640 x 480"),
         ("two calibrations for one camera", "one camera only.* right_cal"),

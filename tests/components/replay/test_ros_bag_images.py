@@ -80,7 +80,7 @@ def test_truncated_compressed_image_is_left_out(
 
     whole = [shade for k, shade in enumerate(shades) if k != which]
     assert [shade(image) for image in harness.take("left_image")] == whole
-    why = f"topic /image/compressed, image {which + 1}: it (png) is truncated or damaged"
+    why = f"topic /image/compressed, image {which + 1}: it (png): is truncated or damaged"
     assert any(why in record.message for record in caplog.records)
 
 
@@ -131,7 +131,7 @@ def test_bag_of_damaged_images_only_is_rejected(tmp_path: Path) -> None:
     message.data = message.data[:-60]
     bag = ros2(tmp_path / "bag", [("/image/compressed", round(BEGIN * SECOND), message)])
 
-    with pytest.raises(RecordingError, match=r"image 1: it \(png\) is truncated or damaged"):
+    with pytest.raises(RecordingError, match=r"image 1: it \(png\): is truncated or damaged"):
         open_recording(bag).images()
 
 

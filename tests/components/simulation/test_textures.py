@@ -72,8 +72,8 @@ def test_large_pictures_are_reduced_and_color_becomes_gray(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("visible_object", "message"),
     [
-        ({"texture": "none.png"}, r"object_1: .*none.png cannot be read"),
-        ({"texture": "text.png"}, r"object_1: .*text.png is not an image"),
+        ({"texture": "none.png"}, r"object_1: .*none.png: cannot be read"),
+        ({"texture": "text.png"}, r"object_1: .*text.png: not an image"),
         (
             {"z": 2.4},
             "object_1 goes from 2.25 m to 2.55 m, but the floor is at 0 m and the highest",

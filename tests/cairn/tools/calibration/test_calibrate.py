@@ -310,7 +310,7 @@ def test_unusable_inputs_are_rejected_with_reason(few: Path, tmp_path: Path) -> 
         (left[:2], "2 images of a camera; a calibration needs at least 3"),
         ([], "no images are given"),
         ([*left, small], f"{small} is 320 x 240 pixels, other images are 640 x 480"),
-        ([*left, text], f"{text} is not an image, or is truncated"),
+        ([*left, text], f"{text}: not an image of a known format"),
         ([*left, tmp_path / "none.jpg"], "none.jpg: no such file or folder"),
         ([f"{tmp_path}/none*.jpg"], "no file matches this pattern"),
         (["--left", few], "--left is given without the other"),
