@@ -6,9 +6,6 @@ from typing import Any, Protocol
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
 
-MAX_MESSAGE_SIZE = 64 << 20
-"""Longest message [bytes] that a process accepts by default."""
-
 
 class Publisher(Protocol):
     """Publishes messages of one type on one topic."""
@@ -50,7 +47,7 @@ class Subscription(Protocol):
 
     @property
     def invalid(self) -> int:
-        """Number of messages that could not be decoded to a valid message."""
+        """Number of messages that were too long, or could not be decoded to a valid message."""
         ...
 
     @property
@@ -89,11 +86,13 @@ class Node(Protocol):
         qos: Qos,
         wake: Callable[[], None],
         exclusive: Exclusive | None = None,
+        max_bytes: int | None = None,
     ) -> Subscription:
         """Return a subscription to messages of class `message` on `topic` (a full name).
 
         `wake` is called, on any thread, once for each message that becomes pending. With
-        `exclusive`, only the messages of the entitled writer become pending.
+        `exclusive`, only the messages of the entitled writer become pending. A message longer than
+        `max_bytes`, by default that of its class (`default_max_bytes`), is rejected as invalid.
         """
         ...
 
@@ -110,7 +109,7 @@ class Bus(Protocol):
 
         `report` is called, on any thread, with an error message when another node uses a topic of
         this node with another message type (the two cannot receive each other's messages), and
-        when an exclusive subscription refuses messages.
+        about messages that are refused, or too long to be received or sent.
         """
         ...
 

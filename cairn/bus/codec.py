@@ -90,14 +90,10 @@ class Codec:
             failure = str(error)
         raise self._explained(cls, view, failure)
 
-    def is_bulk(self, cls: type[Any]) -> bool:
-        """Return whether messages of this class may be big: they hold an image, a map or so."""
-        return any(
-            field.packed
-            or (field.count == 0 and field.element in ("int8", "uint8", "byte"))
-            or (isinstance(field.element, type) and self.is_bulk(field.element))
-            for field in fields_of(cls)
-        )
+    def size(self, message: Any) -> int:
+        """Return the length of a message as CDR [bytes], without encoding it."""
+        definition = self._wire.get_msgdef(self.register(type(message)))
+        return 4 + definition.getsize_cdr(0, message, self._wire)
 
     def register(self, cls: type[Any]) -> str:
         """Prepare for messages of a class, if that is not done yet; return the type's name.

@@ -3,23 +3,38 @@
 A request is a query whose key names the component and the verb, and whose payload is JSON. Zenoh
 ends a query without a reply whether the component does not exist, dies, or hangs; `request` turns
 each of these into an error.
+
+Requests and replies have limits, which both sides check before they decode them. So many requests
+of one component wait at most; further ones are rejected at once, except urgent ones.
 """
 
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import zenoh
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
+from cairn.bounded_json import parse_json, too_large
 from cairn.bus.keys import control_key
+from cairn.bus.message_limits import REPLY_BYTES, REQUEST_BYTES
 from cairn.errors import CairnError
 
 _VERB = re.compile(r"[a-z][a-z0-9_]{0,99}")
+_DEFAULT_BYTES = 64 << 10
+"""Longest request [bytes], unless the component declares another limit for its verb."""
+
+_MAX_PENDING = 32
+"""Requests that wait until the component answers them; of each urgent verb again as many."""
+
+_RING = 256
+"""Requests that wait in Zenoh's ring until they are read."""
 
 
 class ControlError(CairnError):
@@ -61,12 +76,17 @@ def request(
     """
     if not _VERB.fullmatch(verb):
         raise ControlError(f"{component}: {verb!r} is not the name of a request")
-    sent = ControlRequest(arguments=dict(arguments or {}))
+    payload = ControlRequest(arguments=dict(arguments or {})).model_dump_json().encode()
+    if len(payload) > REQUEST_BYTES:
+        raise ControlError(
+            f"{component}: the request {verb} has {len(payload):,} bytes, more than the "
+            f"{REQUEST_BYTES:,} that are allowed; send less"
+        )
     start = time.monotonic()
     try:
         replies = session.get(
             control_key(domain, component, verb),
-            payload=sent.model_dump_json(),
+            payload=payload,
             timeout=timeout_s,
             priority=zenoh.Priority.REAL_TIME,
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -75,7 +95,7 @@ def request(
         raise ControlError(f"{component}: cannot send the request {verb}: {error}") from error
     for received in replies:
         if received.ok is not None:
-            reply = _parsed_reply(component, received.ok.payload.to_bytes())
+            reply = _parsed_reply(component, received.ok.payload)
             if reply.error is not None:
                 raise ControlError(reply.error)
             return reply.value
@@ -102,6 +122,8 @@ class ControlServer:
         component: str,
         post: Callable[[Callable[[], None]], None],
         answer: Callable[[str, Mapping[str, Any]], Any],
+        max_bytes: Mapping[str, int] = MappingProxyType({}),
+        urgent: Collection[str] = (),
     ) -> None:
         """Open the queryable of the component of that full name.
 
@@ -112,12 +134,18 @@ class ControlServer:
             post: makes a call on the component's loop.
             answer: `answer(verb, arguments)` returns the reply's value; it is called through
                 `post`, and a `CairnError` from it rejects the request.
+            max_bytes: longest request [bytes] of the verbs whose limit is not 64 KiB.
+            urgent: verbs that are accepted however many requests of others wait.
         """
+        self._max_bytes = max_bytes
+        self._urgent = frozenset(urgent)
+        self._lock = threading.Lock()
+        self._pending: Counter[str] = Counter()  # by urgent verb; "" counts all others
         self._key = control_key(domain, component)
         self._post = post
         self._answer = answer
         self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
-            self._key, zenoh.handlers.RingChannel(64)
+            self._key, zenoh.handlers.RingChannel(_RING)
         )
         self._thread = threading.Thread(target=self._serve, name="cairn control", daemon=True)
         self._thread.start()
@@ -138,19 +166,31 @@ class ControlServer:
             del query  # the requester learns of this process's end when nothing holds its query
 
     def _receive(self, query: zenoh.Query) -> None:
-        payload = query.payload.to_bytes() if query.payload is not None else b""
-        try:
-            received = ControlRequest.model_validate_json(payload)
-        except ValidationError as error:
-            self._reply(query, ControlReply(error=f"invalid control request: {error}"))
-            return
         verb = str(query.key_expr).rpartition("/")[2]
         if not _VERB.fullmatch(verb):
-            self._reply(query, ControlReply(error=f"{verb!r} is not the name of a request"))
+            self._reply(query, ControlReply(error=f"{verb[:100]!r} is not the name of a request"))
             return
-        self._post(partial(self._handle, query, verb, received.arguments))
+        try:
+            received = _parsed_request(query, self._max_bytes.get(verb, _DEFAULT_BYTES))
+        except ValueError as error:
+            self._reply(query, ControlReply(error=f"invalid control request {verb}: {error}"))
+            return
+        kind = verb if verb in self._urgent else ""
+        with self._lock:
+            busy = self._pending[kind] >= _MAX_PENDING
+            if not busy:
+                self._pending[kind] += 1
+        if busy:
+            waiting = f"busy: {_MAX_PENDING} requests wait already; send {verb} again later"
+            self._reply(query, ControlReply(error=waiting))
+            return
+        self._post(partial(self._handle, query, verb, kind, received.arguments))
 
-    def _handle(self, query: zenoh.Query, verb: str, arguments: Mapping[str, Any]) -> None:
+    def _handle(
+        self, query: zenoh.Query, verb: str, kind: str, arguments: Mapping[str, Any]
+    ) -> None:
+        with self._lock:
+            self._pending[kind] -= 1
         try:
             reply = ControlReply(value=self._answer(verb, arguments))
         except CairnError as error:
@@ -159,15 +199,35 @@ class ControlServer:
 
     def _reply(self, query: zenoh.Query, reply: ControlReply) -> None:
         try:
-            payload = reply.model_dump_json()
+            payload = reply.model_dump_json().encode()
         except ValueError as error:  # a value that JSON cannot carry: the component's defect
-            payload = ControlReply(error=f"the reply is not JSON: {error}").model_dump_json()
+            payload = _error(f"the reply is not JSON: {error}")
+        if len(payload) > REPLY_BYTES:
+            payload = _error(
+                f"the reply has {len(payload):,} bytes, more than the {REPLY_BYTES:,} that are "
+                "allowed; request less at a time"
+            )
         with query, suppress(zenoh.ZError):  # the requester may have ended
             query.reply(query.key_expr, payload)
 
 
-def _parsed_reply(component: str, payload: bytes) -> ControlReply:
+def _error(text: str) -> bytes:
+    return ControlReply(error=text).model_dump_json().encode()
+
+
+def _parsed_request(query: zenoh.Query, longest: int) -> ControlRequest:
+    """Return the request of a query; raise `ValueError` if it is invalid or too long."""
+    return ControlRequest.model_validate(_parsed(query.payload or zenoh.ZBytes(b""), longest))
+
+
+def _parsed_reply(component: str, payload: zenoh.ZBytes) -> ControlReply:
     try:
-        return ControlReply.model_validate_json(payload)
-    except ValidationError as error:
+        return ControlReply.model_validate(_parsed(payload, REPLY_BYTES))
+    except ValueError as error:
         raise ControlError(f"{component}: invalid reply to a control request: {error}") from error
+
+
+def _parsed(payload: zenoh.ZBytes, longest: int) -> Any:
+    if len(payload) > longest:  # before it is copied
+        raise too_large(len(payload), longest)
+    return parse_json(payload.to_bytes(), longest)

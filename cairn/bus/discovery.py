@@ -25,7 +25,9 @@ from typing import Any, cast
 
 import zenoh
 
+from cairn.bounded_json import parse_json
 from cairn.bus.keys import router_key, session_key
+from cairn.bus.message_limits import REPLY_BYTES
 from cairn.bus.session import CAIRN_ID_PREFIX, is_member, process_id, process_of
 
 _ANSWER_POLL_S = 0.1
@@ -48,6 +50,9 @@ _MAX_SILENT = 256
 
 _MAX_OTHERS = 1000
 """So many sessions that are not of this run are waited for."""
+
+_DESCRIPTION_BYTES = 4 << 20
+"""Longest description of a router's links that is read."""
 
 _MAX_THREADS = 32
 
@@ -394,7 +399,7 @@ class _RouterAnswers:
 def _peers_of_router(description: bytes) -> set[str] | None:
     """Return the ids of the peers linked to a router, from its description of itself."""
     try:
-        sessions = json.loads(description)["sessions"]
+        sessions = parse_json(description, _DESCRIPTION_BYTES)["sessions"]
         return {str(one["peer"]) for one in sessions if one["whatami"] == "peer"}
     except (ValueError, KeyError, TypeError):
         return None  # a router of another version: only the direct links are known
@@ -403,7 +408,8 @@ def _peers_of_router(description: bytes) -> set[str] | None:
 def _parsed_silent(left_s: bytes) -> dict[str, float]:
     """Return the silent sessions, with their times [s], in a reply of a process of this run."""
     try:
-        return {str(zid): min(float(for_s), _SILENT_S) for zid, for_s in json.loads(left_s).items()}
+        parsed = parse_json(left_s, REPLY_BYTES)
+        return {str(zid): min(float(for_s), _SILENT_S) for zid, for_s in parsed.items()}
     except (ValueError, TypeError, AttributeError):  # of another version
         return {}
 

@@ -14,42 +14,55 @@ _MAX_GAP = 2**32
 
 
 class DropOldestQueue(Generic[T]):
-    """Hold the newest `depth` messages; each of them has a wake-up of the subscriber pending.
+    """Hold the newest messages; each of them has a wake-up of the subscriber pending.
+
+    At most `depth` of them, and at most `max_bytes` together; the newest one is held in any case.
 
     `put` and `take` are atomic, for two threads: if a take came between the removal of the oldest
     message and the arrival of the newest, it would use up the last wake-up, and the topic would
     stall for good.
     """
 
-    def __init__(self, depth: int) -> None:
+    def __init__(self, depth: int, max_bytes: int) -> None:
         self.dropped = 0
         """Number of messages dropped in favor of newer ones."""
         self._depth = depth
-        self._messages: deque[T] = deque()
+        self._max_bytes = max_bytes
+        self._messages: deque[tuple[T, int]] = deque()
+        self._bytes = 0
         self._lock = threading.Lock()
 
-    def put(self, message: T) -> bool:
-        """Add a message and return whether the subscriber has to be woken for it.
+    def put(self, message: T, size: int) -> bool:
+        """Add a message of that size [bytes]; return whether the subscriber must be woken for it.
 
-        A message that replaces the oldest one inherits its wake-up.
+        A message that replaces older ones inherits their wake-ups.
         """
         with self._lock:
-            full = len(self._messages) >= self._depth
-            if full:
-                self._messages.popleft()
+            replaces = False
+            while self._messages and (
+                len(self._messages) >= self._depth or self._bytes + size > self._max_bytes
+            ):
+                self._bytes -= self._messages.popleft()[1]
                 self.dropped += 1
-            self._messages.append(message)
-            return not full
+                replaces = True
+            self._messages.append((message, size))
+            self._bytes += size
+            return not replaces
 
     def take(self) -> T | None:
         """Remove and return the oldest message; None if there is none."""
         with self._lock:
-            return self._messages.popleft() if self._messages else None
+            if not self._messages:
+                return None
+            message, size = self._messages.popleft()
+            self._bytes -= size
+            return message
 
     def clear(self) -> None:
         """Discard all messages; they are not counted as dropped."""
         with self._lock:
             self._messages.clear()
+            self._bytes = 0
 
 
 class LossCounter:

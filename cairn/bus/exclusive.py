@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from hashlib import blake2b
 from hmac import compare_digest
 
+from cairn.bus.message_limits import PublisherLog
 from cairn.errors import CairnError
 
 KEY_BYTES = 32
@@ -25,8 +26,6 @@ PROOF_BYTES = 24
 _TAG_BYTES = 16
 _PROOF = struct.Struct(f"<q{_TAG_BYTES}s")
 _SENT = struct.Struct("<q")
-_MAX_NAMES = 64
-"""Publishers that are reported by name at one port; a peer can take any number of names."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +105,7 @@ class _Tag:
 
 
 class RefusalLog:
-    """Counts the messages that an exclusive port refuses; reports them by publisher, rate-limited.
-
-    Of each publisher it reports the 1st, 2nd, 4th, 8th ... message.
-    """
+    """Counts the messages that an exclusive port refuses; reports them by publisher."""
 
     def __init__(self, topic: str, exclusive: Exclusive, report: Callable[[str], None]) -> None:
         self.writer = exclusive.writer
@@ -117,18 +113,16 @@ class RefusalLog:
         self.refused = 0
         """Number of refused messages."""
         self._topic = topic
-        self._report = report
-        self._counts: dict[str, int] = {}
+        self._log = PublisherLog(report)
 
     def refuse(self, publisher: str, reason: str) -> None:
         """Count one message; `publisher` describes where it comes from."""
         self.refused += 1
-        if publisher not in self._counts and len(self._counts) >= _MAX_NAMES:
-            publisher = "further publishers"
-        count = self._counts[publisher] = self._counts.get(publisher, 0) + 1
-        if count & (count - 1) == 0:
-            entitled = self.writer or "no component of this deployment"
-            self._report(
-                f"refused message on {self._topic} from {publisher}: {reason}; only {entitled} may "
-                f"publish on this exclusive topic ({count} refused from there so far)"
-            )
+        entitled = self.writer or "no component of this deployment"
+        self._log.add(
+            publisher,
+            lambda named: (
+                f"refused message on {self._topic} from {named}: {reason}; only {entitled} may "
+                "publish on this exclusive topic"
+            ),
+        )

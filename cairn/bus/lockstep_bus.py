@@ -5,8 +5,17 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from cairn.bus.bus import type_conflict
+from cairn.bus.codec import Codec
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.exclusive import Exclusive, RefusalLog
+from cairn.bus.message_limits import (
+    FIXED_BYTES,
+    PENDING_BYTES,
+    PublisherLog,
+    default_max_bytes,
+    has_fixed_size,
+    too_long,
+)
 from cairn.bus.qos import Qos
 from cairn.schemas.message import type_name
 
@@ -17,6 +26,7 @@ class LockstepBus:
     """Connects nodes in one process and one thread; messages are immutable and not copied."""
 
     def __init__(self) -> None:
+        self.codec = Codec()
         self._topics: dict[str, _Topic] = {}
 
     def node(self, name: str, report: Callable[[str], None]) -> "LockstepNode":
@@ -38,7 +48,7 @@ class LockstepNode:
     def __init__(self, bus: LockstepBus, name: str, report: Callable[[str], None]) -> None:
         self.name = name
         self.report = report
-        self._bus = bus
+        self.bus = bus
         self._ends: list[LockstepPublisher | LockstepSubscription] = []
 
     def advertise(
@@ -49,7 +59,7 @@ class LockstepNode:
         exclusive: Exclusive | None = None,  # noqa: ARG002 - readers know the publisher's name
     ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
-        end = LockstepPublisher(self, self._bus.topic(topic), message, qos)
+        end = LockstepPublisher(self, self.bus.topic(topic), message, qos)
         self._ends.append(end)
         return end
 
@@ -60,9 +70,13 @@ class LockstepNode:
         qos: Qos,
         wake: Callable[[], None],
         exclusive: Exclusive | None = None,
+        max_bytes: int | None = None,
     ) -> "LockstepSubscription":
         """Return a subscription to class `message` on `topic`; latched messages pend at once."""
-        end = LockstepSubscription(self, self._bus.topic(topic), message, qos, wake, exclusive)
+        limit = default_max_bytes(message) if max_bytes is None else max_bytes
+        end = LockstepSubscription(
+            self, self.bus.topic(topic), message, qos, wake, exclusive, limit
+        )
         self._ends.append(end)
         return end
 
@@ -117,13 +131,17 @@ class LockstepSubscription:
         qos: Qos,
         wake: Callable[[], None],
         exclusive: Exclusive | None,
+        max_bytes: int,
     ) -> None:
         self.node = node
         self.message = message
         self.received = 0
         self.invalid = 0
         self._topic = topic
-        self._pending: DropOldestQueue[Any] = DropOldestQueue(qos.depth)
+        self._max_bytes = max_bytes
+        self._always_fits = has_fixed_size(message) and max_bytes >= FIXED_BYTES
+        self._long_messages = PublisherLog(node.report)
+        self._pending: DropOldestQueue[Any] = DropOldestQueue(qos.depth, PENDING_BYTES)
         self._wake = wake
         self._refusals = RefusalLog(topic.name, exclusive, node.report) if exclusive else None
         topic.join(self, topic.subscriptions)
@@ -134,13 +152,21 @@ class LockstepSubscription:
                         self.put(latched, publisher.node.name)
 
     def put(self, message: Any, publisher: str) -> None:
-        """Add a pending message, which may drop the oldest one, and wake the subscriber.
+        """Add a pending message, which may drop older ones, and wake the subscriber.
 
-        A message of a node that is not entitled to an exclusive topic is refused.
+        A message that is too long is rejected, and one of a node that is not entitled to an
+        exclusive topic is refused.
         """
-        if self._refusals is not None and publisher != self._refusals.writer:
+        size = 0 if self._always_fits else self.node.bus.codec.size(message)
+        if size > self._max_bytes:
+            self.invalid += 1
+            self._long_messages.add(
+                publisher,
+                lambda named: too_long(self._topic.name, named, size, self._max_bytes),
+            )
+        elif self._refusals is not None and publisher != self._refusals.writer:
             self._refusals.refuse(publisher, "it is not the entitled writer")
-        elif self._pending.put(message):
+        elif self._pending.put(message, size):
             self._wake()
 
     @property

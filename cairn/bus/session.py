@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 import zenoh
 
-from cairn.bus.bus import MAX_MESSAGE_SIZE
 from cairn.bus.credentials import (
     NO_CREDENTIALS,
     TLS_BUFFERS,
@@ -24,6 +23,7 @@ from cairn.bus.credentials import (
     write_dictionary,
 )
 from cairn.bus.endpoints import UNIX, socket_path
+from cairn.bus.message_limits import DEFAULT_LIMITS, MessageLimits
 from cairn.errors import CairnError
 from cairn.runtime_folder import (
     LONGEST_SOCKET_PATH,
@@ -68,7 +68,7 @@ def open_peer(
     connect: Sequence[str],
     socket: Path | None = None,
     credentials: Credentials = NO_CREDENTIALS,
-    max_message_size: int = MAX_MESSAGE_SIZE,
+    limits: MessageLimits = DEFAULT_LIMITS,
     secret: str = "",
 ) -> zenoh.Session:
     """Open the session of a component's process, of the run with this secret.
@@ -79,7 +79,7 @@ def open_peer(
     """
     socket = check_length(socket or _own_socket())
     dictionary = socket.with_suffix(".users")
-    settings = credentials.session_settings(dictionary) | _limits(max_message_size)
+    settings = credentials.session_settings(dictionary) | limits.transport_settings()
     try:
         session = _open(
             _config("peer", [UNIX + str(socket)], connect, settings, secret),
@@ -119,7 +119,7 @@ def open_client(connect: Sequence[str], credentials: Credentials = NO_CREDENTIAL
     Unlike a peer it need not wait until it knows all others, and it ends with the router. Raises
     `CairnError` if no router answers.
     """
-    settings = credentials.session_settings() | _limits(MAX_MESSAGE_SIZE)
+    settings = credentials.session_settings() | DEFAULT_LIMITS.transport_settings()
     config = _config("client", [], connect, settings)
     try:
         return zenoh.open(config)
@@ -131,7 +131,7 @@ def open_router(
     socket: Path,
     listen: Sequence[str] = (),
     group: str | None = None,
-    max_message_size: int = MAX_MESSAGE_SIZE,
+    limits: MessageLimits = DEFAULT_LIMITS,
     secret: str = "",
 ) -> zenoh.Session:
     """Open the session that is the deployment's router, at a Unix socket in a private folder.
@@ -142,7 +142,7 @@ def open_router(
     private_folder(socket.parent, group)
     endpoints = [UNIX + str(check_length(socket)), *listen]
     session = _open(
-        _config("router", endpoints, (), _limits(max_message_size), secret),
+        _config("router", endpoints, (), limits.transport_settings(), secret),
         f"cannot listen on {', '.join(endpoints)}: probably another deployment or a ROS 2 router "
         "uses it; stop that one, join it (`--set bus.connect=[...]`), or use another domain "
         "(`--set domain=N`) or socket (`--set bus.socket=PATH`)",
@@ -169,7 +169,7 @@ class Gateway:
     key: str | None = None
     ca: str | None = None
     client_certificates: bool = False
-    max_message_size: int = MAX_MESSAGE_SIZE
+    limits: MessageLimits = DEFAULT_LIMITS
 
     def open(self, router: Path, folder: Path) -> zenoh.Session:
         """Open the session between the network and the router at a Unix socket.
@@ -178,7 +178,7 @@ class Gateway:
         private; for a moment it holds the passwords. Raises `CairnError` if an endpoint is in use,
         or a file cannot be used.
         """
-        settings = {"access_control": self.access_control} | _limits(self.max_message_size)
+        settings = {"access_control": self.access_control} | self.limits.transport_settings()
         dictionary = folder / "gateway.users"
         if self.password_files:
             files = self.password_files.items()
@@ -305,11 +305,6 @@ def _open(config: zenoh.Config, failure: str) -> zenoh.Session:
     except zenoh.ZError as error:
         reason = _RUST_LOCATION.sub("", str(error)).rstrip(".")
         raise CairnError(f"{failure} (Zenoh: {reason})") from error
-
-
-def _limits(max_message_size: int) -> dict[str, Any]:
-    """Return the settings by which a session discards messages that are too long, unread."""
-    return {"transport/link/rx/max_message_size": max_message_size}
 
 
 def _config(

@@ -25,6 +25,16 @@ from cairn.bus.discovery import DiscoveryBarrier
 from cairn.bus.drop_oldest_queue import DropOldestQueue, LossCounter
 from cairn.bus.exclusive import Exclusive, RefusalLog, Refused, Signer, Verifier
 from cairn.bus.graph import GraphWatcher
+from cairn.bus.message_limits import (
+    DEFAULT_LIMITS,
+    PENDING_BYTES,
+    MessageLimits,
+    PublisherLog,
+    default_max_bytes,
+    is_bulk,
+    ring_length,
+    too_long,
+)
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
 from cairn.schemas.message import InvalidMessage, type_name
@@ -36,13 +46,20 @@ _EXCLUSIVE_RING = 1024
 class ZenohBus:
     """Connects the components of one process to all others through one Zenoh session."""
 
-    def __init__(self, session: zenoh.Session, domain: int = 0, secret: str = "") -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: int = 0,
+        secret: str = "",
+        limits: MessageLimits = DEFAULT_LIMITS,
+    ) -> None:
         """Take over an open session (`cairn.bus.session`), which `close` closes.
 
-        `secret` is that of the run, with which the session was opened.
+        `secret` and `limits` are those of the run, with which the session was opened.
         """
         self.session = session
         self.domain = domain
+        self.limits = limits
         self.codec = Codec()
         self._ids = itertools.count()
         self.graph = GraphWatcher(session, domain)
@@ -85,11 +102,12 @@ class ZenohNode:
         self._ends: list[ZenohPublisher | ZenohSubscription] = []
         self._closed = False
         self._report = report
+        self._conflicts = PublisherLog(report)
         self._token = bus.session.liveliness().declare_token(keys.token_key(self._entity))
 
     @property
     def report(self) -> Callable[[str], None]:
-        """Receives errors about conflicting types and refused messages."""
+        """Receives errors about conflicting types and rejected messages."""
         return self._report
 
     def advertise(
@@ -107,9 +125,11 @@ class ZenohNode:
         qos: Qos,
         wake: Callable[[], None],
         exclusive: Exclusive | None = None,
+        max_bytes: int | None = None,
     ) -> "ZenohSubscription":
         """Return a subscription to class `message` on `topic`."""
-        subscription = ZenohSubscription(self, topic, message, qos, wake, exclusive)
+        limit = default_max_bytes(message) if max_bytes is None else max_bytes
+        subscription = ZenohSubscription(self, topic, message, qos, wake, exclusive, limit)
         self._ends.append(subscription)
         return subscription
 
@@ -123,7 +143,7 @@ class ZenohNode:
             self._entity, bus.next_id(), kind, topic, type_name(message),
             type_hash(message), qos,
         )  # fmt: skip
-        return Announcement(bus, entity, self._report)
+        return Announcement(bus, entity, self._conflicts)
 
     def close(self) -> None:
         """Leave the bus and close all publishers and subscriptions."""
@@ -139,14 +159,12 @@ class ZenohNode:
 class Announcement:
     """An endpoint's liveliness token; reports endpoints that use its topic with another type."""
 
-    def __init__(
-        self, bus: ZenohBus, entity: keys.EndpointEntity, report: Callable[[str], None]
-    ) -> None:
+    def __init__(self, bus: ZenohBus, entity: keys.EndpointEntity, conflicts: PublisherLog) -> None:
         token = keys.token_key(entity)
         self.key = entity.data_key
         self.gid = keys.gid(token)
         self._entity = entity
-        self._report = report
+        self._conflicts = conflicts
         self._token = bus.session.liveliness().declare_token(token)
         self._stop_watching = bus.graph.watch(self._on_endpoint)
 
@@ -164,7 +182,10 @@ class Announcement:
         theirs = other.type_name
         if theirs == own.type_name:
             theirs = f"another definition of it ({other.type_hash})"
-        self._report(type_conflict(own.topic, own.type_name, other.node.name, theirs))
+        self._conflicts.add(
+            other.node.name,
+            lambda named: type_conflict(own.topic, own.type_name, named, theirs),
+        )
 
 
 class ZenohPublisher:
@@ -183,6 +204,9 @@ class ZenohPublisher:
         self._closed = False
         self._codec = node.bus.codec
         self._latched = qos.latched
+        self._topic = topic
+        self._max_bytes = node.bus.limits.of(topic)
+        self._too_long = PublisherLog(node.report)
         self._announcement = node.announce("MP", topic, message, qos)
         self._gid = self._announcement.gid
         self._signer: Signer | None = None
@@ -193,7 +217,7 @@ class ZenohPublisher:
             self._announcement.key,
             qos,
             type_name(message),
-            bulk=self._codec.is_bulk(message),
+            bulk=is_bulk(message),
         )
 
     @property
@@ -208,13 +232,23 @@ class ZenohPublisher:
         self.published += 1
         if not self.has_subscribers:
             return
+        payload = self._codec.encode(message)
+        if len(payload) > self._max_bytes:
+            self._too_long.add("this component", lambda _: self._not_sent(len(payload)))
+            return
         self._sent += 1
         attachment = keys.Attachment(self._sent, time.time_ns(), self._gid)
-        payload = self._codec.encode(message)
         if self._signer is not None:
             proof = self._signer.proof(attachment.head(), payload)
             attachment = attachment._replace(proof=proof)
         self._publisher.put(payload, attachment=attachment.encode())
+
+    def _not_sent(self, size: int) -> str:
+        return (
+            f"did not send a message of {size:,} bytes on {self._topic}: every process of this "
+            f"deployment discards more than {self._max_bytes:,} bytes there; publish less, or "
+            "raise `max_bytes` of the inputs that read it, or `bus.max_message_size`"
+        )
 
     def close(self) -> None:
         """Stop publishing."""
@@ -242,14 +276,22 @@ class ZenohSubscription:
         qos: Qos,
         wake: Callable[[], None],
         exclusive: Exclusive | None,
+        max_bytes: int,
     ) -> None:
         self.received = 0
-        self.invalid = 0
+        self._malformed = 0  # counted by the component's calls
+        self._too_long = 0  # counted by this subscription's thread
         self._closed = False
         self._codec = node.bus.codec
+        self._graph = node.bus.graph
+        self._topic = topic
         self._message = message
         self._wake = wake
-        self._pending: DropOldestQueue[zenoh.ZBytes | bytes] = DropOldestQueue(qos.depth)
+        self._max_bytes = max_bytes
+        self._long_messages = PublisherLog(node.report)
+        self._pending: DropOldestQueue[zenoh.ZBytes | bytes] = DropOldestQueue(
+            qos.depth, PENDING_BYTES
+        )
         self._in_transit = LossCounter()
         self._announcement = node.announce("MS", topic, message, qos)
         self._gate = None
@@ -259,6 +301,7 @@ class ZenohSubscription:
             refusals = RefusalLog(topic, exclusive, node.report)
             self._gate = _ExclusiveGate(verifier, refusals, node.bus.graph)
         ring = qos.depth if exclusive is None else max(qos.depth, _EXCLUSIVE_RING)
+        ring = ring_length(ring, max_bytes)
         self._subscriber = _declare_subscriber(node.bus.session, self._announcement.key, qos, ring)
         self._thread = threading.Thread(
             target=self._collect, args=(self._subscriber.handler,), name=topic, daemon=True
@@ -272,6 +315,11 @@ class ZenohSubscription:
         They were lost on the way or in the ring, or dropped from the queue of pending messages.
         """
         return self._in_transit.lost + self._pending.dropped
+
+    @property
+    def invalid(self) -> int:
+        """Messages that were too long, or could not be decoded to a valid message."""
+        return self._too_long + self._malformed
 
     @property
     def refused(self) -> int:
@@ -290,7 +338,7 @@ class ZenohSubscription:
             data = payload if isinstance(payload, bytes) else payload.to_bytes()
             message = self._codec.decode(self._message, data)
         except InvalidMessage:
-            self.invalid += 1
+            self._malformed += 1
             raise
         self.received += 1
         return message
@@ -312,15 +360,29 @@ class ZenohSubscription:
                 sample = channel.recv()
             except zenoh.ZError:  # the subscriber was undeclared
                 return
+            size = len(sample.payload)
+            if size > self._max_bytes:  # before it is copied or decoded
+                self._reject_long(sample, size)
+                continue
             payload = sample.payload if self._gate is None else self._gate.verified(sample)
             if payload is None:
                 continue
-            if self._pending.put(payload):
+            if self._pending.put(payload, size):
                 self._wake()
             # Last, because the wake-up may run the handler, which should not wait for this.
             attachment = _attachment(sample)
             if attachment is not None:  # otherwise a peer without rmw_zenoh's numbering
                 self._in_transit.received(attachment.gid, attachment.sequence)
+
+    def _reject_long(self, sample: zenoh.Sample, size: int) -> None:
+        self._too_long += 1
+        attachment = _attachment(sample)
+        self._long_messages.add(
+            _publisher(self._graph, attachment),
+            lambda named: too_long(self._topic, named, size, self._max_bytes),
+        )
+        if attachment is not None:  # it is not lost
+            self._in_transit.received(attachment.gid, attachment.sequence)
 
 
 class _ExclusiveGate:
@@ -346,12 +408,14 @@ class _ExclusiveGate:
         return payload
 
     def _publisher(self, attachment: keys.Attachment | None) -> str:
-        endpoint = None if attachment is None else self._graph.endpoint(attachment.gid)
-        if endpoint is None:
-            return "a publisher that is not in the graph"
-        if endpoint.node.name == self.refusals.writer:
-            return f"a publisher that claims to be {endpoint.node.name}"
-        return endpoint.node.name
+        name = _publisher(self._graph, attachment)
+        return f"a publisher that claims to be {name}" if name == self.refusals.writer else name
+
+
+def _publisher(graph: GraphWatcher, attachment: keys.Attachment | None) -> str:
+    """Return the name of the node that a sample claims to come from."""
+    endpoint = None if attachment is None else graph.endpoint(attachment.gid)
+    return "a publisher that is not in the graph" if endpoint is None else endpoint.node.name
 
 
 def _attachment(sample: zenoh.Sample) -> keys.Attachment | None:

@@ -15,7 +15,6 @@ from pydantic import (
     model_validator,
 )
 
-from cairn.bus.bus import MAX_MESSAGE_SIZE
 from cairn.bus.credentials import (
     Credentials,
     check_authorities,
@@ -24,6 +23,7 @@ from cairn.bus.credentials import (
     read_password,
 )
 from cairn.bus.endpoints import is_encrypted, is_loopback, parse_endpoint, socket_path
+from cairn.bus.message_limits import LONGEST_MAX_BYTES, MAX_MESSAGE_SIZE
 from cairn.bus.roles import Role
 from cairn.errors import CairnError
 from cairn.runtime_folder import check_private, group_id
@@ -148,11 +148,12 @@ class BusSettings(_Section):
     tls: TlsSettings | None = Field(
         None, description="Certificates for encrypted endpoints of `listen` and `connect`."
     )
-    max_message_size: int = Field(
-        MAX_MESSAGE_SIZE,
+    max_message_size: int | None = Field(
+        None,
         ge=64 << 10,
-        le=1 << 30,
-        description="Longest message [bytes]; every process discards longer ones unread.",
+        le=LONGEST_MAX_BYTES,
+        description="Longest message [bytes]; every process discards longer ones unread. By "
+        f"default {MAX_MESSAGE_SIZE}, or more if an input accepts more.",
     )
     listen: tuple[NetworkEndpoint, ...] = Field(
         (),

@@ -37,7 +37,7 @@ def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
     writers: defaultdict[str, list[str]] = defaultdict(list)
     readers: defaultdict[str, list[str]] = defaultdict(list)
     for member in deployment.members():
-        for port in _ports(member.spec.plugin):
+        for port in ports_of_plugin(member.spec.plugin):
             topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
             if port.direction == "out":
                 writers[topic].append(member.name)
@@ -72,7 +72,8 @@ def two_writers(topic: str, writers: Iterable[str], reader: str) -> str:
     )
 
 
-def _ports(plugin: str) -> list[PortSpec]:
+def ports_of_plugin(plugin: str) -> list[PortSpec]:
+    """Return the ports of a plugin; none if it cannot be loaded."""
     try:
         return list(ports_of(load_plugin(plugin)).values())
     except PluginError:

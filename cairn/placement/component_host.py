@@ -76,6 +76,8 @@ class ComponentHost:
             full_name(context.robot, launch.name),
             self._loop.post,
             self._answer_control,
+            self.runtime.component.request_max_bytes,
+            self.runtime.component.urgent_requests,
         )
         self._thread = threading.Thread(target=self._run, name=launch.name, daemon=True)
 

@@ -48,10 +48,9 @@ def main(argument: dict[str, Any], end: socket.socket) -> None:
         context = launch.context
         path = peer_socket(Path(context.socket_folder), launch.name)
         secret = context.session_secret
-        session = open_peer(
-            context.endpoints, path, context.credentials, context.max_message_size, secret
-        )
-        with closing(ZenohBus(session, context.domain, secret)) as bus:
+        limits = context.message_limits
+        session = open_peer(context.endpoints, path, context.credentials, limits, secret)
+        with closing(ZenohBus(session, context.domain, secret, limits)) as bus:
             report = _run(launch, bus, ChildChannel(end))
     except CairnError as error:
         report = ExitReport(False, str(error))

@@ -15,6 +15,7 @@ from cairn.bus.endpoints import domain_socket, parse_endpoint
 from cairn.bus.exclusive import KEY_BYTES
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import NodeEntity
+from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import (
     Gateway,
     open_client,
@@ -27,6 +28,7 @@ from cairn.deployment.access_control import access_control
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import exclusive_topics
 from cairn.deployment.model import ROOT, Deployment
+from cairn.deployment.topic_limits import topic_limits
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
@@ -88,7 +90,7 @@ def run_processes(
     if bus_settings.connect:
         _check_robot_name_is_free(deployment)
     secret = secrets.token_hex(16)
-    topics = exclusive_topics(deployment)
+    topics, limits = exclusive_topics(deployment), topic_limits(deployment)
     launch = LaunchRequest(
         name=ROOT,
         spec=deployment.root(),
@@ -102,7 +104,7 @@ def run_processes(
             zygote=str(zygote.socket_path),
             socket_folder=str(folder),
             credentials=bus_settings.credentials if bus_settings.connect else NO_CREDENTIALS,
-            max_message_size=bus_settings.max_message_size,
+            message_limits=limits,
             log_folder=str(log_folder),
             session_secret=secret,
             exclusive_topics=topics,
@@ -110,7 +112,7 @@ def run_processes(
         topic_keys={one.topic: secrets.token_hex(KEY_BYTES) for one in topics if one.writer},
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
-    with _opened_bus(deployment, folder, secret) as bus:
+    with _opened_bus(deployment, folder, secret, limits) as bus:
         root = ComponentHost(launch, bus)
         root.start()
         loop = MainLoop(root)
@@ -155,7 +157,9 @@ def run_processes(
 
 
 @contextmanager
-def _opened_bus(deployment: Deployment, folder: Path, secret: str) -> Iterator[ZenohBus]:
+def _opened_bus(
+    deployment: Deployment, folder: Path, secret: str, limits: MessageLimits
+) -> Iterator[ZenohBus]:
     """Open the bus of the root: the deployment's router and gateway, or a link to a router."""
     settings = deployment.bus
     with ExitStack() as stack:
@@ -164,14 +168,14 @@ def _opened_bus(deployment: Deployment, folder: Path, secret: str) -> Iterator[Z
                 settings.connect,
                 peer_socket(folder, ROOT),
                 settings.credentials,
-                settings.max_message_size,
+                limits,
                 secret,
             )
         else:
             socket = router_socket(deployment)
             listen = settings.listen if settings.allow_any_local_user else ()
-            session = open_router(socket, listen, settings.group, settings.max_message_size, secret)
-        bus = stack.enter_context(closing(ZenohBus(session, deployment.domain, secret)))
+            session = open_router(socket, listen, settings.group, limits, secret)
+        bus = stack.enter_context(closing(ZenohBus(session, deployment.domain, secret, limits)))
         if (gateway := gateway_of(deployment)) is not None:
             stack.enter_context(closing(gateway.open(router_socket(deployment), folder)))
         yield bus
@@ -202,7 +206,7 @@ def gateway_of(deployment: Deployment) -> Gateway | None:
         key=tls.key,
         ca=tls.ca,
         client_certificates=tls.client_certificates,
-        max_message_size=bus.max_message_size,
+        limits=topic_limits(deployment),
     )
 
 

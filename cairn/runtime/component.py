@@ -62,6 +62,10 @@ class Component:
 
     request_roles: ClassVar[Mapping[str, Role]] = MappingProxyType({})
     """Which of its own requests users on the network with less than `administer` may make."""
+    request_max_bytes: ClassVar[Mapping[str, int]] = MappingProxyType({})
+    """Longest requests [bytes of JSON] of its own verbs, where not 64 KiB; at most 256 KiB."""
+    urgent_requests: ClassVar[frozenset[str]] = frozenset()
+    """Requests that are accepted also while too many others wait: to stop something."""
     operator_inputs: ClassVar[frozenset[str]] = frozenset()
     """Input ports on whose topics users on the network with the role `operate` may publish."""
 

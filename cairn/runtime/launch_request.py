@@ -4,9 +4,10 @@ from collections.abc import Iterator, Mapping
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from cairn.bus.bus import MAX_MESSAGE_SIZE, full_name
+from cairn.bus.bus import full_name
 from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.exclusive import Exclusive
+from cairn.bus.message_limits import MessageLimits
 from cairn.deployment.exclusive_topics import ExclusiveTopic
 from cairn.deployment.model import ChildSpec
 
@@ -26,7 +27,7 @@ class RunContext(BaseModel):
     zygote: str = ""  # path of its socket
     socket_folder: str = ""  # for the sockets of the run's processes
     credentials: Credentials = NO_CREDENTIALS
-    max_message_size: int = MAX_MESSAGE_SIZE  # bytes
+    message_limits: MessageLimits = MessageLimits()
     log_folder: str = ""
     session_secret: str = Field("", repr=False)  # proves which sessions are of this run
     exclusive_topics: tuple[ExclusiveTopic, ...] | None = None

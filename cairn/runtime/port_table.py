@@ -164,7 +164,12 @@ class _Input:
     def open(self) -> None:
         if self._subscription is None:
             self._subscription = self._node.subscribe(
-                self._topic, self._spec.message, self._spec.qos, self._wake, self._exclusive
+                self._topic,
+                self._spec.message,
+                self._spec.qos,
+                self._wake,
+                self._exclusive,
+                self._spec.max_bytes,
             )
             self._counted = (self._subscription, self._counted[1])
 

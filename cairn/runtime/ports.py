@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, Literal, TypeVar, get_args, get_origin
 
+from cairn.bus.message_limits import LONGEST_MAX_BYTES
 from cairn.bus.qos import RELIABLE, Qos
 from cairn.clock import SECOND
 from cairn.errors import CairnError
@@ -20,15 +21,28 @@ class In(Generic[T]):
     A bare annotation `odom: In[Odometry]` means `In()`. With `optional=True` the component works
     without a publisher, and the check of a deployment does not require one. With `exclusive=True`
     the port accepts only the messages of the one component whose output has its topic in the
-    deployment; it refuses, counts and reports those of any other publisher.
+    deployment; it refuses, counts and reports those of any other publisher. A message longer than
+    `max_bytes` is rejected, counted and reported before it is decoded; by default the limit follows
+    from the message type: 4 KiB for one of fixed length, 64 KiB with texts, 1 MiB with sequences,
+    32 MiB with bytes, such as images and maps.
     """
 
     def __init__(
-        self, qos: Qos = RELIABLE, *, optional: bool = False, exclusive: bool = False
+        self,
+        qos: Qos = RELIABLE,
+        *,
+        optional: bool = False,
+        exclusive: bool = False,
+        max_bytes: int | None = None,
     ) -> None:
+        if max_bytes is not None and not 1 <= max_bytes <= LONGEST_MAX_BYTES:
+            raise CairnError(
+                f"In(max_bytes={max_bytes}): a limit is from 1 to {LONGEST_MAX_BYTES:,} bytes"
+            )
         self.qos = qos
         self.optional = optional
         self.exclusive = exclusive
+        self.max_bytes = max_bytes
 
     @property
     def topic(self) -> str:
@@ -76,7 +90,9 @@ class BoundIn(In[T]):
     """The input of one component instance."""
 
     def __init__(self, spec: "PortSpec", topic: str) -> None:
-        super().__init__(spec.qos, optional=spec.optional, exclusive=spec.exclusive)
+        super().__init__(
+            spec.qos, optional=spec.optional, exclusive=spec.exclusive, max_bytes=spec.max_bytes
+        )
         self._topic = topic
         self._latest: T | None = None
 
@@ -143,6 +159,8 @@ class PortSpec:
     qos: Qos
     optional: bool = False
     exclusive: bool = False
+    max_bytes: int | None = None
+    """Longest message [bytes] that an input accepts; None: as long as its type has by default."""
 
 
 def ports_of(cls: type) -> dict[str, PortSpec]:
@@ -263,7 +281,15 @@ def _port(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> PortS
     if declared is None:
         declared = kind()
     if isinstance(declared, In) and kind is In:
-        return PortSpec(name, "in", message, declared.qos, declared.optional, declared.exclusive)
+        return PortSpec(
+            name,
+            "in",
+            message,
+            declared.qos,
+            declared.optional,
+            declared.exclusive,
+            declared.max_bytes,
+        )
     if isinstance(declared, Out) and kind is Out:
         return PortSpec(name, "out", message, declared.qos)
     owner = next(base for base in cls.__mro__ if name in vars(base))

@@ -81,6 +81,7 @@ class VelocityGate(Component):
             "status": "view",
         }
     )
+    urgent_requests = frozenset({"stop"})
     operator_inputs = frozenset({"teleoperation", "emergency_stop"})
 
     navigator_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True, exclusive=True)

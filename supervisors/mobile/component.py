@@ -81,6 +81,8 @@ class MobileSupervisor(Supervisor):
     config: MobileSupervisorConfig
 
     request_roles = MappingProxyType({"go": "operate", "cancel": "operate", "mission": "view"})
+    request_max_bytes = MappingProxyType({"go": 256 << 10})
+    urgent_requests = frozenset({"cancel"})
     operator_inputs = frozenset({"goal_pose"})
 
     goal_pose: In[PoseStamped] = In(optional=True)

@@ -7,6 +7,7 @@ from dataclasses import FrozenInstanceError, dataclass
 import pytest
 
 from cairn import LATCHED, RELIABLE, SENSOR, Qos
+from cairn.bus import lockstep_bus, zenoh_bus
 from cairn.bus.bus import Bus, type_conflict
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.lockstep_bus import LockstepBus
@@ -16,6 +17,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
+from tests.wording import assert_words
 
 TOPIC = "/robot/word"
 
@@ -335,3 +337,43 @@ def test_first_message_to_a_subscriber_counts_no_drops(pair: Pair) -> None:
 
     assert late.next().linear.x == 0.5
     assert late.subscription.dropped == 0
+
+
+def test_too_long_message_is_rejected_counted_and_reported_with_its_publisher(pair: Pair) -> None:
+    problems: list[str] = []
+    arrived = threading.Semaphore(0)
+    subscription = pair.readers.node("/robot/listener", problems.append).subscribe(
+        TOPIC, String, RELIABLE, arrived.release, max_bytes=100
+    )
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, RELIABLE)
+    pair.wait_for_peers()
+    await_publisher(pair.readers, "/robot/talker")
+
+    for length in (10, 1_000, 2_000, 20):
+        writer.publish(String(data="x" * length))
+
+    for length in (10, 20):
+        assert arrived.acquire(timeout=LIMIT_S)
+        word = subscription.take()
+        assert word is not None
+        assert len(word.data) == length
+    assert not arrived.acquire(blocking=False)
+    assert (subscription.invalid, subscription.received, subscription.dropped) == (2, 2, 0)
+    assert len(problems) == 2
+    assert_words(problems[0], "1,009 bytes", TOPIC, "/robot/talker", "100", "max_bytes")
+
+
+def test_pending_messages_are_bounded_by_their_bytes(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for bus in (lockstep_bus, zenoh_bus):
+        monkeypatch.setattr(bus, "PENDING_BYTES", 50_000)
+    reader = Reader(node(pair.readers, "/robot/listener"), TOPIC, String, RELIABLE)
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, RELIABLE)
+    pair.wait_for_peers()
+
+    for letter in "abcd":
+        writer.publish(String(data=letter * 20_000))
+
+    assert eventually(lambda: reader.subscription.dropped == 2)
+    assert [word.data[0] for word in reader.pending()] == ["c", "d"]

@@ -1,18 +1,20 @@
 """A control request gets a reply, a rejection, or an error that no reply will arrive."""
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from typing import Any
 
 import pytest
+import zenoh
 
 from cairn import CairnError
 from cairn.bus.control import ControlError, ControlServer, request
 from cairn.bus.keys import control_key
+from cairn.bus.session import open_client
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.runtime.loop import ThreadLoop
-from tests.cairn.bus.network import Network
+from tests.cairn.bus.network import Network, eventually
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -30,9 +32,16 @@ class ServedComponent:
         self.requests: list[tuple[str, Mapping[str, Any]]] = []
         self.entered = threading.Event()
         self.release = threading.Event()
-        self.server = ControlServer(bus.session, 0, NAME, self.loop.post, self.answer)
+        self.posted = 0
+        self.server = ControlServer(
+            bus.session, 0, NAME, self.post, self.answer, {"long": 200_000}, {"urgent"}
+        )
         self.thread = threading.Thread(target=self.loop.run)
         self.thread.start()
+
+    def post(self, call: Callable[[], None]) -> None:
+        self.posted += 1
+        self.loop.post(call)
 
     def answer(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         self.requests.append((verb, arguments))
@@ -40,9 +49,12 @@ class ServedComponent:
             raise CairnError("it is too late")
         if verb == "object":
             return object()
-        if verb == "stop":
+        if verb == "much":
+            return "x" * 2_000_000
+        if verb in ("stop", "wait"):
             self.entered.set()
             assert self.release.wait(LIMIT_S)
+        if verb == "stop":
             self.loop.stop()
         return dict(arguments)
 
@@ -86,7 +98,24 @@ def test_reply_that_is_not_json_is_an_error_and_the_loop_continues(client: Zenoh
     assert send_request(client, "echo") == {}
 
 
-@pytest.mark.parametrize("payload", [None, b"", b"\xff", b'{"more": 1}', b"[]"])
+@pytest.mark.parametrize(
+    "payload",
+    [
+        None,
+        b"",
+        b"\xff",
+        b'{"more": 1}',
+        b"[]",
+        b'{"arguments": {"a": NaN}}',
+        b'{"arguments": {"a": 1e999}}',
+        b'{"arguments": {"a": 18446744073709551616}}',
+        b'{"arguments": {"a": ' + b"9" * 5000 + b"}}",
+        b'{"arguments": {"a": ' + b"[" * 110 + b"]" * 110 + b"}}",
+        b"[" * 60_000,
+        b'{"arguments": {"a": "' + b"x" * 65_536 + b'"}}',
+    ],
+    ids=lambda payload: "none" if payload is None else str(payload[:45]),
+)
 def test_invalid_request_is_rejected_and_the_next_is_served(
     client: ZenohBus, served: ServedComponent, payload: bytes | None
 ) -> None:
@@ -96,6 +125,76 @@ def test_invalid_request_is_rejected_and_the_next_is_served(
     assert "invalid control request" in reply
     assert send_request(client, "echo") == {}
     assert len(served.requests) == 1
+
+
+def test_declared_verb_accepts_longer_requests(client: ZenohBus, served: ServedComponent) -> None:
+    text = "x" * 100_000
+
+    assert send_request(client, "long", {"text": text}) == {"text": text}
+    with pytest.raises(ControlError, match=words_in_order("invalid", "echo", "65,536")):
+        send_request(client, "echo", {"text": text})
+
+
+def test_longer_request_than_any_component_accepts_is_not_sent(client: ZenohBus) -> None:
+    with pytest.raises(ControlError, match=words_in_order(NAME, "echo", "262,144", "send less")):
+        send_request(client, "echo", {"text": "x" * 300_000})
+
+
+def test_too_long_reply_is_an_error(client: ZenohBus) -> None:
+    with pytest.raises(ControlError, match=words_in_order("reply", "2,000,0", "1,048,576")):
+        send_request(client, "much")
+
+
+def test_false_queryable_that_replies_without_end_does_not_reach_the_client(
+    network: Network,
+) -> None:
+    impostor = network.bus()
+    replied = threading.Event()
+
+    def reply(query: Any) -> None:
+        query.reply(query.key_expr, bytes(20_000_000))
+        replied.set()
+
+    queryable: Any = impostor.session.declare_queryable(control_key(0, NAME), reply)
+    with (
+        open_client([network.endpoint]) as session,
+        pytest.raises(ControlError, match="no reply"),
+    ):
+        request(session, 0, NAME, "echo", timeout_s=LIMIT_S)
+    assert replied.is_set()
+    queryable.undeclare()
+
+
+def test_flood_of_requests_is_refused_and_an_urgent_one_is_answered(
+    client: ZenohBus, served: ServedComponent
+) -> None:
+    """Without a limit, the requests and their arguments would fill the memory."""
+    key, refused = control_key(0, NAME, "echo"), threading.Semaphore(0)
+
+    def count(reply: zenoh.Reply) -> None:
+        if reply.ok is not None and "busy" in reply.ok.payload.to_string():
+            refused.release()
+
+    blocked = threading.Thread(target=send_request, args=(client, "wait"))
+    blocked.start()
+    assert served.entered.wait(LIMIT_S)
+    handler: Any = zenoh.handlers.Callback(count, indirect=False)
+    for _ in range(100):
+        client.session.get(key, handler, payload=b"{}", timeout=LIMIT_S)
+    for _ in range(100 - 32):
+        assert refused.acquire(timeout=LIMIT_S)
+    urgent = Future[Any]()
+    stopping = threading.Thread(
+        target=lambda: urgent.set_result(send_request(client, "urgent", {"now": True}))
+    )
+    stopping.start()
+    assert eventually(lambda: served.posted == 1 + 32 + 1)
+    served.release.set()
+
+    assert urgent.result(LIMIT_S) == {"now": True}
+    assert [verb for verb, _ in served.requests].count("echo") == 32
+    blocked.join(LIMIT_S)
+    stopping.join(LIMIT_S)
 
 
 def test_request_to_a_missing_component_raises_no_reply(network: Network) -> None:

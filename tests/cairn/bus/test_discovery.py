@@ -16,7 +16,7 @@ import zenoh
 from zenoh.handlers import FifoChannel
 
 from cairn import LATCHED, RELIABLE
-from cairn.bus.discovery import PeerLinks, QueryableWatcher
+from cairn.bus.discovery import PeerLinks, QueryableWatcher, _peers_of_router
 from cairn.bus.keys import session_key
 from cairn.bus.session import open_peer, session_id
 from cairn.bus.zenoh_bus import ZenohBus
@@ -159,6 +159,11 @@ def test_stopped_process_is_reported_and_does_not_delay_the_others(network: Netw
         assert time.monotonic() - began < LIMIT_S / 4
         joiner.publish("received nevertheless")
         assert other.reader.next().data == "received nevertheless"
+
+
+@pytest.mark.parametrize("description", [b"", b"[" * 100_000, b'{"sessions": 1e999}', b"{}"])
+def test_false_description_of_a_router_names_no_peers(description: bytes) -> None:
+    assert _peers_of_router(description) is None
 
 
 def test_router_that_does_not_answer_in_time_does_not_mean_that_a_process_has_left() -> None:

@@ -23,25 +23,39 @@ def frequent_thread_switches() -> Iterator[None]:
 
 
 def test_newest_messages_are_kept_in_order() -> None:
-    pending: DropOldestQueue[int] = DropOldestQueue(3)
-    assert [pending.put(number) for number in range(5)] == [True, True, True, False, False]
+    pending: DropOldestQueue[int] = DropOldestQueue(3, 100)
+    assert [pending.put(number, 0) for number in range(5)] == [True, True, True, False, False]
     assert pending.dropped == 2
     assert [pending.take() for _ in range(4)] == [2, 3, 4, None]
 
 
 def test_clear_discards_the_messages() -> None:
-    pending: DropOldestQueue[int] = DropOldestQueue(2)
-    pending.put(1)
+    pending: DropOldestQueue[int] = DropOldestQueue(2, 100)
+    pending.put(1, 100)
     pending.clear()
     assert pending.take() is None
-    assert pending.put(2)
+    assert pending.put(2, 100)
+
+
+def test_messages_that_are_together_too_long_displace_the_oldest() -> None:
+    pending: DropOldestQueue[str] = DropOldestQueue(10, max_bytes=100)
+
+    assert [pending.put(*sized) for sized in (("a", 40), ("b", 40), ("c", 20))] == [True] * 3
+    assert not pending.put("d", 50)  # instead of two
+
+    assert pending.dropped == 2
+    assert [pending.take() for _ in range(3)] == ["c", "d", None]
+    assert pending.put("longer than the limit", 1_000)
+    assert not pending.put("e", 1)
+    assert [pending.take(), pending.take(), pending.dropped] == ["e", None, 3]
+    assert pending.put("f", 100)
 
 
 @pytest.mark.parametrize("depth", [1, 2, 5])
 @pytest.mark.usefixtures("frequent_thread_switches")
 def test_subscriber_that_takes_one_message_per_wake_up_gets_the_last(depth: int) -> None:
     """Before, a clock topic of depth 1 stalled for good when a wake-up was lost."""
-    pending: DropOldestQueue[int] = DropOldestQueue(depth)
+    pending: DropOldestQueue[int] = DropOldestQueue(depth, 100)
     wake_ups: queue.SimpleQueue[bool] = queue.SimpleQueue()
     taken = [-1]
 
@@ -54,7 +68,7 @@ def test_subscriber_that_takes_one_message_per_wake_up_gets_the_last(depth: int)
     reader = threading.Thread(target=read)
     reader.start()
     for number in range(_MESSAGES):
-        if pending.put(number):
+        if pending.put(number, 0):
             wake_ups.put(True)
     wake_ups.put(False)
     reader.join(LIMIT_S)

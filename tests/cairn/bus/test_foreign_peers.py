@@ -8,7 +8,14 @@ import zenoh
 
 from cairn import RELIABLE
 from cairn.bus.codec import Codec
-from cairn.bus.keys import Attachment, data_key
+from cairn.bus.keys import (
+    Attachment,
+    EndpointEntity,
+    NodeEntity,
+    data_key,
+    gid,
+    token_key,
+)
 from cairn.bus.type_hash import type_hash
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
@@ -38,8 +45,8 @@ def foreign(network: Network, reader: Reader) -> ZenohBus:
     return bus
 
 
-def attachment(number: int, gid: bytes = bytes(16)) -> bytes:
-    return Attachment(number, time.time_ns(), gid).encode()
+def attachment(number: int, publisher: bytes = bytes(16)) -> bytes:
+    return Attachment(number, time.time_ns(), publisher).encode()
 
 
 @pytest.mark.parametrize(
@@ -139,5 +146,26 @@ def test_malformed_liveliness_token_is_ignored(network: Network) -> None:
     )
 
     assert eventually(lambda: len(reported) == 1 and len(other) == 1)
+    for token in tokens:
+        token.undeclare()
+
+
+def test_forged_tokens_with_another_type_do_not_fill_the_log(network: Network) -> None:
+    reported: list[str] = []
+    own, foreign = network.bus(), network.bus()
+    own.node("/robot/base", reported.append).advertise("/robot/cmd_vel", Twist, RELIABLE)
+    zid = str(foreign.session.info.zid())
+    ghosts = [
+        EndpointEntity(
+            NodeEntity(0, zid, number, f"/robot/ghost_{number}"), 1, "MS", "/robot/cmd_vel",
+            type_name(Vector3), type_hash(Vector3), RELIABLE,
+        )
+        for number in range(500)
+    ]  # fmt: skip
+    tokens = [foreign.session.liveliness().declare_token(token_key(ghost)) for ghost in ghosts]
+
+    assert eventually(lambda: all(own.graph.endpoint(gid(token_key(one))) for one in ghosts))
+    assert eventually(lambda: any("suppressed" in report for report in reported))
+    assert len(reported) < 30
     for token in tokens:
         token.undeclare()

@@ -9,6 +9,7 @@ import pytest
 import zenoh
 
 from cairn import CairnError
+from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import is_connected, open_client, open_peer, open_router, process_of
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.runtime_folder import private_folder
@@ -76,7 +77,8 @@ def test_socket_of_another_user_is_named_as_the_cause() -> None:
 
 
 def test_longer_messages_than_allowed_are_discarded_and_the_link_stays(network: Network) -> None:
-    session = open_peer([network.endpoint], new_socket(), max_message_size=1 << 16)
+    limits = MessageLimits(max_message_size=1 << 16)
+    session = open_peer([network.endpoint], new_socket(), limits=limits)
     with closing(ZenohBus(session)) as reader, closing(network.bus()) as writer:
         received: Any = session.declare_subscriber("size", zenoh.handlers.RingChannel(10))
         assert reader.wait_for_peers(LIMIT_S) == []
