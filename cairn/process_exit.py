@@ -16,6 +16,7 @@ WORK_NOT_DONE = 100
 
 _TAIL_BYTES = 4000
 _TAIL_LINES = 20
+_SEARCHED_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -39,32 +40,56 @@ class ExitReport:
         return 0 if self.success else WORK_NOT_DONE
 
 
+@dataclass(frozen=True)
+class LogPosition:
+    """A position in a log: the file, by inode number, and its size then [bytes]."""
+
+    inode: int
+    size: int
+
+
 class ExitLog:
     """Reads from a component's log why a process of it ended. Create it before the process.
 
     Earlier incarnations have written to the same file; on a full disk the process may not have
-    been able to write at all.
+    been able to write at all. When the file is long, it is renamed to FILE.1, and a new one is
+    begun (`OutputFile`).
     """
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        self._start = self.size()
+        self._start = self.end()
 
-    def size(self) -> int:
-        """Return the size of the log [bytes], 0 if it does not exist yet."""
+    def end(self) -> LogPosition:
+        """Return the position of the end of the log."""
         try:
-            return self.file.stat().st_size
-        except OSError:
-            return 0
+            status = self.file.stat()
+        except OSError:  # it does not exist yet
+            return LogPosition(0, 0)
+        return LogPosition(status.st_ino, status.st_size)
 
-    def has_since(self, size: int, text: bytes) -> bool:
-        """Return whether the log contains `text` after its first `size` bytes."""
-        try:
-            with self.file.open("rb") as file:
-                file.seek(size)
-                return text in file.read()
-        except OSError:
-            return False
+    def has_since(self, position: LogPosition, text: bytes) -> bool:
+        """Return whether the log contains `text` after a position, in its last megabyte."""
+        return text in self._since(position, _SEARCHED_BYTES)
+
+    def _since(self, position: LogPosition, most: int) -> bytes:
+        """Return the last `most` bytes of the log after a position."""
+        read = b""
+        for path in (self.file, self.file.with_name(f"{self.file.name}.1")):
+            try:
+                with path.open("rb") as file:
+                    status = os.fstat(file.fileno())
+                    # Older files are older. A new file may get the number of a removed one.
+                    is_same = status.st_ino == position.inode
+                    is_begun = is_same and status.st_size >= position.size
+                    begin = position.size if is_begun else 0
+                    file.seek(max(begin, status.st_size - (most - len(read))))
+                    read = file.read(most - len(read)) + read
+            except OSError:
+                continue
+            if is_begun or len(read) >= most:
+                break
+        return read
 
     def report(self, pid: int, code: int) -> ExitReport:
         """Return the report on a process that ended with this exit code, -N by signal N."""
@@ -82,13 +107,8 @@ class ExitLog:
     def _tail(self, pid: int) -> tuple[str, str]:
         """Return the reason that the process logged, and its last line; "" for what is missing."""
         prefix = _closing_line(pid, "")
-        try:
-            with self.file.open("rb") as file:
-                end = file.seek(0, 2)
-                file.seek(min(end, max(self._start, end - _TAIL_BYTES)))
-                lines = deque(file.read().decode(errors="replace").splitlines(), maxlen=_TAIL_LINES)
-        except OSError:
-            return "", ""
+        text = self._since(self._start, _TAIL_BYTES).decode(errors="replace")
+        lines = deque(text.splitlines(), maxlen=_TAIL_LINES)
         for line in reversed(lines):
             if line.startswith(prefix):
                 return line.removeprefix(prefix), line

@@ -142,21 +142,21 @@ def run_folder() -> Iterator[Path]:
     """
     base = private_folder(runtime_folder())
     with ExitStack() as held:
-        with _locked(base):  # or another start removes the new folder before that is locked
+        with locked(base):  # or another start removes the new folder before that is locked
             for old in base.glob(f"{_RUNS}*"):
-                with suppress(OSError), _locked(old, wait=False):
+                with suppress(OSError), locked(old, wait=False):
                     shutil.rmtree(old, ignore_errors=True)
             try:
                 folder = Path(tempfile.mkdtemp(prefix=_RUNS, dir=base))
             except OSError as error:
                 raise CairnError(f"{base}: {explain_os_error(error)}, or set {VARIABLE}") from error
-            held.enter_context(_locked(folder))
+            held.enter_context(locked(folder))
         held.callback(shutil.rmtree, folder, ignore_errors=True)
         yield folder
 
 
 @contextmanager
-def _locked(folder: Path, *, wait: bool = True) -> Iterator[None]:
+def locked(folder: Path, *, wait: bool = True) -> Iterator[None]:
     """Hold the lock of a folder; `OSError` if it is held already and `wait` is False."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:

@@ -9,12 +9,16 @@ import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from logging.handlers import RotatingFileHandler
 from multiprocessing import get_context
 from pathlib import Path
 
+from cairn.cli.output import note
 from cairn.clock import SECOND
+from cairn.deployment.model import Storage
 from cairn.errors import CairnError
-from cairn.placement.component_process import LOG_FORMAT
+from cairn.files import TAKES_NO_DATA
+from cairn.runtime.log_output import LOG_FORMAT
 from cairn.supervision.orphan_cleanup import set_parent_death_signal
 
 
@@ -35,19 +39,22 @@ def writing_report(folder: Path, option: str = "--out") -> Iterator[None]:
 
 
 @contextmanager
-def log_file(file: Path, now: Callable[[], int]) -> Iterator[None]:
+def log_file(file: Path, now: Callable[[], int], storage: Storage | None = None) -> Iterator[None]:
     """Write what the components of this process log to a file; `now` returns the time [ns].
 
-    Raises `CairnError` if the file cannot be created. If the disk becomes full, that is reported
-    once, and the run continues.
+    The file has the limits of `storage`, if that is given. Raises `CairnError` if it cannot be
+    created, unless the disk is full: that is reported once, and the run continues.
     """
+    handler = _LogFile(file, storage)
     try:
-        handler = _LogFile(file, mode="w", encoding="utf-8")
+        handler.open()
     except OSError as error:
-        raise CairnError(
-            f"the log file {file} cannot be created: {error.strerror}; name another folder with "
-            "--report"
-        ) from error
+        if error.errno not in TAKES_NO_DATA:
+            raise CairnError(
+                f"the log file {file} cannot be created: {error.strerror}; name another folder "
+                "with --report"
+            ) from error
+        handler.report(error)
     handler.setFormatter(_Formatter(now))
     logger = logging.getLogger("cairn")
     logger.setLevel(logging.INFO)
@@ -59,27 +66,38 @@ def log_file(file: Path, now: Callable[[], int]) -> Iterator[None]:
         handler.close()
 
 
-class _LogFile(logging.FileHandler):
-    _reported = False
+class _LogFile(RotatingFileHandler):
+    def __init__(self, file: Path, storage: Storage | None) -> None:
+        size, count = (storage.max_log_size, storage.old_logs) if storage else (0, 0)
+        super().__init__(file, maxBytes=size, backupCount=count, encoding="utf-8", delay=True)
+        self._reported = False
+
+    def open(self) -> None:
+        """Begin an empty file; raises `OSError`."""
+        Path(self.baseFilename).open("w").close()
+        self.stream = self._open()
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        """Report a full disk once; anything else is a defect, which `logging` prints."""
+        """Report a full disk; anything else is a defect, which `logging` prints."""
         error = sys.exception()
-        if not isinstance(error, OSError):
+        if isinstance(error, OSError):
+            self.report(error)
+        else:
             super().handleError(record)
-        elif not self._reported:
+
+    def report(self, error: OSError) -> None:
+        """Report once that the file cannot be written."""
+        if not self._reported:
             self._reported = True
             reason = f"cairn: {self.baseFilename} cannot be written: {error.strerror}"
-            print(f"{reason}; the log is incomplete", file=sys.stderr)  # noqa: T201
+            note(f"{reason}; the log is incomplete")
 
     def close(self) -> None:
         """Close the file; what did not fit on the disk is lost, which has been reported."""
         try:
             super().close()
         except OSError as error:
-            if not self._reported:
-                reason = f"cairn: {self.baseFilename} cannot be written: {error.strerror}"
-                print(reason, file=sys.stderr)  # noqa: T201
+            self.report(error)
 
 
 class _Formatter(logging.Formatter):

@@ -4,7 +4,6 @@ import gc
 import json
 import logging
 import os
-import shutil
 import signal
 import sys
 import threading
@@ -21,7 +20,8 @@ from rich.console import Console
 
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.cli.options import File, Overlay, Set
-from cairn.cli.output import line, note
+from cairn.cli.output import RunOutput, note
+from cairn.cli.run_folders import reduce_old, used_folder
 from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LiveView, LogWatch, PlainView, Watch
 from cairn.clock import from_ns
@@ -38,7 +38,6 @@ from cairn.runtime.parameters import ReadPathMark, marked_parameters
 from cairn.schemas.rcl_interfaces import Log
 from cairn.supervision.zygote_client import ZygoteProcess
 
-_RUNS_KEPT = 20
 _REPORT_SETTING = "report"
 _CLOSING_TABLE = "report.txt"
 _LONG_IMPORT_S = 4.0
@@ -83,49 +82,57 @@ def up(
         with _announced_long_import():
             deployment = assemble(sources, [*where, *(set_ or ())])
         _check_shipped(file, deployment)
-        _prepare(folder)
+        logs = stack.enter_context(used_folder(folder))
+        with writing_report(folder, "--report"):
+            (folder / _CLOSING_TABLE).unlink(missing_ok=True)
+        if report is None:
+            for text in reduce_old(_runs_folder(), deployment.storage, folder):
+                note(text)
+        output = RunOutput()
+        stack.callback(output.close)
         title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
         live = sys.stdout.isatty() and not plain
         if not live:
-            line(f"{title}; logs and report: {folder}")
+            output.line(f"{title}; logs and report: {folder}")
         if deployment.bus.listen and deployment.bus.allow_any_local_user and not lockstep:
             reached = ", ".join(deployment.bus.listen)
             note(f"any user and program of this computer may drive the robot through {reached}")
         if lockstep and not any(member.spec.significant for member in deployment.members()):
             note("no component is `significant`: only Ctrl-C ends this run")
-        with LiveView(Console(), title) if live else PlainView(line, sys.stdout.fileno()) as view:
+        with LiveView(Console(), title) if live else PlainView(output.line) as view:
             if lockstep:
-                end = _run_lockstep(deployment, seed, folder, view)
+                end = _run_lockstep(deployment, seed, logs, view)
             else:
-                end = _run_processes(deployment, zygote, seed, folder, view, service)
-    table = folder / _CLOSING_TABLE
-    if table.exists():
-        line(table.read_text(encoding="utf-8"))
+                end = _run_processes(deployment, zygote, seed, logs, view, service)
+        table = folder / _CLOSING_TABLE
+        if table.exists():
+            output.line(table.read_text(encoding="utf-8"))
+        if end.normal and end.success:
+            took = time.monotonic() - began
+            output.line(f"ended: {end.reason}; logs and report: {folder} (took {took:.1f} s)")
     if not (end.normal and end.success):
-        raise CairnError(f"{file.name} failed: {end.reason.rstrip('.')}; logs: {folder / 'logs'}")
-    took = time.monotonic() - began
-    line(f"ended: {end.reason}; logs and report: {folder} (took {took:.1f} s)")
+        raise CairnError(f"{file.name} failed: {end.reason.rstrip('.')}; logs: {logs}")
 
 
 def _run_processes(
     deployment: Deployment,
     zygote: ZygoteProcess,
     seed: int,
-    folder: Path,
+    logs: Path,
     view: LiveView | PlainView,
     service: ServiceManager,
 ) -> ExitReport:
-    with log_file(folder / "logs" / "root.log", time.time_ns):
+    with log_file(logs / "root.log", time.time_ns, deployment.storage):
 
         def watch(bus: ZenohBus, hurry: Callable[[], None]) -> LogWatch:
             simulated = deployment.clock == "simulated"
             return LogWatch(bus, deployment.robot, view, clock=simulated, hurry=hurry)
 
-        return run_processes(deployment, zygote, folder / "logs", seed, watch, service)
+        return run_processes(deployment, zygote, logs, seed, watch, service)
 
 
 def _run_lockstep(
-    deployment: Deployment, seed: int, folder: Path, view: LiveView | PlainView
+    deployment: Deployment, seed: int, logs: Path, view: LiveView | PlainView
 ) -> ExitReport:
     run = LockstepRun(deployment, seed)
     watch = Watch(run.bus, deployment.robot, view, clock=run.simulated)
@@ -146,7 +153,7 @@ def _run_lockstep(
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: run.stop()) for number in numbers}
     try:
-        with log_file(folder / "logs" / "lockstep.log", run.executor.now):
+        with log_file(logs / "lockstep.log", run.executor.now, deployment.storage):
             return run.run(refresh)
     finally:
         for number, former in before.items():
@@ -188,24 +195,12 @@ def _announced_long_import() -> Iterator[None]:
 
 
 def _folder_of_run(file: Path) -> Path:
-    """Return a new folder in the user's state folder, where the last few are kept."""
-    runs = platformdirs.user_state_path("cairn") / "runs"
-    for old in sorted(runs.glob("*"))[: -_RUNS_KEPT + 1 or None] if runs.exists() else []:
-        shutil.rmtree(old, ignore_errors=True)
-    return runs / f"{datetime.now(UTC):%Y%m%d-%H%M%S-%f}-{file.stem}"
+    """Return the path of a new folder in the user's state folder."""
+    return _runs_folder() / f"{datetime.now(UTC):%Y%m%d-%H%M%S-%f}-{file.stem}"
 
 
-def _prepare(folder: Path) -> None:
-    """Create the folder of logs and report; remove those of an earlier run."""
-    logs = folder / "logs"
-    try:
-        str(folder).encode()
-    except UnicodeEncodeError as error:
-        raise CairnError(f"the report's folder {str(folder)!r} is not UTF-8; rename it") from error
-    with writing_report(folder, "--report"):
-        logs.mkdir(parents=True, exist_ok=True)
-        for old in (folder / _CLOSING_TABLE, *logs.glob("*.log")):
-            old.unlink(missing_ok=True)
+def _runs_folder() -> Path:
+    return platformdirs.user_state_path("cairn") / "runs"
 
 
 def _report_setting(documents: Iterable[Any], folder: Path) -> list[str]:

@@ -1,10 +1,10 @@
 """The display of `cairn up`: a live table on a terminal, else lines; it reads the bus."""
 
-import select
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Protocol
@@ -58,12 +58,10 @@ class View(Protocol):
 
 
 class PlainView:
-    """Prints log messages as lines to the file of this `descriptor`."""
+    """Prints log messages as lines."""
 
-    def __init__(self, print_line: Callable[[str], None], descriptor: int) -> None:
+    def __init__(self, print_line: Callable[[str], None]) -> None:
         self._print = print_line
-        self._reader_gone = select.poll()
-        self._reader_gone.register(descriptor, 0)  # errors are always reported
 
     def log(self, entry: Log) -> None:
         """Print the message."""
@@ -76,9 +74,7 @@ class PlainView:
         """Do nothing: lines have their own time."""
 
     def refresh(self) -> None:
-        """Raise `BrokenPipeError` if the output has no reader, even without a line to print."""
-        if self._reader_gone.poll(0):
-            raise BrokenPipeError
+        """Do nothing: every line is printed at once."""
 
     def __enter__(self) -> "PlainView":
         return self
@@ -130,9 +126,11 @@ class LiveView:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Leave the last picture on the terminal."""
-        self._draw()
-        self._live.__exit__(kind, error, trace)
+        """Leave the last picture on the terminal, if it is still there."""
+        with suppress(OSError):
+            self._draw()
+        with suppress(OSError):
+            self._live.__exit__(kind, error, trace)
 
     def _draw(self) -> None:
         self._drawn = time.monotonic()

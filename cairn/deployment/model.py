@@ -44,6 +44,32 @@ class Supervision(_Section):
     within_s: Seconds = Field(10.0, description="Window in which restarts are counted [s].")
 
 
+class Storage(_Section):
+    """Limits on what a deployment writes to the disk."""
+
+    max_log_size: int = Field(
+        10_000_000,
+        ge=10_000,
+        le=10_000_000_000,
+        description="A longer log file is renamed to FILE.1, and a new one is begun [bytes].",
+    )
+    old_logs: int = Field(
+        2, ge=1, le=100, description="Older log files kept of each process: FILE.1, FILE.2 ..."
+    )
+    kept_runs: int = Field(
+        20,
+        ge=1,
+        le=10_000,
+        description="Run folders kept complete; older ones keep maps and results only.",
+    )
+    max_runs_size: int = Field(
+        10_000_000_000,
+        ge=1_000_000,
+        le=1_000_000_000_000_000,
+        description="Size of all run folders [bytes]; beyond it fewer are kept complete.",
+    )
+
+
 class ChildSpec(_Section):
     """One component of the tree, as its supervisor starts, watches and restarts it."""
 
@@ -174,6 +200,9 @@ class Deployment(_Section):
         le=3600,
         allow_inf_nan=False,
         description="Limit for stopping everything [s], shared out; what hangs is killed.",
+    )
+    storage: Storage = Field(
+        default_factory=Storage, description="Limits of log files and run folders."
     )
     supervision: Supervision = Field(
         default_factory=Supervision, description="For the components directly below the root."

@@ -18,6 +18,7 @@ from cairn.placement.launcher import ProcessHandle
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState, Transition
+from cairn.runtime.log_output import LogLimit
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.rosout import RosoutHandler
 from cairn.runtime.runtime import Runtime
@@ -68,6 +69,7 @@ class ComponentHost:
         )
         if isinstance(self.runtime.component, Supervisor):
             self.runtime.component.adopt(launch, self)
+        self._log_limit = LogLimit(self.runtime.log)
         self._rosout = RosoutHandler(self.runtime.node)
         self.runtime.log.addHandler(self._rosout)
         self._control = ControlServer(
@@ -210,6 +212,7 @@ class ComponentHost:
     def publish_heartbeats(self) -> None:
         """Publish the status of the component and of all below it in this process."""
         self.runtime.heartbeat.publish()
+        self._log_limit.report()
         for child in self._children:
             child.publish_heartbeats()
 
@@ -221,6 +224,7 @@ class ComponentHost:
                 self._thread.join(_JOIN_LIMIT_S)
             self._control.close()
             self._clock.close()
+            self._log_limit.close()
             self.runtime.log.removeHandler(self._rosout)
         for child in self._children:
             child.close()

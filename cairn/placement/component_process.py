@@ -24,9 +24,9 @@ from cairn.placement.component_host import ComponentHost
 from cairn.placement.launcher import TRACEBACK_SIGNAL
 from cairn.process_exit import ExitReport, end_process, log_reason
 from cairn.runtime.launch_request import LaunchRequest
+from cairn.runtime.log_output import OutputFile, OutputHandler
 from cairn.supervision.child_channel import Answer, ChildChannel, Request, StopAhead, sendable
 
-LOG_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 HEARTBEAT_S = 0.25
 _SWITCH_INTERVAL_S = 0.0005
 """A handler that computes yields to the threads that receive messages after at most so long."""
@@ -40,7 +40,7 @@ def main(argument: dict[str, Any], end: socket.socket) -> None:
     """
     os.register_at_fork(after_in_child=end.close)  # a forked helper must not hold it
     launch = LaunchRequest.model_validate(argument)
-    logging.basicConfig(level=logging.INFO, format=LOG_FORMAT, stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, handlers=[OutputHandler()])
     faulthandler.register(TRACEBACK_SIGNAL, all_threads=True)
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     report = ExitReport(False, "it could not join the bus")
@@ -62,11 +62,19 @@ def main(argument: dict[str, Any], end: socket.socket) -> None:
 
 
 def _run(launch: LaunchRequest, bus: ZenohBus, channel: ChildChannel) -> ExitReport:
+    context = launch.context
+    log_file = Path(context.log_folder) / f"{launch.name}.log"
+    output = OutputFile(log_file, context.storage.max_log_size, context.storage.old_logs)
     with closing(ComponentHost(launch, bus)) as host:
         host.start()
         loop = MainLoop(host)
+
+        def on_turn() -> None:
+            channel.send_heartbeat(host.heartbeat())
+            output.check()
+
         with loop.stop_signals(signal.SIGTERM, signal.SIGINT), _answering(host, channel):
-            loop.run(lambda: channel.send_heartbeat(host.heartbeat()))
+            loop.run(on_turn)
     return host.exit_report or ExitReport(False, "its loop ended without a report")
 
 

@@ -140,7 +140,7 @@ class ProcessHandle:
     def kill(self, log_limit_s: float) -> None:
         """Kill its process group, after its process has logged the stacks of its threads."""
         if self._process is not None:
-            before, size = _threads_of(self._process.pid), self._log.size()
+            before, end = _threads_of(self._process.pid), self._log.end()
             self._process.signal(TRACEBACK_SIGNAL)
             deadline = time.monotonic() + log_limit_s
             while self._process.wait(_TRACEBACK_POLL_S) is None and time.monotonic() < deadline:
@@ -148,7 +148,7 @@ class ProcessHandle:
                 if now.stopped:
                     break
                 # The kernel blocks the signal in the thread that handles it.
-                if now.blocking <= before.blocking and self._log.has_since(size, _TRACEBACK):
+                if now.blocking <= before.blocking and self._log.has_since(end, _TRACEBACK):
                     break
             self._process.kill()
 

@@ -1,5 +1,6 @@
 """Runs a deployment in real processes: the router, the zygote, and the root of the tree."""
 
+import logging
 import secrets
 import shutil
 import signal
@@ -39,6 +40,7 @@ from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime_folder import run_folder
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
+_log = logging.getLogger("cairn.root")
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
 _FORCE_S = 1.0  # for the zygote to end, with all processes
 
@@ -83,8 +85,9 @@ def run_processes(
     `make_view(bus, wake_up)` returns the view; `wake_up` has it refreshed soon. `service` is
     notified when all is active, and as long as the root runs. Nothing is left running, whatever
     happens; the zygote has ended, and its log is in `log_folder` if it has logged something.
-    Raises `CairnError` if the socket is in use, if the robot runs already on this bus, or on a
-    second signal; raises errors of the view after everything has been stopped.
+    A view that fails, perhaps because its terminal is gone, does not end the run. Raises
+    `CairnError` if the socket is in use, if the robot runs already on this bus, or on a second
+    signal.
     """
     bus_settings, folder = deployment.bus, zygote.socket_path.parent
     if bus_settings.connect:
@@ -106,6 +109,7 @@ def run_processes(
             credentials=bus_settings.credentials if bus_settings.connect else NO_CREDENTIALS,
             message_limits=limits,
             log_folder=str(log_folder),
+            storage=deployment.storage,
             session_secret=secret,
             exclusive_topics=topics,
         ),
@@ -146,8 +150,6 @@ def run_processes(
             zygote.close()
             with suppress(OSError):  # it removes an empty log
                 shutil.copyfile(zygote.log_file, zygote_log.file)
-    if monitor.failure is not None:
-        raise monitor.failure
     report = root.exit_report or ExitReport(False, "the root ended without a report")
     if zygote_ended_first or (not report.normal and zygote.process.returncode != 0):
         cause = zygote_log.report(zygote.process.pid, zygote.process.returncode).reason
@@ -227,9 +229,8 @@ class _Monitor:
     """What the root's main thread does at every turn: refresh the view, and check the zygote."""
 
     def __init__(self, view: RunView, zygote: ZygoteProcess, loop: MainLoop) -> None:
-        self.failure: Exception | None = None
-        """The view's; the robot is stopped before it is raised."""
         self._view = view
+        self._shows = True
         self._zygote = zygote
         self._loop = loop
         self._stopping = False
@@ -238,9 +239,7 @@ class _Monitor:
     def check(self) -> None:
         self._show(self._view.refresh)
         self._kill_stopped_zygote()
-        if not self._stopping and (
-            self.failure is not None or self._zygote.process.poll() is not None
-        ):
+        if not self._stopping and self._zygote.process.poll() is not None:
             self._stopping = True
             self._loop.stop()
 
@@ -258,8 +257,9 @@ class _Monitor:
             self._zygote.process.kill()
 
     def _show(self, show: Callable[[], None]) -> None:
-        if self.failure is None:
+        if self._shows:
             try:
                 show()
-            except Exception as error:  # the terminal is gone, or the disk is full
-                self.failure = error
+            except Exception as error:  # the terminal is gone, perhaps; the robot continues
+                self._shows = False
+                _log.error("view ended: %s: %s", type(error).__name__, error, exc_info=error)

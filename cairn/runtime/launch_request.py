@@ -9,7 +9,7 @@ from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.message_limits import MessageLimits
 from cairn.deployment.exclusive_topics import ExclusiveTopic
-from cairn.deployment.model import ChildSpec
+from cairn.deployment.model import ChildSpec, Storage
 
 
 class RunContext(BaseModel):
@@ -29,6 +29,7 @@ class RunContext(BaseModel):
     credentials: Credentials = NO_CREDENTIALS
     message_limits: MessageLimits = MessageLimits()
     log_folder: str = ""
+    storage: Storage = Storage()
     session_secret: str = Field("", repr=False)  # proves which sessions are of this run
     exclusive_topics: tuple[ExclusiveTopic, ...] | None = None
     """None for a component that runs without a deployment, in a test: it accepts every writer."""

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import logging
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+MOST_SUBJECTS: Final = 1_000
+"""Subjects whose warnings are counted."""
 
 
 class RateLimitedLog:
     """Logs the 1st, 2nd, 4th, 8th ... warning about each subject, and once that it is resolved.
 
-    For conditions that a component meets again and again, such as an input that stays away.
+    For conditions that a component meets again and again, such as an input that stays away. Of
+    more than `MOST_SUBJECTS` subjects, such as invented names, it forgets the oldest one.
     """
 
     def __init__(self, log: logging.Logger) -> None:
@@ -25,8 +29,10 @@ class RateLimitedLog:
         before = self._counts.get(subject, _Counts("", 0, 0))
         same = before.same + 1 if message == before.message else 1
         now = self._counts[subject] = _Counts(message, same, before.all + 1)
+        if len(self._counts) > MOST_SUBJECTS:
+            del self._counts[next(iter(self._counts))]
         if now.all & (now.all - 1) == 0:
-            self._log.warning("%s%s", message, now)
+            self._log.warning("%s%s", message, now, stacklevel=2)  # `LogLimit` counts by caller
 
     def resolved(self, subject: str, message: str) -> None:
         """Reset the count of `subject`; log `message`, the state now, if there were warnings."""

@@ -28,6 +28,7 @@ from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from setproctitle import setproctitle
 
+from cairn.files import TAKES_NO_DATA
 from cairn.supervision.orphan_cleanup import (
     become_subreaper,
     ended_child,
@@ -49,6 +50,7 @@ _GROUP_LIMIT_S = 1.0  # killed helpers of an ended process may take this long to
 _END_LIMIT_S = 5.0
 _TRACEBACK_LINES = 12
 _LONGEST_LINE = 16 << 20  # bytes; a deployment's largest argument is some kilobytes
+_LONGEST_LOG = 1_000_000  # bytes; a client that sends garbage again and again logs a line each time
 _DESCRIPTORS = 16  # of one client that wait for the end of their message
 _UCRED = struct.Struct("3i")  # pid, uid, gid: unix(7), SO_PEERCRED
 # Python itself ignores the first two and expects that; the others cannot be changed.
@@ -267,7 +269,7 @@ class Zygote:
                 os.close(channel)
 
     def _fork(self, connection: "ClientConnection", request: Spawn, channel: int | None) -> None:
-        log = os.open(request.log_file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o640)
+        log = _open_log(request.log_file)
         every = signal.valid_signals()
         unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, every)  # until the child is ready
         try:
@@ -451,6 +453,20 @@ class ClientConnection:
             self.socket.shutdown(socket.SHUT_RDWR)
 
 
+def _open_log(file: str) -> int:
+    """Open a log file to append to it; on a full disk /dev/null, which the process replaces later.
+
+    Raises other `OSError`.
+    """
+    try:
+        return os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o640)
+    except OSError as error:
+        if error.errno not in TAKES_NO_DATA:
+            raise
+        _log(f"log file cannot be created: {file}: {error.strerror}; its process starts without")
+        return os.open(os.devnull, os.O_WRONLY)
+
+
 def _detach(zygote: int, log: int) -> None:
     """Detach the calling process, a fork of the zygote; all signals are blocked at the call.
 
@@ -534,5 +550,7 @@ def _remove_socket(socket_path: Path) -> None:
 
 def _log(text: str) -> None:
     with contextlib.suppress(OSError):  # a full disk must not end the robot
+        if os.fstat(2).st_size > _LONGEST_LOG:
+            return
         sys.stderr.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S')} zygote: {text}\n")
         sys.stderr.flush()

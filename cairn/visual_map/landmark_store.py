@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cairn.planar.poses import Pose
 from cairn.visual_map.evidence_history import EvidenceHistory, EvidenceSummary, Row
@@ -38,6 +38,10 @@ from cairn.visual_map.sqlite_file import (
 # The robot's pose at the last observation of a candidate is not stored: the next observation counts
 # as made from another pose.
 _ELSEWHERE = (float("inf"), float("inf"), 0.0)
+
+
+MOST_CHANGES: Final = 20_000
+"""Newest changes of the map that the file keeps."""
 
 
 @dataclass(frozen=True)
@@ -174,6 +178,9 @@ class LandmarkStore:
                     f"INSERT INTO changes VALUES ({_placeholders(10)})",
                     (change_row(version, stamp, change) for version, stamp, change in changes),
                 )
+                if changes:
+                    oldest = changes[-1][0] - MOST_CHANGES
+                    connection.execute("DELETE FROM changes WHERE version <= ?", (oldest,))
         except MapFileError:
             self._evidence.rolled_back()
             raise

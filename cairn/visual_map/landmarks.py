@@ -175,11 +175,11 @@ class LandmarkChange:
     reason: str
 
 
-def new_landmark(object_id: int, name: str | None = None) -> LandmarkRecord:
+def new_landmark(object_id: int) -> LandmarkRecord:
     """Return the record of an object that is not in the map yet and has no position."""
     return LandmarkRecord(
         object_id,
-        name or f"object {object_id}",
+        f"object {object_id}",
         None,
         reliability=CANDIDATE_RELIABILITY,
         state=LandmarkState.RELOCATING,

@@ -13,7 +13,7 @@ import tempfile
 import time
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -104,6 +104,9 @@ FORMATS: Final[tuple[tuple[str, ...], ...]] = (
 """The statements that each format adds to the one before, the first one to an empty file."""
 
 _FORMAT: Final = len(FORMATS)
+_EVIDENCE_OF_LANDMARK: Final = 200_000
+"""Size of as many rows of evidence about one landmark as are kept (`evidence_history.py`)."""
+_MOST_RESERVED: Final = 12_000_000
 _LITTLE_SPACE: Final = 256 * 1024  # bytes: SQLite's lock file and log need as much
 _DAMAGED: Final = "It is damaged or not a map: restore a copy of it, or import it again"
 
@@ -174,6 +177,25 @@ def copy_map(original: Path, copy: Path) -> None:
         ):
             source.backup(target)
             target.execute("UPDATE origin SET digest = ?", (_digest(source),))
+            _reserve_evidence(target)
+
+
+def _reserve_evidence(connection: sqlite3.Connection) -> None:
+    """Make room in a file for the evidence about its landmarks, if the disk has so much.
+
+    So the file does not grow for hours, and a disk that becomes full does not delay the evidence.
+    """
+    landmarks = connection.execute("SELECT count(*) FROM objects").fetchone()[0]
+    size = min(landmarks * _EVIDENCE_OF_LANDMARK, _MOST_RESERVED)
+    with suppress(sqlite3.Error):  # no room
+        connection.execute("BEGIN IMMEDIATE")
+        try:
+            connection.execute("CREATE TABLE reserve (room BLOB)")
+            connection.execute("INSERT INTO reserve VALUES (zeroblob(?))", (size,))
+            connection.execute("DROP TABLE reserve")  # its pages stay in the file, free
+            connection.execute("COMMIT")
+        except sqlite3.Error:
+            connection.execute("ROLLBACK")
 
 
 def digest_of(path: Path) -> str:

@@ -18,6 +18,7 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
+    RateLimitedLog,
     RetriedSave,
     every,
     from_ns,
@@ -98,6 +99,7 @@ class MapBuilder(Component):
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
         self._updates = PendingUpdates()
+        self._warnings = RateLimitedLog(self.log)
         self._saved_landmarks = RetriedSave(self, "visual map")
         self._saved_grid = RetriedSave(self, "grid map")
         self._full_map_at = self._saved_at = 0
@@ -143,6 +145,13 @@ class MapBuilder(Component):
             if changes:  # on the disk before they are published; other evidence once a second
                 self._save_landmarks(keeper)
             self._publish(stamp_ns, counted, changes)
+            if keeper.refused:
+                self._warnings.warn(
+                    "full map",
+                    f"visual map is full: it has {len(keeper.landmarks)} landmarks, and "
+                    f"max_landmarks is {self.config.max_landmarks}; did not learn object "
+                    f"{keeper.refused[-1]}",
+                )
 
     @on("relocalized")
     def on_relocalized(self, message: Relocalization) -> None:
@@ -234,7 +243,7 @@ class MapBuilder(Component):
                 config.map_file,
                 config.working_copy,
                 now,
-                config.learn_unknown,
+                config.max_landmarks if config.learn_unknown else 0,
                 rule_named(config.rule),
                 config.undo_s,
             )

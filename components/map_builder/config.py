@@ -7,6 +7,7 @@ from pathlib import Path
 from pydantic import Field, model_validator
 
 from cairn import Config, Mount, ReadPath
+from cairn.components.map_builder.landmark_map import MOST_LEARNED
 from cairn.components.map_builder.landmark_rule import RuleName
 
 
@@ -24,6 +25,12 @@ class MapBuilderConfig(Config):
     )
     learn_unknown: bool = Field(
         True, description="Whether to register objects that are observed but not in the map."
+    )
+    max_landmarks: int = Field(
+        MOST_LEARNED,
+        ge=1,
+        le=10_000,
+        description="Landmarks in the map from which on no further ones are learned.",
     )
     update_objects: bool = Field(True, description="Whether evidence changes the visual map.")
     rule: RuleName = Field(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cairn import SECOND
@@ -35,6 +35,9 @@ UNDO_S = 60.0
 MOST_UNSAVED_EVIDENCE = 10_000
 MOST_UNSAVED_CHANGES = 1_000
 
+MOST_LEARNED = 2_000
+"""Landmarks up to which unknown objects are learned, if nothing else is given."""
+
 NumberedChange = tuple[int, LandmarkChange]
 
 
@@ -43,29 +46,32 @@ class AppliedEvidence:
     """What the evidence of one image changed.
 
     `after` holds for each piece of evidence the landmark after it and whether it counted, None for
-    an object that the map does not learn.
+    an object that is not in the map. `refused` are the identifiers of those that the map did not
+    learn because it is full.
     """
 
     after: tuple[tuple[LandmarkRecord, bool] | None, ...]
     changes: tuple[LandmarkChange, ...]
+    refused: tuple[int, ...] = ()
 
 
 class LandmarkMap:
     """All landmarks by identifier, in memory, with a journal of the last `undo_s` seconds.
 
-    `name_of` returns the name of an object that is not in the map yet.
+    Unknown objects are learned until there are `most_learned` landmarks. `name_of` returns the name
+    of an object that is not in the map yet.
     """
 
     def __init__(
         self,
         landmarks: Iterable[LandmarkRecord],
-        learn_unknown: bool = True,
+        most_learned: int = MOST_LEARNED,
         rule: Rule = judge,
         undo_s: float = UNDO_S,
         name_of: Callable[[int], str | None] = lambda _: None,
     ) -> None:
         self.landmarks: dict[int, LandmarkRecord] = {one.object_id: one for one in landmarks}
-        self.learn_unknown = learn_unknown
+        self._most_learned = most_learned
         self._rule = rule
         self._name_of = name_of
         self._journal = LandmarkJournal(undo_s)
@@ -75,14 +81,25 @@ class LandmarkMap:
         self._journal.forget_old(now_s)
         after: list[tuple[LandmarkRecord, bool] | None] = []
         changes: list[LandmarkChange] = []
+        refused: list[int] = []
         for piece in evidence:
             known = self.landmarks.get(piece.object_id)
+            is_new = known is None
             if known is None:
-                if not self.learn_unknown or piece.verdict is EvidenceVerdict.UNSEEN:
+                if not self._most_learned or piece.verdict is EvidenceVerdict.UNSEEN:
                     after.append(None)
                     continue
-                known = new_landmark(piece.object_id, self._name_of(piece.object_id))
+                if len(self.landmarks) >= self._most_learned:
+                    refused.append(piece.object_id)
+                    after.append(None)
+                    continue
+                known = new_landmark(piece.object_id)
             judged, change = self._rule(known, piece, now_s)
+            if is_new and judged is known:
+                after.append(None)  # evidence is kept about the map's objects only: they are few
+                continue
+            if is_new:
+                judged = replace(judged, name=self._name_of(judged.object_id) or judged.name)
             after.append((judged, judged is not known))
             if judged is known:
                 continue
@@ -90,7 +107,7 @@ class LandmarkMap:
             self.landmarks[piece.object_id] = judged
             if change is not None:
                 changes.append(change)
-        return AppliedEvidence(tuple(after), tuple(changes))
+        return AppliedEvidence(tuple(after), tuple(changes), tuple(refused))
 
     def undo(self, since_s: float) -> tuple[list[LandmarkRecord], list[LandmarkChange]]:
         """Undo the judgments after `since_s` [s]: the robot turned out to have been lost.
@@ -137,7 +154,7 @@ class LandmarkKeeper:
         map_file: Path,
         working_copy: Path | None,
         now_ns: int,
-        learn_unknown: bool,
+        most_learned: int = MOST_LEARNED,
         rule: Rule = judge,
         undo_s: float = UNDO_S,
     ) -> None:
@@ -151,8 +168,10 @@ class LandmarkKeeper:
         except MapNotWritable:
             with open_landmarks(map_file if self._copies else self.path, read_only=True) as store:
                 landmarks, self.version = store.landmarks(), store.version()
-        self._map = LandmarkMap(landmarks, learn_unknown, rule, undo_s, self._model_name)
+        self._map = LandmarkMap(landmarks, most_learned, rule, undo_s, self._model_name)
         self._unsaved = _Unsaved()
+        self.refused: tuple[int, ...] = ()
+        """Objects of the last evidence that the map did not learn, because it is full."""
 
     @property
     def landmarks(self) -> list[LandmarkRecord]:
@@ -174,6 +193,7 @@ class LandmarkKeeper:
     ) -> tuple[bool, list[NumberedChange]]:
         """Apply the evidence of one image; return whether it counted, and the changes."""
         applied = self._map.apply(evidence, stamp_ns / SECOND)
+        self.refused = applied.refused
         counted = False
         for piece, after in zip(evidence, applied.after, strict=True):
             if after is not None:

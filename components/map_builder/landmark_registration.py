@@ -53,6 +53,7 @@ COMMON_ERROR = 0.15
 _SAME_M = 0.35
 # An object that people carry back and forth seldom returns twice within this time [s].
 _REMEMBERED_S = 600.0
+_MOST_DEPARTURES = 20  # positions that are remembered; twice the moves of a busy chair in that time
 _RETURNS = 2
 # Errors of two implied positions that no covariance states [m]: twice that of a surveyed position
 # (`MAP_SIGMA` of the localizer, 0.03 m).
@@ -105,7 +106,9 @@ def record_departure(
     """Record that a landmark was removed from a position."""
     kept = tuple((one, at) for one, at in history.departures if now_s - at <= _REMEMBERED_S)
     return replace(
-        history, departures=(*kept, (position, now_s)), returns=history.returns if kept else 0
+        history,
+        departures=(*kept, (position, now_s))[-_MOST_DEPARTURES:],
+        returns=history.returns if kept else 0,
     )
 
 

@@ -54,6 +54,7 @@ _ABSENCE_M, _ABSENCE_RAD = 0.4, 0.5
 # A cell of viewpoints: directions from the landmark to the robot, and bands of distance [m].
 _SECTORS = 12
 _BAND_M = 1.0
+_MOST_BAND = 30  # the last band is endless: no camera recognizes a landmark from so far
 # Counts are halved beyond this, so that recent ones outweigh old ones.
 _MOST_COUNTS = 64
 # A landmark that was recognized less often than this from a cell is not expected to be again.
@@ -124,7 +125,8 @@ def cell_of(x: float, y: float, robot: Pose) -> Cell:
     """Return the cell in which the robot sees a landmark at x, y [m]."""
     dx, dy = robot[0] - x, robot[1] - y
     sector = math.floor((math.atan2(dy, dx) + math.pi) / (2.0 * math.pi) * _SECTORS)
-    return min(sector, _SECTORS - 1), math.floor(math.hypot(dx, dy) / _BAND_M)
+    band = min(math.hypot(dx, dy) / _BAND_M, _MOST_BAND)
+    return min(sector, _SECTORS - 1), math.floor(band)
 
 
 def _judge_observation(

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn.visual_map.landmarks import LandmarkRecord, LandmarkState
+
+MOST_ENTRIES: Final = 10_000
+"""Judgments that can be undone: 80 in each second of the longest time, far more than there are."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,7 @@ class LandmarkJournal:
 
     def __init__(self, kept_s: float) -> None:
         self._kept_s = kept_s
-        self._entries: deque[_LandmarkUndo] = deque()
+        self._entries: deque[_LandmarkUndo] = deque(maxlen=MOST_ENTRIES)
 
     def forget_old(self, now_s: float) -> None:
         """Remove entries that are older than `kept_s`."""

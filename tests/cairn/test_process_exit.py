@@ -129,3 +129,32 @@ def test_exit_code_for_work_not_done_is_a_normal_end_without_success(file: Path)
 
     assert end == ExitReport(True, "2 of 3 goals were reached", success=False)
     assert end.exit_code == WORK_NOT_DONE
+
+
+def rotate(file: Path) -> None:
+    file.rename(f"{file}.1")
+    file.touch()
+
+
+def test_reason_is_found_in_a_log_that_was_rotated_just_before_or_after_it(file: Path) -> None:
+    file.write_text("process 7 ended: of an earlier process with this number\n" * 1000)
+    log = ExitLog(file)
+    rotate(file)
+    assert_words(report(log, 1).reason, "exit code 1")
+    file.write_text("RuntimeError: oh\nprocess 7 ended: no device\n")
+    assert report(log, 0).reason == "no device"
+    rotate(file)
+    assert report(log, 0).reason == "no device"
+    file.write_text("printed at exit\n")
+    assert report(log, 0).reason == "no device"
+
+
+def test_stacks_are_found_in_a_log_that_was_rotated_meanwhile(file: Path) -> None:
+    file.write_text("earlier stacks\n")
+    log = ExitLog(file)
+    end = log.end()
+    assert not log.has_since(end, b"stacks")
+    rotate(file)
+    assert not log.has_since(end, b"stacks")
+    file.write_text("later stacks\n")
+    assert log.has_since(end, b"stacks")

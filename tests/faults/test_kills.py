@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,6 +11,7 @@ import pytest
 
 from cairn.testing.launching import Launching, Run
 from tests.commands import await_status
+from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
 
@@ -163,9 +165,15 @@ def test_subprocess_of_a_component_is_killed_with_it(launch: Launching) -> None:
     assert run.stop() == 0
 
 
-def test_cairn_up_stops_when_the_reader_of_its_output_ends(launch: Launching) -> None:
+def test_robot_continues_when_the_reader_of_its_output_ends(launch: Launching) -> None:
     run = launch(TREE, head=3)
+    log = run.logs / "root.log"
+    deadline = time.monotonic() + LIMIT_S
+    while not (log.exists() and "output of cairn up lost" in log.read_text()):
+        assert time.monotonic() < deadline, run
+        time.sleep(0.05)
 
-    run.await_end()
+    assert run.stop() == 0
 
+    assert "child stopped" in log.read_text()
     run.await_nothing_left()

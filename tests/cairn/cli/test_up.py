@@ -91,6 +91,21 @@ def test_report_folder_is_used_again_without_the_old_logs(
     assert "old" not in run.log_of("listener")
 
 
+def test_robot_continues_while_its_output_is_on_a_full_disk(
+    launch: Launching, tmp_path: Path
+) -> None:
+    file = launch.write(TALK)
+    with Path("/dev/full").open("w") as full:
+        command = [CAIRN, "up", str(file), "--report", str(tmp_path / "out")]
+        ended = subprocess.run(command, stdout=full, stderr=full, timeout=LIMIT_S)
+
+    assert ended.returncode == 0
+    log = (tmp_path / "out" / "logs" / "root.log").read_text()
+    assert log.count("output of cairn up lost") == 1
+    assert "No space left on device" in log
+    assert "child ended: talker: all words sent" in log
+
+
 def test_lockstep_with_the_same_seed_prints_the_same(launch: Launching) -> None:
     runs = [launch(TALK, "--lockstep", "--seed", "7") for _ in range(2)]
 

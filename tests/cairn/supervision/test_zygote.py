@@ -1,5 +1,6 @@
 """The zygote with real processes: how they start and end, and which clients it rejects."""
 
+import errno
 import json
 import math
 import os
@@ -10,6 +11,7 @@ import sys
 import time
 from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -17,7 +19,7 @@ import zenoh
 from cairn import CairnError
 from cairn.supervision.child import ZygoteLost
 from cairn.supervision.child_channel import channel_pair
-from cairn.supervision.zygote import Exited, Spawn, encode
+from cairn.supervision.zygote import Exited, Spawn, _open_log, encode
 from cairn.supervision.zygote_client import ChildProcess, ZygoteClient, ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
@@ -197,6 +199,24 @@ def test_module_that_hangs_when_imported_does_not_delay_a_stop(
 def test_log_that_cannot_be_written_fails_the_start(owner: Owner, tmp_path: Path) -> None:
     with pytest.raises(CairnError, match="No such file or directory"):
         owner.client.spawn("driver", f"{CHILDREN}:run_until_killed", {}, tmp_path / "none" / "log")
+
+
+def test_process_starts_without_a_log_on_a_full_disk(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    real = os.open
+
+    def full(path: Any, flags: int, *rest: Any) -> int:
+        if flags & os.O_CREAT:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(path, flags, *rest)
+
+    monkeypatch.setattr(os, "open", full)
+    descriptor = _open_log(str(tmp_path / "base.log"))
+    monkeypatch.undo()
+
+    assert os.write(descriptor, b"lost") == 4
+    os.close(descriptor)
 
 
 def test_process_can_open_zenoh_sessions_although_its_owner_has_one(owner: Owner) -> None:

@@ -1,5 +1,7 @@
 """Tests of the component's landmarks: map, changes, restart, relocalization."""
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +33,12 @@ def map_file(tmp_path: Path) -> Path:
     return path
 
 
-def frame(step: int, similarity: float, x: float) -> ObjectEvidenceArray:
+def frame(
+    step: int, similarity: float, x: float, object_ids: Iterable[int] = (7,)
+) -> ObjectEvidenceArray:
     verdict = ObjectEvidence.AGREES if similarity >= 0.5 else ObjectEvidence.DISAGREES
     piece = ObjectEvidence(
-        object_id=7,
+        object_id=0,
         similarity=similarity,
         verdict=verdict,
         distance=3.0,
@@ -45,7 +49,8 @@ def frame(step: int, similarity: float, x: float) -> ObjectEvidenceArray:
         bearing=0.1,
     )
     header = Header(stamp=from_ns((1000 + step) * 10**9), frame_id="map")
-    return ObjectEvidenceArray(header=header, robot_x=0.3 * step, healthy=True, evidence=(piece,))
+    pieces = tuple(replace(piece, object_id=one) for one in object_ids)
+    return ObjectEvidenceArray(header=header, robot_x=0.3 * step, healthy=True, evidence=pieces)
 
 
 def relocalization(stamp: int, confirmed_until: int = 0) -> Relocalization:
@@ -229,3 +234,36 @@ def test_working_copy_is_made_once_a_full_disk_has_room(map_file: Path, tmp_path
 
         assert stored(copy) == (["IMPORTED", "IMPORTED", "REMOVED"], 1)
         it.request("deactivate")
+
+
+def test_forged_evidence_about_endless_objects_fills_neither_memory_nor_disk(
+    map_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = {"map_file": str(map_file), "max_landmarks": 20}
+    it = ComponentHarness(MapBuilder, config, start_s=1000.0)
+    for step in range(20):
+        it.publish("object_evidence", frame(step, 0.9, 2.0, range(100 * step, 100 * step + 100)))
+    for step in (20, 21):
+        it.publish("object_evidence", frame(step, 0.1, 3.5))
+    it.run_for(1.5)
+
+    assert states(it)[7] == VisualObject.RELOCATING  # landmarks of the map are judged as ever
+    with open_landmarks(map_file, read_only=True) as kept:
+        ids = [one.object_id for one in kept.landmarks()]
+        stored_ids = [one for one in range(2000) if kept.evidence_of(one)]
+    assert len(ids) == 20
+    assert set(stored_ids) <= set(ids)
+    warnings = [one.getMessage() for one in caplog.records if "map is full" in one.getMessage()]
+    assert len(warnings) == 5  # the 1st, 2nd, 4th, 8th and 16th
+    assert_words(warnings[0], "20 landmarks", "max_landmarks", "did not learn object 99")
+
+
+def test_evidence_about_an_object_that_is_not_learned_is_not_kept(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+    for step in range(50):
+        unhealthy = replace(frame(step, 0.9, 2.0, [1000 + step]), healthy=False)
+        it.publish("object_evidence", unhealthy)
+    it.run_for(1.5)
+
+    with open_landmarks(map_file, read_only=True) as kept:
+        assert not any(kept.evidence_of(1000 + step) for step in range(50))

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from cairn.components.map_builder.importing import write_map
 from cairn.components.map_builder.landmark_map import LandmarkKeeper
 from cairn.visual_map.landmark_store import open_landmarks
-from cairn.visual_map.landmarks import ChangeKind, LandmarkState, MapPosition
+from cairn.visual_map.landmarks import ChangeKind, LandmarkChange, LandmarkState, MapPosition
 from cairn.visual_map.object_models import add_views
 from cairn.visual_map.sqlite_file import MapFileError, check_row, copy_map, row_checksum
 from tests.cairn.visual_map.views import view
@@ -36,7 +36,7 @@ def map_file(tmp_path: Path) -> Path:
 
 
 def keep(path: Path, copy: Path | None = None, now_ns: int = 10**18) -> LandmarkKeeper:
-    return LandmarkKeeper(path, copy, now_ns, learn_unknown=True)
+    return LandmarkKeeper(path, copy, now_ns)
 
 
 def test_changes_and_evidence_are_read_back(map_file: Path) -> None:
@@ -352,3 +352,30 @@ def test_stored_evidence_is_bounded_and_summaries_count_the_rest(
     assert sum(map(len, rows.values())) + sum(one.pieces for one in summaries) == applied
     assert rows[7][-1].stamp_ns == 299
     assert {(one.object_id, one.counted) for one in summaries} == {(6, True), (7, True), (7, False)}
+
+
+def test_only_the_newest_changes_are_kept(map_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cairn.visual_map.landmark_store.MOST_CHANGES", 5)
+    change = LandmarkChange(7, ChangeKind.REFINED, None, THERE, 0.5, "an observation")
+    with open_landmarks(map_file) as store:
+        first = store.version() + 1
+        for version in range(first, first + 20):
+            store.commit([], changes=[(version, version, change)])
+
+        assert [row[0] for row in store.history()] == list(range(first + 15, first + 20))
+
+
+def test_working_copy_has_room_for_its_evidence(map_file: Path) -> None:
+    copy = map_file.with_name("copy.map")
+    keeper = keep(map_file, copy)
+    size = copy.stat().st_size
+    here = surveyed(7).position
+    assert here is not None
+    for step in range(1500):
+        keeper.apply(step, [observation(0.9, step % 50, here)])
+        if step % 500 == 0:
+            keeper.save()
+    keeper.save()
+    keeper.close()
+
+    assert copy.stat().st_size == size

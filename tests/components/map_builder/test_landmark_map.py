@@ -169,7 +169,7 @@ def test_unknown_object_is_registered_from_several_poses() -> None:
 
 
 def test_learning_of_unknown_objects_can_be_disabled() -> None:
-    landmark_map = LandmarkMap([], learn_unknown=False)
+    landmark_map = LandmarkMap([], most_learned=0)
 
     outcome = landmark_map.apply([observation(0.5, 0, THERE)], 0.0)
 

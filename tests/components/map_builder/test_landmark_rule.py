@@ -1,18 +1,23 @@
 """Tests of absence: landmarks not seen from where they used to be seen are removed."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn.components.map_builder.landmark_map import LandmarkMap
+from cairn.components.map_builder.landmark_registration import record_departure
 from cairn.components.map_builder.landmark_rule import (
     add_absence,
     add_recognition,
     cell_of,
     similarity_of_absence,
 )
+from cairn.components.map_builder.undo import MOST_ENTRIES, LandmarkJournal
 from cairn.planar.poses import Pose
 from cairn.visual_map.landmarks import (
+    NO_HISTORY,
     NO_VIEWPOINTS,
     ChangeKind,
     EvidenceVerdict,
@@ -168,3 +173,18 @@ def test_every_robot_pose_has_a_viewpoint_cell(robot: Pose) -> None:
 
     assert 0 <= sector < 12
     assert band >= 0
+
+
+def test_what_is_remembered_of_viewpoints_departures_and_judgments_is_bounded() -> None:
+    cells = {cell_of(0.0, 0.0, (10.0**far, 0.0, 0.0)) for far in range(300)}
+    assert len(cells) <= 31
+    history = NO_HISTORY
+    for number in range(100):
+        history = record_departure(history, HERE, number * 0.1)
+    assert len(history.departures) == 20
+    assert history.departures[-1] == (HERE, 9.9)
+    journal = LandmarkJournal(60.0)
+    before = surveyed()
+    for number in range(MOST_ENTRIES + 1000):
+        journal.record(number * 1e-4, before, replace(before, reliability=0.1))
+    assert len(journal._entries) == MOST_ENTRIES

@@ -20,7 +20,7 @@ def moved(tmp_path: Path) -> Path:
     """Return a map whose landmark 7 agreed from four poses, moved, and was registered."""
     path = tmp_path / "visual_map.cairn"
     write_map(path, "a test", [surveyed(6), surveyed(7)])
-    keeper = LandmarkKeeper(path, None, 10**18, learn_unknown=True)
+    keeper = LandmarkKeeper(path, None, 10**18)
     for step in range(12):
         at = 1_000_000_000 * SECOND + step * SECOND
         similarity = 0.1 if 4 <= step < 7 else 0.9
@@ -95,7 +95,7 @@ def test_unknown_object_lists_the_known_ones(moved: Path) -> None:
 def test_absences_are_part_of_the_history(tmp_path: Path) -> None:
     path = tmp_path / "a.cairn"
     write_map(path, "a test", [surveyed(7)])
-    keeper = LandmarkKeeper(path, None, 10**18, learn_unknown=True)
+    keeper = LandmarkKeeper(path, None, 10**18)
     for step in range(12):
         keeper.apply(step * SECOND, [observation(0.9, step % 3)])
     for step in range(3):
@@ -112,7 +112,7 @@ def test_summary_of_old_evidence_is_a_step_of_the_chain(
     moved: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("cairn.visual_map.evidence_history.MOST_COUNTED", 3)
-    keeper = LandmarkKeeper(moved, None, 10**18, learn_unknown=True)
+    keeper = LandmarkKeeper(moved, None, 10**18)
     keeper.apply(1_000_000_020 * SECOND, [observation(0.9, 20, THERE)])
     keeper.save()
     keeper.close()
