@@ -145,13 +145,15 @@ class RunningGo:
 
 
 @contextmanager
-def robot_in(folder: Path, *sets: str) -> Iterator[ObservedRobot]:
+def robot_in(folder: Path, *sets: str, overlay: Path | None = None) -> Iterator[ObservedRobot]:
     """Start the deployment, and stop all of it at the end."""
     with launching(folder) as launch:
         endpoint = new_endpoint()
         state_file = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
         changes = [f"bus.socket={endpoint}", state_file, *sets]
         arguments = [str(SIM), *(word for one in changes for word in ("--set", one))]
+        if overlay is not None:
+            arguments += ["--overlay", str(overlay)]
         run = Run(arguments, folder / "report", endpoint, {}, None, umask=0)
         launch.runs.append(run)
         run.await_line(UNTIL_READY)
