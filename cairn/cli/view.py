@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any, Protocol
@@ -18,9 +19,10 @@ from rich.text import Text
 
 from cairn.bus.bus import Bus, Subscription, full_name
 from cairn.bus.qos import LATCHED, Qos
-from cairn.clock import SECOND, to_ns
+from cairn.clock import SECOND, from_ns, to_ns
 from cairn.deployment.model import ROOT, VIEW
 from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.log_output import LONGEST_RECORD, TokenBucket
 from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS, render
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
@@ -32,6 +34,9 @@ from cairn.schemas.rosgraph_msgs import Clock
 _FINISH_LIMIT_S = 10.0  # what this process publishes comes back in milliseconds
 _STATUS_POLL_S = 0.02  # statuses wait for the next refresh
 _LINES = 12
+# Log records displayed at once and continually [1/s]: any program on the bus can publish them.
+_MOST_AT_ONCE, _MOST_HZ = 1000.0, 50.0
+_REPORT_S = 10.0
 _MAX_COMPONENTS = 200  # further ones, of forged statuses, are not shown
 _PERIOD_S = 0.25
 _STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim"}
@@ -247,6 +252,9 @@ class LogWatch(Watch):
         self._mark = Log(level=Log.DEBUG, name=f"{robot}.{VIEW}", msg=f"end of view {uuid4()}")
         self._marked = False
         self._root_ended = False  # its last status is displayed
+        self._allowed = TokenBucket(_MOST_AT_ONCE, _MOST_HZ, time.monotonic())
+        self._suppressed = 0
+        self._reported = 0.0
         self._marker = self._node.advertise(ROSOUT, Log, ROSOUT_QOS)
         self._add(ROSOUT, Log, ROSOUT_QOS, self._log, self._wake)
 
@@ -254,6 +262,7 @@ class LogWatch(Watch):
         """Pass all messages received to the view, then draw it."""
         self._news.clear()
         super().refresh()
+        self._report_suppressed()
 
     def finish(self) -> None:
         """Refresh until everything that this process has published is displayed."""
@@ -264,6 +273,7 @@ class LogWatch(Watch):
             self.refresh()
             left_s = deadline - time.monotonic()
             if (self._marked and self._root_ended) or left_s <= 0:
+                self._report_suppressed(now=True)
                 return
             self._news.wait(min(left_s, _STATUS_POLL_S))
 
@@ -281,4 +291,17 @@ class LogWatch(Watch):
         if entry.name == self._mark.name:
             self._marked = self._marked or entry.msg == self._mark.msg
         elif entry.name.startswith(f"{self._robot}."):
-            self._view.log(entry)
+            if not self._allowed.take(time.monotonic()):
+                self._suppressed += 1
+            elif len(entry.msg) > LONGEST_RECORD:
+                self._view.log(replace(entry, msg=f"{entry.msg[:LONGEST_RECORD]} ..."))
+            else:
+                self._view.log(entry)
+
+    def _report_suppressed(self, *, now: bool = False) -> None:
+        at_s = time.monotonic()
+        if self._suppressed and (now or at_s - self._reported >= _REPORT_S):
+            text = f"suppressed {self._suppressed} log records here; the log files have those of "
+            name, stamp = f"{self._robot}.{VIEW}", from_ns(time.time_ns())
+            self._view.log(Log(stamp=stamp, level=Log.WARN, name=name, msg=f"{text}components"))
+            self._suppressed, self._reported = 0, at_s

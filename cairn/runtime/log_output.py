@@ -27,12 +27,30 @@ _REPORT_S: Final = 10.0
 _LONGEST_EXAMPLE: Final = 200
 
 
+class TokenBucket:
+    """Allows `burst` events at once, and `rate_hz` [1/s] continually."""
+
+    def __init__(self, burst: float, rate_hz: float, now_s: float) -> None:
+        self._burst = self._tokens = burst
+        self._rate_hz = rate_hz
+        self._updated_s = now_s
+
+    def take(self, now_s: float) -> bool:
+        """Return whether one more event is allowed at this time [s]."""
+        gained = (now_s - self._updated_s) * self._rate_hz
+        self._tokens = min(self._burst, self._tokens + gained)
+        self._updated_s = now_s
+        if self._tokens < 1.0:
+            return False
+        self._tokens -= 1.0
+        return True
+
+
 @dataclass
 class _Source:
-    """A statement that logs: how many records it may still log, and how many were suppressed."""
+    """A statement that logs: what it may still log, and how many records were suppressed."""
 
-    tokens: float
-    updated_s: float
+    allowed: TokenBucket
     suppressed: int = 0
     since_s: float = 0.0
     last: logging.LogRecord | None = None
@@ -60,15 +78,14 @@ class LogLimit(logging.Filter):
         """Return whether a record may be logged; cut one that is too long."""
         key, now = (record.pathname, record.lineno), self._monotonic()
         with self._lock:
-            source = self._sources.setdefault(key, _Source(BURST, now))
-            source.tokens = min(BURST, source.tokens + (now - source.updated_s) * RATE_HZ)
-            source.updated_s = now
-            if source.tokens < 1.0:
+            source = self._sources.get(key)
+            if source is None:
+                source = self._sources[key] = _Source(TokenBucket(BURST, RATE_HZ, now))
+            if not source.allowed.take(now):
                 source.since_s = source.since_s if source.suppressed else now
                 source.suppressed += 1
                 source.last = record
                 return False
-            source.tokens -= 1.0
         _cut(record, LONGEST_RECORD)
         return True
 

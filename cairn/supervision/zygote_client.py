@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from uuid import uuid4
 import psutil
 
 from cairn.errors import CairnError
-from cairn.runtime_folder import check_length, private_folder
+from cairn.files import explain_os_error
+from cairn.runtime_folder import VARIABLE, check_length, private_folder
 from cairn.supervision.child import ChildUnavailable, ZygoteLost
 from cairn.supervision.orphan_cleanup import MARK, kill_marked
 from cairn.supervision.zygote import (
@@ -107,6 +108,7 @@ def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
     socket_path = check_length(runtime_dir / f"zygote-{mark[:8]}.sock")
     log_file = runtime_dir / "zygote.log"
     with (
+        _explained(runtime_dir),
         socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
         log_file.open("ab") as log,
     ):
@@ -124,6 +126,17 @@ def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
             env={**_SINGLE_THREADED, **_MALLOC, **os.environ, **_KEEP_MARK, MARK: mark},
         )
     return ZygoteProcess(process, socket_path, log_file, mark)
+
+
+@contextlib.contextmanager
+def _explained(runtime_dir: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise CairnError(
+            f"{runtime_dir}: the zygote cannot be started: {explain_os_error(error)}, or set "
+            f"{VARIABLE} to another folder"
+        ) from error
 
 
 class ChildProcess:

@@ -1,6 +1,7 @@
 """The display of `cairn up` shows what its process has published before it ends."""
 
 import threading
+import time
 
 import pytest
 
@@ -58,3 +59,23 @@ def test_last_message_and_last_status_of_the_root_are_displayed_however_late(
     network.close()
     assert view.messages == ["child stopped"]
     assert view.states == ["finalized"]
+
+
+def test_flood_of_log_records_is_displayed_in_part_and_counted() -> None:
+    network = Network()
+    peer = node(network.router, "/rover/forged")
+    log = peer.advertise(ROSOUT, Log, ROSOUT_QOS)
+    view = RecordingView()
+    watch = LogWatch(network.router, "rover", view, clock=False, hurry=lambda: None)
+    sent = 0
+    deadline = time.monotonic() + LIMIT_S
+    while not any("suppressed" in message for message in view.messages):
+        for _ in range(500):  # its queue has 1000
+            log.publish(Log(name="rover.base", msg="x" * 20_000))
+        sent += 500
+        watch.refresh()
+        assert time.monotonic() < deadline
+
+    network.close()
+    assert len(view.messages) < sent
+    assert max(map(len, view.messages)) < 11_000
