@@ -9,7 +9,13 @@ from pathlib import Path
 from types import EllipsisType, NoneType, UnionType
 from typing import Annotated, Any, Generic, Literal, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -18,18 +24,39 @@ from cairn.errors import CairnError
 C = TypeVar("C", bound="Config")
 M = TypeVar("M")
 
+_MAX_ERRORS, _MAX_SHOWN = 5, 100
+"""Errors in one rejection; characters of a value or name in it."""
+
 
 class Config(BaseModel):
     """Base class of every component's configuration, a pydantic model.
 
     Its fields are the parameters. They should have bounds and a description with the unit:
     `rate: float = Field(10.0, gt=0, le=100, description="Scans per second [Hz].")`. Unknown
-    parameters, NaN and infinities are rejected; instances are immutable.
+    parameters, NaN and infinities are rejected, and so are true and false for numbers; instances
+    are immutable.
     """
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_boolean_as_number(cls, values: object) -> object:
+        """Replace booleans given for numbers by texts: these pydantic rejects, naming the field."""
+        if not isinstance(values, Mapping):
+            return values
+        return {
+            name: str(value).lower() if isinstance(value, bool) and cls._is_number(name) else value
+            for name, value in values.items()
+        }
+
+    @classmethod
+    def _is_number(cls, name: str) -> bool:
+        field = cls.model_fields.get(name)
+        kinds = set() if field is None else _kinds(field.annotation)
+        return bool not in kinds and not kinds.isdisjoint({int, float})
 
 
 class Mount(Config):
@@ -103,9 +130,11 @@ def with_changes(config: C, changes: Mapping[str, Any]) -> C:
     try:
         return type(config).model_validate(data)
     except ValidationError as error:
-        raise ParameterRejected(
-            "; ".join(_rejection(detail, fields, changes) for detail in error.errors())
-        ) from error
+        details = error.errors()
+        rejections = [_rejection(detail, fields, changes) for detail in details[:_MAX_ERRORS]]
+        if len(details) > _MAX_ERRORS:
+            rejections.append(f"and {len(details) - _MAX_ERRORS} more")
+        raise ParameterRejected("; ".join(rejections)) from error
 
 
 def error_reason(detail: ErrorDetails) -> str:
@@ -180,6 +209,15 @@ def _leaves(config: BaseModel, prefix: str) -> Iterator[tuple[str, Any, FieldInf
             yield f"{prefix}{name}", value, field
 
 
+def _kinds(annotation: Any) -> set[Any]:
+    """Return the types that a value may have by an annotation such as `Annotated[float, ...]`."""
+    if get_origin(annotation) is Annotated:
+        return _kinds(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return set().union(*map(_kinds, get_args(annotation)))
+    return {annotation}
+
+
 def _type_name(annotation: Any) -> str:
     """Return a type as an operator reads it, without modules and marks: "Path | None"."""
     origin, arguments = get_origin(annotation), get_args(annotation)
@@ -203,10 +241,10 @@ def _rejection(
     path = ".".join(str(step) for step in detail["loc"])
     name = next((name for name in fields if path == name or path.startswith(f"{name}.")), None)
     if name is None:
-        values = ", ".join(f"{name} = {value!r}" for name, value in changes.items())
+        values = ", ".join(f"{name} = {_shown(value)}" for name, value in changes.items())
         return f"{values} rejected: {error_reason(detail)}"
     limits = f" (allowed: {bounds_text(fields[name])})" if bounds_text(fields[name]) else ""
-    return f"parameter {path} = {detail['input']!r} rejected: {error_reason(detail)}{limits}"
+    return f"parameter {path} = {_shown(detail['input'])} rejected: {error_reason(detail)}{limits}"
 
 
 def _unknown(name: str, known: list[str]) -> str:
@@ -215,4 +253,9 @@ def _unknown(name: str, known: list[str]) -> str:
         return f"{name} is a group of parameters; change one of {', '.join(group)}"
     close = get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]}?" if close else f"the parameters are {', '.join(known)}"
-    return f"there is no parameter {name}; {hint}"
+    return f"there is no parameter {name[:_MAX_SHOWN]}; {hint}"
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."

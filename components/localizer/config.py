@@ -46,8 +46,8 @@ class LocalizationSettings:
 class StartPose(Config):
     """The robot's pose in the map at the origin of the odometry frame."""
 
-    x: float = Field(description="x [m].")
-    y: float = Field(description="y [m].")
+    x: float = Field(ge=-1e5, le=1e5, description="x [m].")
+    y: float = Field(ge=-1e5, le=1e5, description="y [m].")
     theta: float = Field(ge=-2 * math.pi, le=2 * math.pi, description="Heading [rad].")
     position_sd: float = Field(0.05, gt=0, le=5, description="Standard deviation of x and y [m].")
     heading_sd: float = Field(0.03, gt=0, le=3, description="Standard deviation of theta [rad].")

@@ -61,6 +61,8 @@ def test_changes_return_a_new_configuration() -> None:
         ({"high": 5.0, "particles": 5}, ("particles = 5", ">= 10, <= 200000")),
         ({"filter.sigma": 2}, ("filter.sigma = 2", "> 0, <= 1")),
         ({"low": float("nan")}, ("low = nan", "finite")),
+        ({"low": True}, ("low = 'true'", "number")),
+        ({"particles": True}, ("particles = 'true'", "integer")),
         ({"low": 4.0, "high": 3.0}, ("low = 4.0, high = 3.0", "low 4.0", "high 3.0")),
         ({"partcles": 5}, ("partcles", "particles?")),
         ({"zzz": 5}, ("zzz", "particles, mode, low, high, filter.sigma, gain, map, beams")),
@@ -78,6 +80,13 @@ def test_rejection_names_parameter_value_and_bound(
         with_changes(Localizer(), changes)
 
     assert_words(str(caught.value), *words)
+
+
+def test_rejection_does_not_repeat_long_names_and_values() -> None:
+    for changes in ({"n" * 100_000: 1}, {"mode": "m" * 100_000}, {"beams": ["x"] * 100_000}):
+        with pytest.raises(ParameterRejected) as caught:
+            with_changes(Localizer(), changes)
+        assert len(str(caught.value)) < 2000
 
 
 def test_configuration_is_immutable_and_rejects_unknown_names() -> None:

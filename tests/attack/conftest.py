@@ -1,0 +1,96 @@
+"""Limits of each case, and the table of all groups at the end."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.table import Table
+
+from tests.attack.robot import (
+    MOST_MEMORY_MB,
+    MOST_SECONDS,
+    AttackedRobot,
+    Harm,
+    attacked_robot,
+)
+
+_AFTERWARD = "test_afterward"
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AttackedRobot]:
+    """A robot that lets in every program on this computer."""
+    folder: Path = tmp_path_factory.mktemp("robot")
+    with attacked_robot(folder, "bus.allow_any_local_user=true") as robot:
+        yield robot
+
+
+@pytest.fixture
+def unharmed(record_property: Callable[[str, object], None]) -> Callable[[AttackedRobot], None]:
+    """Check that a robot drives, has collided with nothing, and runs in the same processes."""
+
+    def check(robot: AttackedRobot) -> None:
+        robot.reach_goal()
+        harm = robot.harm()
+        record_property("harm", vars(harm))
+        assert (harm.collisions, harm.replaced) == (0, []), robot.run
+        assert harm.peak_mb <= MOST_MEMORY_MB
+
+    return check
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Fail a case that takes longer than 5 s."""
+    report = yield
+    seconds = dict(report.user_properties).get("seconds", report.duration)
+    is_case = report.when == "call" and not item.name.startswith(_AFTERWARD)
+    if is_case and report.passed and float(str(seconds)) > MOST_SECONDS:
+        report.outcome = "failed"
+        report.longrepr = f"refused after {seconds:.1f} s, later than {MOST_SECONDS:g} s"
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Print the table of all groups."""
+    groups: dict[str, list[pytest.TestReport]] = defaultdict(list)
+    for outcome in ("passed", "failed"):
+        for report in terminalreporter.getreports(outcome):
+            if report.when == "call" and "tests/attack/" in report.nodeid:
+                groups[Path(report.nodeid.partition("::")[0]).stem].append(report)
+    if not groups:
+        return
+    table = Table(title="attacks")
+    for title in ("group", "cases", "refused", "slowest [s]", "memory [MB]", "collisions",
+                  "escalations"):  # fmt: skip
+        table.add_column(title, justify="left" if title == "group" else "right")
+    total = [0, 0]
+    for group, reports in sorted(groups.items()):
+        cases = [one for one in reports if f"::{_AFTERWARD}" not in one.nodeid]
+        refused = sum(one.passed for one in cases)
+        known = [dict(one.user_properties) for one in reports]
+        slowest = max((float(str(dict(one.user_properties).get("seconds", one.duration)))
+                       for one in cases), default=0.0)  # fmt: skip
+        harms = [Harm(**one["harm"]) for one in known if "harm" in one]  # type: ignore[arg-type]
+        memory = [float(str(one["peak_mb"])) for one in known if "peak_mb" in one]
+        memory += [harm.peak_mb for harm in harms]
+        total = [total[0] + len(cases), total[1] + refused]
+        table.add_row(
+            group.removeprefix("test_"),
+            str(len(cases)),
+            str(refused),
+            f"{slowest:.1f}",
+            f"{max(memory):.0f}" if memory else "-",
+            str(sum(harm.collisions for harm in harms)) if harms else "-",
+            str(sum(len(harm.replaced) for harm in harms)) if harms else "-",
+        )
+    table.add_row("all", *map(str, total), "", "", "", "", style="bold")
+    terminalreporter.write_line("")
+    Console(file=terminalreporter._tw._file, width=100).print(table)

@@ -1,0 +1,269 @@
+"""A peer without rights sends malformed, huge and forbidden control requests."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import pytest
+import zenoh
+
+from cairn.bus import keys
+from cairn.deployment.plugins import load_plugin
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.parameters import describe_parameters
+from tests.attack.inputs import components, deployment
+from tests.attack.robot import MOST_SECONDS, AttackedRobot
+
+LONGEST_ANSWER: Final = 4000
+"""A refusal is for people: an attacker does not make it longer [characters]."""
+
+ROOT: Final = "root"
+SUPERVISORS: Final = ("mobile_supervisor", "automove", "vision_supervisor", ROOT)
+
+MALFORMED: Final = {
+    "empty": b"",
+    "no_json": b"{",
+    "text": b'"deactivate"',
+    "number": b"7",
+    "null": b"null",
+    "list": b"[]",
+    "unknown_key": b'{"verb": "deactivate"}',
+    "arguments_list": b'{"arguments": [1]}',
+    "arguments_number": b'{"arguments": 1e999}',
+    "trailing": b'{"arguments": {}} {}',
+    "not_utf8": b'{"arguments": {"\xff\xfe": 1}}',
+    "surrogate": b'{"arguments": {"a": "\\ud800"}}',
+    "deep": b'{"arguments": {"a": ' + b"[" * 50_000 + b"]" * 50_000 + b"}}",
+    "deep_objects": b'{"arguments": {"a": ' + b'{"a":' * 50_000 + b"1" + b"}" * 50_000 + b"}}",
+}
+
+VERBS: Final = ("unknown", "on_request", "configure_", "a" * 100)
+NO_VERBS: Final = ("__class__", "Deactivate", "a" * 101, "load;reboot", "*", "..", "9")
+
+
+@pytest.fixture(scope="module")
+def peer(robot: AttackedRobot) -> Iterator[zenoh.Session]:
+    """The session of the attacker."""
+    with robot.attacker() as session:
+        yield session
+
+
+def refusal(peer: zenoh.Session, component: str, verb: str, payload: bytes) -> str:
+    """Return the reason for which a component refuses a request; fail if it accepts it."""
+    key = keys.control_key(0, f"/robot/{component}", verb)
+    answers = [
+        json.loads(reply.ok.payload.to_bytes())
+        for reply in peer.get(key, payload=payload, timeout=MOST_SECONDS)
+        if reply.ok is not None
+    ]
+    assert len(answers) == 1, f"{component} has not answered {verb}"
+    assert answers[0]["error"] is not None, f"{component} has accepted {verb}: {answers}"
+    assert len(answers[0]["error"]) <= LONGEST_ANSWER
+    return str(answers[0]["error"])
+
+
+def arguments(**given: Any) -> bytes:
+    """Return the payload of a request; a text given as bytes is put in as it is."""
+    raw = {name: value for name, value in given.items() if isinstance(value, bytes)}
+    text = json.dumps({"arguments": {**given, **dict.fromkeys(raw, "<raw>")}}).encode()
+    for value in raw.values():
+        text = text.replace(b'"<raw>"', value, 1)
+    return text
+
+
+NUMBER = b"9" * 5000
+
+GOAL: Final = [1.0, 1.0, 0.0]
+GOALS: Final = {
+    "none": ([], "at least one goal"),
+    "text": ("1 1 0", "at least one goal"),
+    "null": (None, "at least one goal"),
+    "object": ({"x": 1}, "at least one goal"),
+    "pair": ([[1, 1]], "give x"),
+    "four": ([[1, 1, 0, 0]], "give x"),
+    "texts": ([["1", "1", "0"]], "give x"),
+    "booleans": ([[True, 1, 0]], "give x"),
+    "objects": ([{"x": 1, "y": 1}], "give x"),
+    "nested": ([[[1, 1, 0]]], "give x"),
+    "second": ([GOAL, [1, None, 0]], "goal 2"),
+    "far": ([[1e300, 1, 0]], "finite"),
+    "heading": ([[1, 1, 1e6]], "finite"),
+    "nan": (b"[[NaN, 1, 0]]", "finite|invalid control request"),
+    "infinite": (b"[[1, -Infinity, 0]]", "finite|invalid control request"),
+    "overflow": (b"[[1e999, 1, 0]]", "finite|invalid control request"),
+    "long_number": (b"[[" + NUMBER + b", 1, 0]]", "invalid control request"),
+    "long_integer": (b"[[" + NUMBER[:400] + b", 1, 0]]", "finite|invalid control request"),
+    "deep": (b"[" * 40_000 + b"]" * 40_000, "invalid control request"),
+    "thousand_and_one": ([GOAL] * 1001, "1,000"),
+    "hundred_thousand": ([GOAL] * 100_000, "bytes|1,000"),
+}
+"""Goals of a mission that is refused: each with a part of the reason."""
+
+REQUESTS: Final = [
+    ("mobile_supervisor", "go", {}, "unknown request go"),
+    ("mobile_supervisor", "go", {"goals": [GOAL], "speed": 9}, "unknown request go"),
+    ("mobile_supervisor", "go", {"goals": [GOAL], "token": ""}, "token"),
+    ("mobile_supervisor", "go", {"goals": [GOAL], "token": "a" * 65}, "token"),
+    ("mobile_supervisor", "go", {"goals": [GOAL], "token": 7}, "token"),
+    ("mobile_supervisor", "cancel", {"mission_id": 7}, "no mission 7"),
+    ("mobile_supervisor", "cancel", {"mission_id": "all"}, "no mission all"),
+    ("mobile_supervisor", "cancel", {"everything": True}, "unknown request cancel"),
+    ("mobile_supervisor", "mission", {"mission_id": 1}, "unknown request mission"),
+    *(
+        request
+        for one in SUPERVISORS
+        for request in (
+            (one, "load", {}, "unknown request load"),
+            (one, "load", {"name": "nothing"}, "no child is named nothing"),
+            (one, "load", {"name": 7}, "no child is named 7"),
+            (one, "unload", {"name": "../base"}, "no child is named"),
+            (one, "restart", {"name": ["base"]}, "no child is named"),
+            (one, "restart", {"name": "n" * 10_000}, "no child is named"),
+            (one, "hold", {"name": "nothing", "state": "inactive"}, "no child is named"),
+            (one, "hold", {"name": "base"}, "unknown request hold"),
+        )
+    ),
+    ("mobile_supervisor", "hold", {"name": "base", "state": "finalized"}, "cannot be held"),
+    ("velocity_gate", "stop", {"why": "x"}, "unknown request stop"),
+    ("velocity_gate", "release_stop", {"force": True}, "unknown request release_stop"),
+    ("velocity_gate", "status", {"of": "base"}, "unknown request status"),
+    ("velocity_gate", "acquire_lease", {}, "unknown request acquire_lease"),
+    ("velocity_gate", "acquire_lease", {"operator": "", "seconds": 1}, "printable"),
+    ("velocity_gate", "acquire_lease", {"operator": "a" * 65, "seconds": 1}, "printable"),
+    ("velocity_gate", "acquire_lease", {"operator": "a\x1b[2J", "seconds": 1}, "printable"),
+    ("velocity_gate", "acquire_lease", {"operator": 7, "seconds": 1}, "not a text"),
+    ("velocity_gate", "acquire_lease", {"operator": "a", "seconds": 0}, "duration"),
+    ("velocity_gate", "acquire_lease", {"operator": "a", "seconds": -1}, "duration"),
+    ("velocity_gate", "acquire_lease", {"operator": "a", "seconds": 1e300}, "duration"),
+    ("velocity_gate", "acquire_lease", {"operator": "a", "seconds": b"NaN"}, "duration|invalid"),
+    ("velocity_gate", "acquire_lease", {"operator": "a", "seconds": NUMBER}, "invalid"),
+    ("velocity_gate", "acquire_lease", {"operator": "a", "seconds": True}, "not a number"),
+    ("velocity_gate", "take_over_lease", {"operator": "a", "seconds": 61}, "duration"),
+    ("velocity_gate", "renew_lease", {"lease": 1, "seconds": 5}, "not valid"),
+    ("velocity_gate", "renew_lease", {"lease": "1", "seconds": 5}, "not the id"),
+    ("velocity_gate", "release_lease", {"lease": 1}, "not valid"),
+    ("velocity_gate", "release_lease", {"lease": 2**63}, "not valid"),
+    ("velocity_gate", "release_lease", {"lease": True}, "not the id"),
+    ("world", "move", {}, "must be given"),
+    ("world", "move", {"name": "table", "x": 1e300, "y": 0}, "less than or equal"),
+    ("world", "move", {"name": "table", "x": b"NaN", "y": 0}, "finite|invalid"),
+    ("world", "move", {"name": "nothing", "x": 1, "y": 1}, "does not exist"),
+    ("world", "move", {"name": "n" * 10_000, "x": 1, "y": 1}, "60 characters"),
+    ("world", "remove", {"name": "nothing"}, "does not exist"),
+    ("world", "remove", {"name": 7}, "must be a string"),
+    ("world", "kidnap", {"x": -5, "y": -5, "theta": 0}, "outside the walls"),
+    ("world", "person", {"name": "p", "speed": 1e300, "waypoints": [[1, 1]]}, "speed"),
+    ("world", "person", {"name": "p", "speed": 1, "waypoints": []}, "waypoints"),
+    ("world", "furniture", {"name": "f"}, "must be given"),
+    ("world", "object", {"id": -1, "x": 1, "y": 1}, "greater than or equal"),
+    *(
+        ("world", "object", {"id": 99, "x": 2.0, "y": 6.9, "texture": texture}, reason)
+        for texture, reason in (
+            ("/dev/zero", "device"),
+            ("/dev/null", "device"),
+            ("/nothing.png", "no such|cannot be read|does not exist|No such"),
+            ("/", "folder|directory"),
+        )
+    ),
+    ("base", "set_parameters", {"nothing": 1}, "no parameter nothing"),
+    ("base", "set_parameters", {"n" * 10_000: 1}, "no parameter n"),
+    ("velocity_gate", "set_parameters", {"mount": {"x": 0}}, "group of parameters"),
+    ("world", "set_parameters", {"radius": 0.23}, "cannot change while it runs"),
+    ("localizer", "set_parameters", {"particles": 300}, "when it is configured"),
+]
+"""Requests that are refused: component, verb, arguments, and a part of the reason."""
+
+
+def _wrong_values() -> Iterator[tuple[str, str, Any]]:
+    """Yield component, parameter and a value that it must not take, for every parameter."""
+    for member in deployment().members():
+        config = load_plugin(member.spec.plugin).config_class()
+        for parameter in describe_parameters(config.model_validate(dict(member.spec.parameters))):
+            yield member.name, parameter.name, {"not": "of this type"}
+            if "float" in parameter.type or "int" in parameter.type:
+                yield member.name, parameter.name, 1e300
+                yield member.name, parameter.name, True
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+@pytest.mark.parametrize("component", [*components(), ROOT])
+def test_malformed_request_is_refused(peer: zenoh.Session, component: str, name: str) -> None:
+    assert "invalid control request" in refusal(peer, component, "parameters", MALFORMED[name])
+
+
+@pytest.mark.parametrize("verb", list(Transition))
+@pytest.mark.parametrize("component", [*components(), ROOT])
+def test_transition_from_the_bus_is_refused(peer: zenoh.Session, component: str, verb: str) -> None:
+    assert "only its supervisor" in refusal(peer, component, verb, b"{}")
+
+
+@pytest.mark.parametrize("verb", [*VERBS, *NO_VERBS])
+@pytest.mark.parametrize("component", ["base", "mobile_supervisor", ROOT])
+def test_unknown_verb_is_refused(peer: zenoh.Session, component: str, verb: str) -> None:
+    reason = "unknown request" if verb in VERBS else "not the name of a request"
+
+    assert reason in refusal(peer, component, verb, b"{}")
+
+
+@pytest.mark.parametrize("name", GOALS)
+def test_mission_is_refused(peer: zenoh.Session, name: str) -> None:
+    goals, reason = GOALS[name]
+
+    assert re.search(reason, refusal(peer, "mobile_supervisor", "go", arguments(goals=goals)))
+
+
+@pytest.mark.parametrize(("component", "verb", "given", "reason"), REQUESTS)
+def test_request_is_refused(
+    peer: zenoh.Session, component: str, verb: str, given: dict[str, Any], reason: str
+) -> None:
+    assert re.search(reason, refusal(peer, component, verb, arguments(**given)))
+
+
+@pytest.mark.parametrize(("component", "parameter", "value"), _wrong_values())
+def test_parameter_does_not_take_a_wrong_value(
+    peer: zenoh.Session, component: str, parameter: str, value: Any
+) -> None:
+    found = refusal(peer, component, "set_parameters", arguments(**{parameter: value}))
+
+    assert re.search(rf"(parameter )?{parameter.partition('.')[0]}.* rejected", found)
+
+
+@pytest.mark.parametrize("megabytes", [2, 20, 60, 100])
+@pytest.mark.parametrize("component", ["base", "mobile_supervisor", ROOT])
+def test_huge_request_is_not_answered_or_refused(
+    robot: AttackedRobot, peer: zenoh.Session, component: str, megabytes: int
+) -> None:
+    payload = arguments(name="n" * (megabytes << 20))
+    key = keys.control_key(0, f"/robot/{component}", "load")
+    begin = time.monotonic()
+
+    answers = [reply.ok.payload.to_bytes() for reply in peer.get(key, payload=payload, timeout=4.0)
+               if reply.ok is not None]  # fmt: skip
+
+    # The transport discards what is longer than any request; what arrives is refused unread.
+    assert all(re.search(rb"bytes, more than|no child is named", one) for one in answers)
+    assert refusal(robot.attacker(), component, "parameters", b"[]")
+    assert time.monotonic() - begin < MOST_SECONDS
+
+
+@pytest.mark.parametrize("component", ["velocity_gate", "mobile_supervisor", "motion_control"])
+def test_flood_of_requests_does_not_keep_a_component_from_its_work(
+    robot: AttackedRobot, peer: zenoh.Session, component: str
+) -> None:
+    key = keys.control_key(0, f"/robot/{component}", "parameters")
+    flood = [peer.get(key, payload=b"{}", timeout=4.0) for _ in range(2000)]
+
+    robot.next_statuses()
+    assert robot.harm().replaced == []
+    assert "unknown request" in refusal(peer, component, "unknown", b"{}")
+    del flood
+
+
+def test_afterward_the_robot_is_unharmed(
+    robot: AttackedRobot, unharmed: Callable[[AttackedRobot], None]
+) -> None:
+    unharmed(robot)
