@@ -16,7 +16,7 @@ LOCKED = $(PIP) --require-hashes --requirement
 # Without build isolation: the build backend is locked, too.
 LOCAL = $(PIP) --no-deps --no-build-isolation --no-index --editable
 
-.PHONY: demo quick test test-hardware test-service check docs bench lock clean
+.PHONY: demo quick test attack test-hardware test-service check docs bench lock clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
 demo: $(VENV)/ready
@@ -33,6 +33,10 @@ quick: $(VENV)/tests
 test: $(VENV)/tests
 	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime"
 	$(BIN)/pytest -m realtime $$(grep -rl --include="test_*.py" "mark\.realtime" tests)
+
+## Hostile files, requests, messages and users against a simulated robot: minutes, on loopback only.
+attack: $(VENV)/tests
+	$(BIN)/pytest -n 2 --dist loadgroup tests/attack
 
 ## The drivers on the kernel's own devices, in a virtual machine: cameras, USB and RS-232 lines whose
 ## plugs are pulled. Reports what is missing, and installs nothing unless CI=true.

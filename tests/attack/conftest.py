@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,9 @@ from tests.attack.robot import (
 
 _AFTERWARD = "test_afterward"
 
+Cases = Callable[[Iterable[object]], None]
+"""Counts the cases that one test makes at the same time; without a call it is one."""
+
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AttackedRobot]:
@@ -28,6 +31,16 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AttackedRobot]:
     folder: Path = tmp_path_factory.mktemp("robot")
     with attacked_robot(folder, "bus.allow_any_local_user=true") as robot:
         yield robot
+
+
+@pytest.fixture
+def cases(record_property: Callable[[str, object], None]) -> Cases:
+    """Count the cases that a test makes at the same time."""
+
+    def count(cases: Iterable[object]) -> None:
+        record_property("cases", len(list(cases)))
+
+    return count
 
 
 @pytest.fixture
@@ -50,9 +63,9 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Fail a case that takes longer than 5 s."""
     report = yield
-    seconds = dict(report.user_properties).get("seconds", report.duration)
+    seconds: Any = dict(report.user_properties).get("seconds", report.duration)
     is_case = report.when == "call" and not item.name.startswith(_AFTERWARD)
-    if is_case and report.passed and float(str(seconds)) > MOST_SECONDS:
+    if is_case and report.passed and seconds > MOST_SECONDS:
         report.outcome = "failed"
         report.longrepr = f"refused after {seconds:.1f} s, later than {MOST_SECONDS:g} s"
     return report
@@ -60,7 +73,7 @@ def pytest_runtest_makereport(
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Print the table of all groups."""
-    groups: dict[str, list[pytest.TestReport]] = defaultdict(list)
+    groups: dict[str, list[Any]] = defaultdict(list)
     for outcome in ("passed", "failed"):
         for report in terminalreporter.getreports(outcome):
             if report.when == "call" and "tests/attack/" in report.nodeid:
@@ -73,20 +86,20 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
         table.add_column(title, justify="left" if title == "group" else "right")
     total = [0, 0]
     for group, reports in sorted(groups.items()):
-        cases = [one for one in reports if f"::{_AFTERWARD}" not in one.nodeid]
-        refused = sum(one.passed for one in cases)
-        known = [dict(one.user_properties) for one in reports]
-        slowest = max((float(str(dict(one.user_properties).get("seconds", one.duration)))
-                       for one in cases), default=0.0)  # fmt: skip
-        harms = [Harm(**one["harm"]) for one in known if "harm" in one]  # type: ignore[arg-type]
-        memory = [float(str(one["peak_mb"])) for one in known if "peak_mb" in one]
+        known = [(one, dict(one.user_properties)) for one in reports]
+        cases = [(one, given) for one, given in known if f"::{_AFTERWARD}" not in one.nodeid]
+        counts = [(int(given.get("cases", 1)), one.passed) for one, given in cases]
+        attacked, refused = sum(n for n, _ in counts), sum(n for n, passed in counts if passed)
+        seconds = [float(given.get("seconds", one.duration)) for one, given in cases]
+        harms = [Harm(**given["harm"]) for _, given in known if "harm" in given]
+        memory = [float(given["peak_mb"]) for _, given in known if "peak_mb" in given]
         memory += [harm.peak_mb for harm in harms]
-        total = [total[0] + len(cases), total[1] + refused]
+        total = [total[0] + attacked, total[1] + refused]
         table.add_row(
             group.removeprefix("test_"),
-            str(len(cases)),
+            str(attacked),
             str(refused),
-            f"{slowest:.1f}",
+            f"{max(seconds, default=0.0):.1f}",
             f"{max(memory):.0f}" if memory else "-",
             str(sum(harm.collisions for harm in harms)) if harms else "-",
             str(sum(len(harm.replaced) for harm in harms)) if harms else "-",

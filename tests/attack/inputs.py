@@ -26,6 +26,12 @@ from tests.schemas.damage import damaged
 CODEC: Final = Codec()
 _SEED, _TRIES = 17, 1000
 
+DAMAGES: Final = (
+    "empty", "header_alone", "no_cdr", "truncated", "nan", "infinite", "huge_number", "huge_count",
+    "mutated", "mutated_again",
+)  # fmt: skip
+"""What is wrong with the messages of `invalid`."""
+
 
 @dataclass(frozen=True)
 class Topic:
@@ -85,11 +91,12 @@ def valid(message: type[Any]) -> bytes:
 
 
 @cache
-def invalid(message: type[Any]) -> Mapping[str, bytes]:
-    """Return invalid messages of a class, by the name of what is wrong with them.
+def invalid(topic: Topic) -> Mapping[str, bytes]:
+    """Return invalid messages for a topic, by the name of what is wrong with them.
 
-    A damage that the class cannot have is left out.
+    A damage that messages of its class cannot have is left out.
     """
+    message = topic.message
     found = {name: data for name, data in _damages(message) if _is_invalid(message, data)}
     assert len(found) >= 4, f"{type_name(message)}: only {sorted(found)} are invalid"
     return found

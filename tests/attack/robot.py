@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +52,7 @@ class AttackedRobot:
         self.client = client
         self._observed = observed
         self._goals = 0
-        self._changed = threading.Condition()
+        self._changed = threading.Condition(threading.RLock())
         self._statuses: dict[str, ComponentStatus] = {}
         self._received: dict[str, int] = dict.fromkeys(components(), 0)
         client.subscribe("/robot/component_status", ComponentStatus, self._note)
@@ -69,14 +69,25 @@ class AttackedRobot:
         with self._changed:
             return [self._port(component, port) for component, port in topic.readers]
 
-    def await_counts(self, topic: Topic, holds: Callable[[PortStatus, PortStatus], bool]) -> None:
-        """Wait until `holds(before, now)` for every input of a topic, or fail after 5 s."""
-        before = self.ports(topic)
+    def await_counts(
+        self, topics: Iterable[Topic], holds: Callable[[PortStatus, PortStatus], bool]
+    ) -> None:
+        """Wait until `holds(before, now)` for every input of the topics, or fail after 5 s."""
+        before = {topic: self.ports(topic) for topic in topics}
 
-        def all_hold() -> bool:
-            return all(map(holds, before, self.ports(topic), strict=True))
+        def late() -> list[str]:
+            return [
+                f"{topic.name} of {component}"
+                for topic, ports in before.items()
+                for (component, _), was, now in zip(
+                    topic.readers, ports, self.ports(topic), strict=True
+                )
+                if not holds(was, now)
+            ]
 
-        self._wait(all_hold, MOST_SECONDS)
+        with self._changed:
+            in_time = self._changed.wait_for(lambda: not late(), MOST_SECONDS)
+            assert in_time, f"not rejected within {MOST_SECONDS:g} s: {late()}"
 
     def next_statuses(self) -> None:
         """Wait until every component has published its status once more."""

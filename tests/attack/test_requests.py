@@ -223,7 +223,7 @@ def test_request_is_refused(
     assert re.search(reason, refusal(peer, component, verb, arguments(**given)))
 
 
-@pytest.mark.parametrize(("component", "parameter", "value"), _wrong_values())
+@pytest.mark.parametrize(("component", "parameter", "value"), list(_wrong_values()))
 def test_parameter_does_not_take_a_wrong_value(
     peer: zenoh.Session, component: str, parameter: str, value: Any
 ) -> None:
