@@ -33,6 +33,9 @@ _DEFAULT_BYTES = 64 << 10
 _MAX_PENDING = 32
 """Requests that wait until the component answers them; of each urgent verb again as many."""
 
+_LONGEST_ERROR = 4000
+"""Characters of an error in a reply: it may repeat what the request contains."""
+
 _RING = 256
 """Requests that wait in Zenoh's ring until they are read."""
 
@@ -194,7 +197,10 @@ class ControlServer:
         try:
             reply = ControlReply(value=self._answer(verb, arguments))
         except CairnError as error:
-            reply = ControlReply(error=str(error))
+            text = str(error)
+            if len(text) > _LONGEST_ERROR:
+                text = f"{text[:_LONGEST_ERROR]}... ({len(text):,} characters)"
+            reply = ControlReply(error=text)
         self._reply(query, reply)
 
     def _reply(self, query: zenoh.Query, reply: ControlReply) -> None:

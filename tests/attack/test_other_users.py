@@ -1,4 +1,4 @@
-"""Another user of this computer opens the sockets and files of a run that lets in nobody else."""
+"""Another user of this computer opens the sockets and files of a run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
     os.geteuid() != 0, reason="only root may run a program as another user"
 )
 
-NOBODY: Final = 65534
+ANOTHER_USER: Final = 65534
 AS_ANOTHER_USER: Final = """
 import os, socket, sys
 import zenoh
@@ -67,7 +67,7 @@ def test_sockets_are_closed_to_other_users(robot: AttackedRobot, cases: Cases) -
     cases(sockets)
     assert len(sockets) >= len(robot.pids)
 
-    assert set(attempts(NOBODY, "connect", sockets).values()) == {"refused"}
+    assert set(attempts(ANOTHER_USER, "connect", sockets).values()) == {"refused"}
     assert "accepted" in attempts(0, "connect", sockets).values()
 
 
@@ -84,14 +84,14 @@ def test_files_are_closed_to_other_users(robot: AttackedRobot, kind: str, cases:
 
     # The folder of the test is closed, too: the modes of the files must not depend on it.
     assert open_to_others(robot.run.report) == []
-    assert set(attempts(NOBODY, kind, files).values()) == {"refused"}
+    assert set(attempts(ANOTHER_USER, kind, files).values()) == {"refused"}
 
 
 def test_processes_are_closed_to_other_users(robot: AttackedRobot, cases: Cases) -> None:
     cases(robot.pids)
     memory = [Path(f"/proc/{pid}/mem") for pid in robot.pids.values()]
 
-    assert set(attempts(NOBODY, "read", memory).values()) == {"refused"}
+    assert set(attempts(ANOTHER_USER, "read", memory).values()) == {"refused"}
 
 
 def test_secrets_are_neither_in_environments_nor_in_command_lines(

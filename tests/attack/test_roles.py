@@ -84,7 +84,7 @@ def sessions(
 
 @pytest.mark.parametrize(
     ("user", "password"),
-    [("", ""), ("view", "wrong"), ("view", "operate"), ("operate", "view"), ("nobody", "view")],
+    [("", ""), ("view", "wrong"), ("view", "operate"), ("operate", "view"), ("stranger", "view")],
 )
 def test_wrong_password_is_refused(
     robot: AttackedRobot, passwords: dict[str, Path], user: str, password: str
