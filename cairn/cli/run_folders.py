@@ -79,10 +79,11 @@ def reduce_old(runs: Path, storage: Storage, new: Path) -> list[str]:
                 folder.rmdir()
     notes = []
     if reduced:
-        names = reduced[0] if len(reduced) == 1 else f"{reduced[0]} to {reduced[-1]}"
+        one = len(reduced) == 1
+        names = reduced[0] if one else f"{reduced[0]} to {reduced[-1]}"
         notes.append(
-            f"removed the logs of {len(reduced)} old runs in {runs}: {names}; their maps, missions "
-            "and results are kept"
+            f"removed the logs of {len(reduced)} old {'run' if one else 'runs'} in {runs}: "
+            f"{names}; maps, missions and results are kept"
         )
     if total > storage.max_runs_size:
         notes.append(

@@ -74,6 +74,7 @@ class Report(Component):
         self._record = RunRecord()
         self._virtual = False
         self._grids: tuple[OccupancyGrid, OccupancyGrid] | None = None
+        self._objects: dict[int, tuple[int, str, float, float, str, float]] = {}
         self._moved: tuple[int, str, int] | None = None
         self._journal: RunJournal | None = None
         if self.config.directory:
@@ -109,19 +110,24 @@ class Report(Component):
 
     @on("visual_map")
     def on_visual_map(self, visual_map: VisualMap) -> None:
-        """Record each object's position, state and reliability."""
-        objects: list[Value] = [
-            [
+        """Record position, state and reliability of the objects that have changed."""
+        objects = {
+            landmark.object_id: (
                 landmark.object_id,
                 landmark.name,
                 landmark.x,
                 landmark.y,
                 _STATES[landmark.state],
                 landmark.reliability,
-            ]
+            )
             for landmark in visual_map.objects
+        }
+        changed: list[Value] = [
+            one for key, one in objects.items() if one != self._objects.get(key)
         ]
-        self._write("record_map", to_ns(visual_map.header.stamp), objects)
+        if changed or not self._objects:
+            self._write("record_map", to_ns(visual_map.header.stamp), changed)
+        self._objects = objects
 
     @on("visual_map_changes")
     def on_visual_map_change(self, change: VisualMapChange) -> None:

@@ -106,6 +106,23 @@ def test_robot_continues_while_its_output_is_on_a_full_disk(
     assert "child ended: talker: all words sent" in log
 
 
+def test_old_run_folder_loses_its_logs_and_keeps_its_map(launch: Launching, tmp_path: Path) -> None:
+    file = launch.write(TALK)
+    old = tmp_path / "cairn" / "runs" / "20260101-sim"
+    (old / "logs").mkdir(parents=True)
+    (old / "map.yaml").touch()
+    command = [CAIRN, "up", str(file), "--lockstep", "--set", "storage.kept_runs=1"]
+    environment = {**os.environ, "XDG_STATE_HOME": str(tmp_path)}
+    ended = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=LIMIT_S
+    )
+
+    assert ended.returncode == 0, ended.stderr
+    assert_words(ended.stderr, "removed the logs of 1 old run", "20260101-sim", "maps")
+    assert [path.name for path in old.iterdir()] == ["map.yaml"]
+    assert len(list(old.parent.glob("*/logs/lockstep.log"))) == 1
+
+
 def test_lockstep_with_the_same_seed_prints_the_same(launch: Launching) -> None:
     runs = [launch(TALK, "--lockstep", "--seed", "7") for _ in range(2)]
 

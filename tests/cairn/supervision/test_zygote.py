@@ -17,6 +17,7 @@ import pytest
 import zenoh
 
 from cairn import CairnError
+from cairn.supervision import zygote as zygote_module
 from cairn.supervision.child import ZygoteLost
 from cairn.supervision.child_channel import channel_pair
 from cairn.supervision.zygote import Exited, Spawn, _open_log, encode
@@ -217,6 +218,16 @@ def test_process_starts_without_a_log_on_a_full_disk(
 
     assert os.write(descriptor, b"lost") == 4
     os.close(descriptor)
+
+
+def test_log_of_the_zygote_is_bounded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    zygote_module._log("client disconnected")
+    monkeypatch.setattr(zygote_module, "_LONGEST_LOG", -1)  # any size is beyond
+    zygote_module._log("client disconnected")
+
+    assert capsys.readouterr().err.count("client disconnected") == 1
 
 
 def test_process_can_open_zenoh_sessions_although_its_owner_has_one(owner: Owner) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from cairn.components.report.component import Report
 from cairn.planar.messages import pose_message
+from cairn.schemas.cairn_msgs import VisualMap, VisualObject
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
@@ -67,3 +68,22 @@ def test_run_without_clock_has_no_duration(tmp_path: Path) -> None:
 def truth_at(time: float) -> PoseStamped:
     header = Header(stamp=seconds(time), frame_id="map")
     return PoseStamped(header=header, pose=pose_message((0.0, 0.0, 0.0)))
+
+
+def test_journal_holds_only_objects_that_have_changed(report: Any, tmp_path: Path) -> None:
+    def visual_map(at_s: float, reliability: float) -> VisualMap:
+        objects = tuple(
+            VisualObject(object_id=number, reliability=reliability if number == 3 else 0.5)
+            for number in range(100)
+        )
+        return VisualMap(header=Header(stamp=seconds(at_s)), objects=objects)
+
+    journal = tmp_path / "record.jsonl"
+    report.publish("visual_map", visual_map(BEGIN, 0.5))
+    size = journal.stat().st_size
+    for number in range(100):
+        report.publish("visual_map", visual_map(BEGIN + number, 0.6 + 0.001 * number))
+
+    assert journal.stat().st_size < size + 100 * 100
+    values, _ = finished(report, tmp_path)
+    assert [values["objects"][number]["reliability"] for number in (2, 3)] == [0.5, 0.699]
