@@ -1,6 +1,6 @@
 """Messages of the simulation: what the drivers of a simulated robot know of its world."""
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
 
@@ -42,6 +42,10 @@ class WorldState:
     forward: FiniteFloat64 = 0.0
     turn: FiniteFloat64 = 0.0
     people: Packed[Point] = Packed(Point)
+
+
+MOST_OBJECTS: Final = 100
+"""Most objects of a world: the pictures on them take up to 4 MB of a camera's memory each."""
 
 
 @message("cairn_sim_msgs/msg/WorldGeometry")
@@ -86,3 +90,5 @@ class WorldGeometry:
                 self.object_ids,
                 "must be as many as names, poses, sizes, zs and textures",
             )
+        if objects > MOST_OBJECTS:
+            reject(self, "object_ids", self.object_ids, f"must be at most {MOST_OBJECTS}")

@@ -14,7 +14,7 @@ import socket
 import sqlite3
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from io import BytesIO
@@ -253,6 +253,39 @@ def _socket(folder: Path) -> Path:
     return file
 
 
+def avi(frames: Sequence[bytes], claimed: int = 0) -> bytes:
+    """Return a video of JPEG images whose header has `claimed` frames, or their number."""
+    number = claimed or len(frames)
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return kind + struct.pack("<I", len(data)) + data + bytes(len(data) % 2)
+
+    def chunks(kind: bytes, data: bytes) -> bytes:
+        return chunk(b"LIST", kind + data)
+
+    main = struct.pack("<14I", 40_000, MB, 0, 0x10, number, 0, 1, MB, 64, 64, 0, 0, 0, 0)
+    stream = b"vidsMJPG" + struct.pack("<10I", 0, 0, 0, 1, 25, 0, number, MB, 0, 0)
+    picture = struct.pack("<IiiHH4sIiiII", 40, 64, 64, 1, 24, b"MJPG", 0, 0, 0, 0, 0)
+    index, at = b"", 4
+    for frame in frames:
+        index += b"00dc" + struct.pack("<III", 0x10, at, len(frame))
+        at += 8 + len(frame) + len(frame) % 2
+    streams = chunks(b"strl", chunk(b"strh", stream) + chunk(b"strf", picture))
+    return chunk(
+        b"RIFF",
+        b"AVI "
+        + chunks(b"hdrl", chunk(b"avih", main) + streams)
+        + chunks(b"movi", b"".join(chunk(b"00dc", frame) for frame in frames))
+        + chunk(b"idx1", index),
+    )
+
+
+VIDEOS: Final[Mapping[str, HostileFile]] = {
+    "frames": HostileFile(_bytes("a.avi", lambda: avi([jpeg()] * 5, 100 * MB)), "100000000 frames"),
+    "pixels": HostileFile(_bytes("a.avi", lambda: avi([jpeg(6_000, 6_000)] * 2)), "megapixels"),
+}
+
+
 _UNKNOWN: Final = "not an image of a known format"
 
 PICTURES: Final[Mapping[str, HostileFile]] = {
@@ -417,6 +450,13 @@ WORLDS: Final[Mapping[str, HostileFile]] = {
     "points": HostileFile(
         _text("world.yaml", f"walls:\n- points: [{'[0, 0],' * 60_000}]\nrobot: {{x: 1, y: 1}}\n"),
         "values",
+    ),
+    "objects": HostileFile(
+        _text(
+            "world.yaml",
+            _ROOM + "objects:\n" + "".join(f"- {{id: {k}, x: 1, y: 1}}\n" for k in range(1, 5000)),
+        ),
+        "at most 100 items",
     ),
     "errors": HostileFile(
         _text("world.yaml", f"walls: [{'x,' * 30_000}]\nrobot: {{x: 1, y: 1}}\n"), r"walls\[0\]"
@@ -783,6 +823,7 @@ HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "grid_map": GRID_MAPS,
     "camera_file": CAMERA_FILES,
     "picture": PICTURES,
+    "video": VIDEOS,
     "recording": RECORDINGS,
     "visual_map": VISUAL_MAPS,
 }

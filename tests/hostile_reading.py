@@ -116,6 +116,15 @@ def _picture(file: Path) -> None:
     read_image(file)
 
 
+def _video(file: Path) -> None:
+    from cairn.components.replay.open_recording import open_recording
+
+    images = open_recording(file, image_rate_hz=25.0).images()
+    assert images is not None
+    for index in range(len(images.stamps)):
+        images.load(index)
+
+
 def _recording(path: Path) -> None:
     from cairn.components.replay.open_recording import open_recording
 
@@ -140,6 +149,7 @@ READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     "grid_map": _grid_map,
     "camera_file": _camera_file,
     "picture": _picture,
+    "video": _video,
     "recording": _recording,
     "visual_map": _visual_map,
 }

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from cairn import SECOND, CairnError
+from cairn.bounded_images import check_pixels
 from cairn.components.replay.bounded_streams import text_lines
 from cairn.components.replay.recording import (
     Gray,
@@ -319,6 +320,10 @@ def open_videos(files: Sequence[Path], rate_hz: float | None) -> tuple[ImageStre
     return ImageStream(name, stamps_at_rate(count, rate), len(videos), first.size, load), notes
 
 
+# 11 hours at 25 Hz. A header may claim any number, for which times would be made.
+_MOST_FRAMES = 1_000_000
+
+
 class _Video:
     """One file; frames are decoded in order, as most depend on earlier ones."""
 
@@ -336,10 +341,19 @@ class _Video:
             int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
             int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
         )
+        try:
+            check_pixels(str(file), *self.size)
+        except CairnError as error:
+            raise RecordingError(str(error)) from error
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.rate = fps if math.isfinite(fps) and 0.1 <= fps <= 1000 else None
         if self.frames < 1:
             raise RecordingError(f"{file} holds no frames: take a fresh copy, or convert it")
+        if self.frames > _MOST_FRAMES:
+            raise RecordingError(
+                f"{file}: its header has {self.frames} frames, more than {_MOST_FRAMES}; split it, "
+                "or convert it if it is damaged"
+            )
 
     def frame(self, index: int) -> Gray:
         """Return frame `index`, not before the last one returned; raises `RecordingError`."""

@@ -113,6 +113,11 @@ class WorldLayout:
             same_id = [name for name, one in self.objects.items() if one.id == thing.id]
             if same_id:
                 raise CairnError(f"{same_id[0]} already has the id {thing.id}; choose another id")
+            if len(self.objects) >= cairn_sim_msgs.MOST_OBJECTS:
+                raise CairnError(
+                    f"{thing.display_name} cannot be added: there are {len(self.objects)} objects, "
+                    "the most that a world may have; remove one first"
+                )
         if thing.display_name in self.names:
             raise CairnError(f"{thing.display_name} exists already; choose another name")
         new = self._with(thing)

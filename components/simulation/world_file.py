@@ -17,6 +17,7 @@ from cairn import CairnError, Config
 from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.deployment.problems import suggestion
 from cairn.files import explain_os_error
+from cairn.schemas.cairn_sim_msgs import MOST_OBJECTS
 
 Meters = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]
@@ -181,7 +182,9 @@ class WorldFile(Config):
         default_factory=list, description="Furniture, which can be moved."
     )
     objects: list[VisibleObject] = Field(
-        default_factory=list, description="Objects that the robot can recognize."
+        default_factory=list,
+        max_length=MOST_OBJECTS,
+        description="Objects that the robot can recognize.",
     )
     people: list[Person] = Field(default_factory=list, description="People that walk.")
     events: list[Event] = Field(default_factory=list, description="Changes at given times.")

@@ -1,4 +1,4 @@
-"""Images of all supported kinds are decoded; hostile ones are refused with the reason, cheaply."""
+"""Images of all supported kinds are decoded; hostile images and videos are refused, cheaply."""
 
 import struct
 from contextlib import suppress
@@ -21,6 +21,7 @@ from tests.hostile_files import (
     HOSTILE,
     PICTURES,
     TEXTURES,
+    VIDEOS,
     exif_bomb,
     expanding_chunks,
     jpeg_with,
@@ -44,6 +45,7 @@ _SLOW_TO_BUILD = (
 _LIGHT = [
     *(f"picture/{name}" for name in PICTURES),
     *(f"texture/{name}" for name in TEXTURES),
+    *(f"video/{name}" for name in VIDEOS),
     *(f"grid_map/{name}" for name in GRID_MAPS if name.startswith("image_")),
 ]
 

@@ -11,6 +11,7 @@ from cairn import CairnError
 from cairn.components.simulation.ray_casting import clearance
 from cairn.components.simulation.world import Contact, WheelSlip, World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
+from cairn.schemas.cairn_sim_msgs import MOST_OBJECTS
 from tests.components.simulation.worlds import RADIUS, world_of
 from tests.wording import assert_words, words_in_order
 
@@ -162,6 +163,15 @@ def test_unknown_name_is_rejected_with_the_known_names() -> None:
     world.add(VisibleObject(id=3, x=1.0, y=0.0, theta=1.6))
     with pytest.raises(CairnError, match=words_in_order("object_3", "id 3")):
         world.add(VisibleObject(id=3, name="poster", x=2.0, y=0.0, theta=1.6))
+
+
+def test_no_more_objects_are_added_than_cameras_can_show() -> None:
+    world = world_of()
+    for number in range(1, MOST_OBJECTS + 1):
+        world.add(VisibleObject(id=number, x=1.0, y=0.0, theta=1.6))
+
+    with pytest.raises(CairnError, match=words_in_order("poster", "100 objects", "remove one")):
+        world.add(VisibleObject(id=1000, name="poster", x=1.0, y=0.0, theta=1.6))
 
 
 def test_events_happen_when_due_in_the_order_of_time() -> None:
