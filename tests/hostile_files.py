@@ -26,7 +26,9 @@ import numpy as np
 import zstandard
 from PIL import Image
 
+from cairn.visual_map.object_models import add_views
 from cairn.visual_map.sqlite_file import create
+from tests.cairn.visual_map.views import view
 
 MB: Final = 1_000_000
 
@@ -782,6 +784,46 @@ _TRIGGER: Final = (
     "CREATE TRIGGER t AFTER INSERT ON evidence BEGIN UPDATE objects SET reliability = 1.0; END"
 )
 
+
+def _map_with_big_picture(folder: Path) -> Path:
+    """Write a map with an object model whose picture is a PNG of a few kB and 900 megapixels."""
+    file = visual_map(folder)
+    add_views(file, "cup", [view(1)])
+    with closing(sqlite3.connect(file)) as connection, connection:
+        connection.execute("UPDATE taught_views SET picture = ?", (png(30_000, 30_000),))
+    return file
+
+
+def _map_of_repeated_pages(folder: Path) -> Path:
+    """Write a map whose table `objects` is a tree in which pages occur again and again.
+
+    Each inner page has the same page several times as its child, at 8 levels.
+    """
+    file = visual_map(folder, objects(20_000))
+    with closing(sqlite3.connect(file)) as connection:
+        (size,) = connection.execute("PRAGMA page_size").fetchone()
+        (root,) = connection.execute(
+            "SELECT rootpage FROM sqlite_schema WHERE name = 'objects'"
+        ).fetchone()
+    data = bytearray(file.read_bytes())
+    begin = (root - 1) * size
+    assert data[begin] == 5  # an inner page of a table
+    (cells,) = struct.unpack_from(">H", data, begin + 3)
+    pages = [len(data) // size + level for level in range(1, 9)]
+    (leaf,) = struct.unpack_from(">I", data, begin + struct.unpack_from(">H", data, begin + 12)[0])
+    for level, page in enumerate([root, *pages]):
+        copy = bytearray(data[begin : begin + size])
+        child = pages[level] if level < len(pages) else leaf
+        for cell in range(cells):
+            (at,) = struct.unpack_from(">H", copy, 12 + 2 * cell)
+            struct.pack_into(">I", copy, at, child)
+        struct.pack_into(">I", copy, 8, child)
+        data[(page - 1) * size : page * size] = copy
+    struct.pack_into(">I", data, 28, len(data) // size)
+    file.write_bytes(data)
+    return file
+
+
 VISUAL_MAPS: Final[Mapping[str, HostileFile]] = {
     "objects": HostileFile(_map_after(objects(300_000)), "300,000"),
     "long_name": HostileFile(_map_after(objects(1, "hex(zeroblob(1000000))")), "name"),
@@ -810,9 +852,25 @@ VISUAL_MAPS: Final[Mapping[str, HostileFile]] = {
         ),
         "1e+300",
     ),
+    "overflow": HostileFile(
+        _map_after(
+            "INSERT INTO objects (object_id, name, reliability, state, evidence_count) "
+            "VALUES (1, 'x', 0.5, 0, 9e999)"
+        ),
+        "infinity",
+    ),
+    "nested_viewpoints": HostileFile(
+        _map_after(
+            objects(1),
+            f"UPDATE objects SET viewpoints = '{nested(40_000)}'",
+        ),
+        "recursion",
+    ),
+    "picture": HostileFile(_map_with_big_picture, "MB"),
+    "pages": HostileFile(_map_of_repeated_pages, "page"),
     "zeros": HostileFile(device("/dev/zero", "map.cairn"), "regular"),
     "fifo": HostileFile(fifo("map.cairn"), "regular"),
-    "sparse": HostileFile(sparse("map.cairn", 5_000 * MB, b"SQLite format 3\0"), "map"),
+    "sparse": HostileFile(sparse("map.cairn", 5_000 * MB, b"SQLite format 3\0"), "MB"),
 }
 
 

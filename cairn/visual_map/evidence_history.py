@@ -186,5 +186,5 @@ def _summary_of(row: Row) -> EvidenceSummary:
             int(last_ns),
             float(reliability),
         )
-    except (TypeError, ValueError, KeyError) as error:
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
         raise ValueError(f"summary of the evidence about object {object_id}: {error}") from error

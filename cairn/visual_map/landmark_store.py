@@ -35,6 +35,8 @@ from cairn.visual_map.sqlite_file import (
     transaction,
 )
 
+_MOST_READ: Final = 20_000  # pieces of evidence of one object; newer programs keep 1,200
+_FARTHEST_M: Final = 1e7  # as of the origin of a grid map
 # The robot's pose at the last observation of a candidate is not stored: the next observation counts
 # as made from another pose.
 _ELSEWHERE = (float("inf"), float("inf"), 0.0)
@@ -120,23 +122,25 @@ class LandmarkStore:
         return str(row[0]) if row else ""
 
     def history(self) -> list[tuple[int, int, int, str, float, str]]:
-        """Return all changes: version, stamp [ns], object, kind, reliability, reason."""
+        """Return the changes: version, stamp [ns], object, kind, reliability, reason."""
         with explained_errors(self.path):
-            return self._connection.execute(
+            rows = self._connection.execute(
                 "SELECT version, stamp_ns, object_id, kind, reliability, reason "
-                "FROM changes ORDER BY version"
+                "FROM changes ORDER BY version DESC LIMIT ?",
+                (MOST_CHANGES,),
             ).fetchall()
+        return rows[::-1]
 
     def evidence_of(self, object_id: int) -> list[StoredEvidence]:
-        """Return the stored evidence about an object, oldest first."""
+        """Return the newest stored evidence about an object, oldest first."""
         with explained_errors(self.path):
             rows = self._connection.execute(
                 "SELECT stamp_ns, similarity, verdict, distance, x, y, robot_x, robot_y, "
                 "robot_theta, healthy, counted, reliability, candidate_reliability, state "
-                "FROM evidence WHERE object_id = ? ORDER BY rowid",
-                (object_id,),
+                "FROM evidence WHERE object_id = ? ORDER BY rowid DESC LIMIT ?",
+                (object_id, _MOST_READ),
             ).fetchall()
-            return [_stored_evidence(row) for row in rows]
+            return [_stored_evidence(row) for row in reversed(rows)]
 
     def evidence_summaries_of(self, object_id: int) -> list[EvidenceSummary]:
         """Return the summaries of older evidence about an object, which is not stored any more."""
@@ -148,12 +152,12 @@ class LandmarkStore:
         with explained_errors(self.path):
             rows = self._connection.execute(
                 "SELECT stamp_ns, kind, new_x, new_y, reliability, reason FROM changes "
-                "WHERE object_id = ? ORDER BY version",
-                (object_id,),
+                "WHERE object_id = ? ORDER BY version DESC LIMIT ?",
+                (object_id, MOST_CHANGES),
             ).fetchall()
             return [
                 StoredChange(stamp, kind, None if x is None else (x, y), reliability, reason)
-                for stamp, kind, x, y, reliability, reason in rows
+                for stamp, kind, x, y, reliability, reason in reversed(rows)
             ]
 
     def commit(
@@ -213,7 +217,7 @@ def _stored_evidence(row: tuple[Any, ...]) -> StoredEvidence:
             candidate_reliability=candidate_reliability,
             state=LandmarkState(state),
         )
-    except (TypeError, KeyError) as error:
+    except (TypeError, KeyError, OverflowError) as error:
         raise ValueError(f"evidence at {stamp}: {error}") from error
 
 
@@ -266,7 +270,7 @@ def landmark_from_row(row: Row) -> LandmarkRecord:
         )
         check_row(row[:18], row[18])
         return found
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise ValueError(f"object {row[0]}: {error}") from error
 
 
@@ -319,6 +323,8 @@ def _position(values: Row) -> MapPosition | None:
     position = MapPosition(*(float(value) for value in values))
     if not all(map(math.isfinite, (position.x, position.y, position.xx, position.xy, position.yy))):
         raise ValueError(f"its position has values that are not finite: {values}")
+    if max(abs(position.x), abs(position.y)) > _FARTHEST_M or max(position.xx, position.yy) > 1e14:
+        raise ValueError(f"its position {values} is farther than {_FARTHEST_M:g} m")
     if (
         position.xx < 0
         or position.yy < 0

@@ -14,9 +14,12 @@ import time
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+from cairn.bounded_files import too_large
+from cairn.bounded_sqlite import bound_connection
 from cairn.errors import CairnError
 from cairn.files import TAKES_NO_DATA, explain_os_error, replacing
 
@@ -79,8 +82,8 @@ _OBJECT_MODELS: Final = (
 # The viewpoints from which an object is usually recognized: JSON, "" if none is known.
 _VIEWPOINTS: Final = ("ALTER TABLE objects ADD COLUMN viewpoints TEXT NOT NULL DEFAULT ''",)
 
-# Checksums of rows (`row_checksum`); NULL in rows of older programs. The checksum of a view does
-# not cover its picture: that is a PNG with checksums of its own, and is not always read.
+# Checksums of rows (`row_checksum`). The checksum of a view does not cover its picture: that is a
+# PNG with checksums of its own, and is not always read.
 _CHECKSUMS: Final = (
     "ALTER TABLE objects ADD COLUMN checksum INTEGER",
     "ALTER TABLE taught_views ADD COLUMN checksum INTEGER",
@@ -95,13 +98,48 @@ _SUMMARIES: Final = (
     )""",
 )
 
+# From this format on, a row without a checksum is damaged; the upgrade adds those that are missing.
+_ALL_CHECKSUMS: Final[tuple[str, ...]] = ()
+
 FORMATS: Final[tuple[tuple[str, ...], ...]] = (
     _LANDMARKS,
     _OBJECT_MODELS + _VIEWPOINTS,
     _CHECKSUMS,
     _SUMMARIES,
+    _ALL_CHECKSUMS,
 )
 """The statements that each format adds to the one before, the first one to an empty file."""
+
+_CHECKED_COLUMNS: Final = {
+    "objects": "object_id, name, x, y, xx, xy, yy, reliability, state, evidence_count, "
+    "candidate_x, candidate_y, candidate_xx, candidate_xy, candidate_yy, candidate_reliability, "
+    "candidate_sightings, viewpoints",
+    "taught_views": "object_id, width, height, points, scales, angles, descriptors",
+}
+"""The columns that the checksum of a row covers, in order."""
+
+MOST_OBJECTS: Final = 20_000
+"""Most landmarks, and most object models, of a map."""
+
+MAP_BYTES: Final = 1_000_000_000
+"""Largest map file [bytes]."""
+
+_LONGEST_VALUE: Final = 64_000_000  # the picture of a view
+_LONGEST_TEXT: Final = 1_000
+_BOUNDS: Final[dict[str, tuple[int, dict[str, int]]]] = {
+    "origin": (1, {"source": 10_000, "digest": _LONGEST_TEXT}),
+    "objects": (MOST_OBJECTS, {"name": _LONGEST_TEXT, "viewpoints": 100_000}),
+    "changes": (5_000_000, {"kind": _LONGEST_TEXT, "reason": _LONGEST_TEXT}),
+    "evidence": (5_000_000, {"verdict": _LONGEST_TEXT}),
+    "evidence_summaries": (10 * MOST_OBJECTS, {"verdict": _LONGEST_TEXT}),
+    "taught_objects": (MOST_OBJECTS, {"name": _LONGEST_TEXT}),
+    "taught_views": (100_000, {}),
+    "taught_changes": (1, {}),
+}
+"""Most rows of each table, and the longest texts in its columns [characters]."""
+
+_MOST_VIEWPOINTS: Final = 20_000_000  # characters of all landmarks together
+_STEPS: Final = 500_000_000  # of SQLite, to check a map of the largest size
 
 _FORMAT: Final = len(FORMATS)
 _EVIDENCE_OF_LANDMARK: Final = 200_000
@@ -151,11 +189,14 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     with explained_errors(path):
         connection = _readable_connection(path) if read_only else _connection(path)
         with _closed_on_error(connection):
-            if _checked_format(path, connection) < _FORMAT:
+            bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
+            version = _checked_format(path, connection)
+            _check_content(path, connection)
+            if version < _FORMAT:
                 if read_only:
                     connection = _in_memory(connection)
                 _upgrade(connection)
-            _check_tables(path, connection)
+            connection.set_progress_handler(None, 0)
             if not read_only:
                 # WAL: readers never block the robot, and a commit is one append and one fsync.
                 connection.execute("PRAGMA journal_mode = WAL")
@@ -209,9 +250,14 @@ def digest_of(path: Path) -> str:
 
 @contextmanager
 def connect_unchecked(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a file of any format for a short read, without checks; raise errors as `connect`."""
+    """Open a file of any format for a short read: its content is not checked, only its schema.
+
+    Raises errors as `connect`.
+    """
     _check_exists(path)
     with explained_errors(path), closing(_connection(path, read_only=True)) as connection:
+        bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
+        _checked_format(path, connection)
         yield connection
 
 
@@ -266,11 +312,10 @@ def row_checksum(values: Iterable[Any]) -> int:
 
 
 def check_row(values: Iterable[Any], stored: Any) -> None:
-    """Raise `ValueError` if a row does not match its `stored` checksum.
-
-    The checksum is None in rows that older programs wrote.
-    """
-    if stored is not None and stored != row_checksum(values):
+    """Raise `ValueError` if a row does not match its `stored` checksum."""
+    if stored is None:
+        raise ValueError("its checksum is missing")
+    if stored != row_checksum(values):
         raise ValueError("its content has changed since it was written: the checksum differs")
 
 
@@ -286,6 +331,8 @@ def _bytes(value: Any) -> bytes:
 def _check_exists(path: Path) -> None:
     with explained_errors(path):
         if path.is_file():
+            if path.stat().st_size > MAP_BYTES:
+                raise too_large(path, path.stat().st_size, MAP_BYTES)
             return
         if path.is_dir():
             raise MapFileError(f"{path} is a folder. Give a map file, such as one in it.")
@@ -347,6 +394,8 @@ def _closed_on_error(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 def _checked_format(path: Path, connection: sqlite3.Connection) -> int:
+    """Return the format of a map after checking that its schema is exactly that of the format."""
+    connection.execute("BEGIN")  # so that no other program upgrades it meanwhile
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     if application != APPLICATION:
         raise MapFileError(
@@ -359,17 +408,74 @@ def _checked_format(path: Path, connection: sqlite3.Connection) -> int:
             f"{path} has format {version}, this Cairn reads formats up to {_FORMAT}. Import the "
             "map again, or run the Cairn that wrote it."
         )
-    damage = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-    if damage != "ok":
-        raise MapFileError(f"{path}: {' '.join(damage.split())}. {_DAMAGED}.")
+    fault = _fault_of_schema(_schema(connection), version)
+    connection.execute("COMMIT")
+    if fault:
+        raise MapFileError(f"{path} is not a visual map of format {version}: {fault}. {_DAMAGED}.")
     return version
 
 
-def _check_tables(path: Path, connection: sqlite3.Connection) -> None:
+Schema = dict[tuple[str, str], str]
+"""The SQL of each table, index, trigger and view, by kind and name."""
+
+
+def _schema(connection: sqlite3.Connection) -> Schema:
+    rows = connection.execute(
+        "SELECT type, substr(name, 1, 100), substr(coalesce(sql, ''), 1, 2000) FROM sqlite_schema "
+        "WHERE name NOT LIKE 'sqlite\\_stat%' ESCAPE '\\' LIMIT 100"
+    ).fetchall()
+    return {(kind, name): " ".join(sql.split()) for kind, name, sql in rows}
+
+
+@cache
+def _schema_of(version: int) -> Schema:
+    """Return the schema of a file of a format."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as model:
-        _add_formats(model, since=0)
-        if _columns(connection) != _columns(model):
-            raise MapFileError(f"{path}: its tables are not those of a visual map. {_DAMAGED}.")
+        for statements in FORMATS[:version]:
+            for statement in statements:
+                model.execute(statement)
+        return _schema(model)
+
+
+def _fault_of_schema(found: Schema, version: int) -> str:
+    """Return how a schema differs from that of a format, "" if it does not."""
+    wanted = _schema_of(version)
+    for kind, name in sorted(found.keys() - wanted.keys()):
+        return f"it has the {kind} {name!r}"
+    for kind, name in sorted(wanted.keys() - found.keys()):
+        return f"it has no {kind} {name!r}"
+    return next(
+        (f"its {k} {n!r} is another one" for k, n in wanted if wanted[k, n] != found[k, n]), ""
+    )
+
+
+def _check_content(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise `MapFileError` if a map is damaged, or has more or longer values than Cairn writes."""
+    damage = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if damage != "ok":
+        raise MapFileError(f"{path}: {' '.join(damage.split())}. {_DAMAGED}.")
+    tables = {name for kind, name in _schema(connection) if kind == "table"}
+    for table, (most, texts) in _BOUNDS.items():
+        if table not in tables:
+            continue  # of a later format
+        columns = {name for of, name, _ in _columns(connection) if of == table}
+        count = connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
+        if count > most:
+            raise MapFileError(
+                f"{path}: its table {table} has {count:,} rows, more than the {most:,} that are "
+                f"allowed. {_DAMAGED}."
+            )
+        for column, longest in texts.items():
+            if column not in columns:
+                continue
+            held, total = connection.execute(
+                f"SELECT max(length({column})), total(length({column})) FROM {table}"
+            ).fetchone()
+            if (held or 0) > longest or (column == "viewpoints" and total > _MOST_VIEWPOINTS):
+                raise MapFileError(
+                    f"{path}: the column {column} of its table {table} has a text of {held:,} "
+                    f"characters, and {total:,.0f} together, more than is allowed. {_DAMAGED}."
+                )
 
 
 def _format(connection: sqlite3.Connection) -> int:
@@ -380,7 +486,22 @@ def _upgrade(connection: sqlite3.Connection) -> None:
     with connection:
         connection.execute("BEGIN IMMEDIATE")
         # Read the format again: another program may have upgraded the file meanwhile.
-        _add_formats(connection, since=_format(connection))
+        since = _format(connection)
+        _add_formats(connection, since)
+        if since < _FORMAT:
+            _add_checksums(connection)
+
+
+def _add_checksums(connection: sqlite3.Connection) -> None:
+    """Add the checksums of rows that programs of older formats wrote without."""
+    for table, columns in _CHECKED_COLUMNS.items():
+        missing = connection.execute(f"SELECT rowid FROM {table} WHERE checksum IS NULL").fetchall()
+        for key in missing:
+            row = connection.execute(f"SELECT {columns} FROM {table} WHERE rowid = ?", key)
+            connection.execute(
+                f"UPDATE {table} SET checksum = ? WHERE rowid = ?",
+                (row_checksum(row.fetchone()), *key),
+            )
 
 
 def _add_formats(connection: sqlite3.Connection, since: int) -> None:
@@ -392,6 +513,7 @@ def _add_formats(connection: sqlite3.Connection, since: int) -> None:
 
 def _in_memory(file: sqlite3.Connection) -> sqlite3.Connection:
     memory = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+    bound_connection(memory, longest=_LONGEST_VALUE)
     with closing(file):
         file.backup(memory)
     return memory

@@ -22,7 +22,7 @@ from cairn.components.map_builder.landmark_map import LandmarkKeeper
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import ChangeKind, LandmarkChange, LandmarkState, MapPosition
 from cairn.visual_map.object_models import add_views
-from cairn.visual_map.sqlite_file import MapFileError, check_row, copy_map, row_checksum
+from cairn.visual_map.sqlite_file import FORMATS, MapFileError, check_row, copy_map, row_checksum
 from tests.cairn.visual_map.views import view
 from tests.components.map_builder.evidence import THERE, observation, surveyed
 from tests.patience import LIMIT_S
@@ -217,7 +217,7 @@ def broken(path: Path, how: str) -> None:
         ("text", "damaged or not a map"),
         ("empty", "not a visual map of Cairn"),
         ("foreign", "not a visual map of Cairn"),
-        ("newer", "has format 99, this Cairn reads formats up to 4"),
+        ("newer", f"has format 99, this Cairn reads formats up to {len(FORMATS)}"),
         ("missing", "no such map file"),
     ],
 )
