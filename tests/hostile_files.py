@@ -16,7 +16,7 @@ import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Final
@@ -794,6 +794,16 @@ def _map_with_big_picture(folder: Path) -> Path:
     return file
 
 
+def _map_with_many_pictures(folder: Path) -> Path:
+    """Write a map of 1 MB with 40 views of 25 megapixels."""
+    file = visual_map(folder)
+    big = replace(view(1), width=5_000, height=5_000)
+    add_views(file, "cup", [big] * 40)
+    with closing(sqlite3.connect(file)) as connection, connection:
+        connection.execute("UPDATE taught_views SET picture = ?", (png(5_000, 5_000),))
+    return file
+
+
 def _map_of_repeated_pages(folder: Path) -> Path:
     """Write a map whose table `objects` is a tree in which pages occur again and again.
 
@@ -866,7 +876,8 @@ VISUAL_MAPS: Final[Mapping[str, HostileFile]] = {
         ),
         "recursion",
     ),
-    "picture": HostileFile(_map_with_big_picture, "MB"),
+    "picture": HostileFile(_map_with_big_picture, "megapixels"),
+    "pictures": HostileFile(_map_with_many_pictures, "megapixels"),
     "pages": HostileFile(_map_of_repeated_pages, "page"),
     "zeros": HostileFile(device("/dev/zero", "map.cairn"), "regular"),
     "fifo": HostileFile(fifo("map.cairn"), "regular"),

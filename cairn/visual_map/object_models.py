@@ -38,6 +38,8 @@ _ATTEMPTS = 5
 
 # Numbers are stored as in memory, little-endian.
 _NUMBER: Final = np.dtype("<f4")
+_MOST_PIXELS: Final = 100_000_000  # of all pictures of a small map
+_PIXELS_OF_BYTE: Final = 20  # of a larger one: a picture in PNG format has 1 to 3 pixels in a byte
 _MOST_SIDE: Final = 2**15 - 1  # [px], limit of OpenCV's remapping
 
 
@@ -153,6 +155,7 @@ def _changing(path: Path) -> Iterator[sqlite3.Connection]:
 def _read(path: Path, connection: sqlite3.Connection, pictures: bool) -> ObjectModels:
     connection.execute("BEGIN")  # one consistent state of all tables
     models = []
+    pixels, most = 0, max(_MOST_PIXELS, _PIXELS_OF_BYTE * path.stat().st_size)
     picture = "picture" if pictures else "NULL"
     for object_id, name, width, height in connection.execute(
         "SELECT object_id, name, width_m, height_m FROM taught_objects ORDER BY object_id"
@@ -165,10 +168,18 @@ def _read(path: Path, connection: sqlite3.Connection, pictures: bool) -> ObjectM
         try:
             if not 0 <= object_id <= MOST_ID:
                 raise ValueError(f"its identifier is not from 0 to {MOST_ID}")
-            views = tuple(view_from_row(row, pictures) for row in rows)
+            views = []
+            for row in rows:
+                views.append(view_from_row(row, pictures))
+                pixels += views[-1].picture.size
+                if pixels > most:
+                    raise ValueError(
+                        f"its pictures and those before it have more than {most / 1e6:.0f} "
+                        "megapixels, the limit for a file of its size"
+                    )
             if not views:
                 raise ValueError("it has no view")
-            models.append(ObjectModel(object_id, name, size_from_row(width, height), views))
+            models.append(ObjectModel(object_id, name, size_from_row(width, height), tuple(views)))
         except (ValueError, TypeError) as error:
             raise MapFileError(
                 f"{path}: the object model {name!r} is damaged: {error}. Restore a copy of the "
