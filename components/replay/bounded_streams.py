@@ -115,10 +115,12 @@ def unpack_file(path: Path, target: Path) -> None:
     """Decompress a file that rosbag2 compressed by zstd; raise `RecordingError` if too large."""
     with open_regular(path) as packed, target.open("wb") as written:
         most = most_unpacked(os.fstat(packed.fileno()).st_size)
+        size = 0
         try:
             with zstd.open(packed, "rb") as stream:
                 while piece := stream.read(1 << 20):
-                    if written.tell() + len(piece) > most:
+                    size += len(piece)
+                    if size > most:
                         raise too_much_unpacked(path, most)
                     written.write(piece)
         except (EOFError, zstd.ZstdError) as error:
