@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import replace
 
@@ -68,6 +69,7 @@ _EXTRAPOLATION_S = 0.1
 # A step of odometry faster than this multiple [1] of the robot's limits is a jump.
 _JUMP_FACTOR = 2.0
 _HORIZON_S = 5.0  # of odometry
+_OBSTRUCTED = (MotionState.BLOCKED, MotionState.STOPPED)
 _EXTERNAL = "external"  # source of a VelocityGateStatus: another program
 
 
@@ -280,9 +282,13 @@ class MotionControl(Component):
             self._limiter.stop(now)
         self.cmd_vel.publish(Twist(linear=Vector3(x=command[0]), angular=Vector3(z=command[1])))
         if self._logged != (self._goal_id, self._result.state):
-            self._logged = (self._goal_id, self._result.state)
+            before, state = self._logged, self._result.state
+            self._logged = (self._goal_id, state)
             reason = f": {self._result.reason}" if self._result.reason else ""
-            self.log.info("%s%s", self._result.state.name.lower(), reason)
+            # A robot drives for weeks: what every goal repeats, AutoMove logs once.
+            continues = state is MotionState.MOVING and before and before[1] in _OBSTRUCTED
+            level = logging.INFO if state in _OBSTRUCTED or continues else logging.DEBUG
+            self.log.log(level, "%s%s", state.name.lower(), reason)
             self.publish_status()
 
     def _next(self, now: int) -> tuple[BehaviorResult, Command]:

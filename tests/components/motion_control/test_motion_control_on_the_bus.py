@@ -109,6 +109,25 @@ def test_stale_input_stops_the_robot_and_is_named(
     assert drive.robot.speed > 0.3
 
 
+def test_log_has_obstructions_and_not_what_every_goal_repeats(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level("INFO")
+    drive = follow_path()
+    caplog.clear()
+
+    drive.muted.add("scan")
+    drive.run_for(3.0, until=STATES.STOPPED)
+    drive.muted.clear()
+    drive.run_for(15, until=STATES.DONE)
+    drive.command(8, NavCommand.STAND)
+    drive.run_for(1.0)
+
+    stopped, moving = (record.getMessage() for record in caplog.records)
+    assert stopped.startswith("stopped: no scan for 0.5")
+    assert moving == "moving"
+
+
 @pytest.mark.parametrize("back_s", [1.0, 600.0])
 def test_robot_pauses_after_a_time_reset_and_continues(
     back_s: float, caplog: pytest.LogCaptureFixture

@@ -73,7 +73,9 @@ def truth_at(time: float) -> PoseStamped:
 def test_journal_holds_only_objects_that_have_changed(report: Any, tmp_path: Path) -> None:
     def visual_map(at_s: float, reliability: float) -> VisualMap:
         objects = tuple(
-            VisualObject(object_id=number, reliability=reliability if number == 3 else 0.5)
+            VisualObject(
+                object_id=number, x=0.1 * number, reliability=reliability if number == 3 else 0.5
+            )
             for number in range(100)
         )
         return VisualMap(header=Header(stamp=seconds(at_s)), objects=objects)
