@@ -116,8 +116,10 @@ def read_header(name: str, stream: BinaryIO) -> ImageHeader:
             )
     except _UnusualImageError as error:
         raise _unusual(name, error) from error
-    except (struct.error, ValueError) as error:
-        raise _damaged(name, f"its header is not complete or not valid: {error}") from error
+    except struct.error as error:
+        raise _damaged(name, "it ends within its header") from error
+    except ValueError as error:
+        raise _damaged(name, f"its header is not valid: {error}") from error
     if min(header.width, header.height) < 1:
         raise _damaged(name, f"its size is {header.width} x {header.height} pixels")
     check_pixels(name, header.width, header.height)
@@ -144,9 +146,7 @@ def decode_image(name: str, data: bytes) -> tuple[ImageHeader, NDArray[Any]]:
     header = read_header(name, BytesIO(data))
     decode = {"PNG": _decode_png, "JPEG": _decode_jpeg, "BMP": _decode_bmp, "PNM": _decode_pnm}
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # errors matter
-            pixels = decode[header.format](data)
+        pixels = decode[header.format](data)
     except _UnusualImageError as error:
         raise _unusual(name, error) from error
     except _DECODERS_RAISE as error:
@@ -323,7 +323,8 @@ def _decode_bmp(data: bytes) -> NDArray[Any]:
 
 
 def _by_pillow(data: bytes, kind: str) -> NDArray[Any]:
-    with Picture.open(BytesIO(data), formats=[kind]) as picture:
+    with Picture.open(BytesIO(data), formats=[kind]) as picture, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its errors matter
         picture.load()
         bands = (_band(picture, top) for top in range(0, picture.height, _ROWS))
         first = next(bands)

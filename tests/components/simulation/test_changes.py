@@ -46,7 +46,12 @@ def test_sensors_see_moved_furniture_at_its_new_pose(simulate: Simulate) -> None
         (
             "object",
             {"id": 5, "x": 6, "y": 1, "texture": "no.png"},
-            "object_5: .*no.png cannot be read",
+            "object_5: .*no.png: cannot be read",
+        ),
+        (
+            "object",
+            {"id": 5, "x": 6, "y": 1, "texture": "/dev/zero"},
+            "object_5: /dev/zero: cannot be read: it is a device; give a regular file",
         ),
         ("object", {"id": 5, "x": 6, "y": 1, "z": 2.5}, "object_5 goes from 2.35 m to 2.65 m"),
         ("kidnap", {"x": 0.1, "y": 2}, "wall 1 is 0.10 m from there"),
