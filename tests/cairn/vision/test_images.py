@@ -127,7 +127,7 @@ def test_dark_16_bit_image_stays_dark_and_hot_pixels_are_ignored() -> None:
                 encoding="mono8", width=33_000, height=16, step=33_000, data=np.zeros(528_000, "u1")
             ),
             "too large, 33000 x 16 pixels; .* 25 megapixels and 32767",
-        ),  # fmt: skip
+        ),
         (Image(encoding="mono8", width=2**31, height=0), "too few"),
     ],
 )
