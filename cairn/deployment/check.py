@@ -225,7 +225,7 @@ def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> 
         yield from _exclusive_conflicts(topic, uses)
         if topic not in written:
             yield from _missing_publishers(topic, uses, written, complete)
-    yield from _neighbor_problems(topics)
+    yield from _neighbor_problems(topics, external)
     yield from _device_problems(root, components)
     yield from _clock_problems(root, topics[_CLOCK], _CLOCK in external)
 
@@ -253,17 +253,20 @@ def _exclusive_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
         yield last.problem(two_writers(topic, writers, readers[0].component.name), ONE_WRITER)
 
 
-def _neighbor_problems(topics: Mapping[str, list[_PortUse]]) -> Iterator[Problem]:
+def _neighbor_problems(
+    topics: Mapping[str, list[_PortUse]], external: set[str]
+) -> Iterator[Problem]:
     """Yield what the components' classes find wrong with the parameters of their neighbors."""
     found: dict[str, CheckedComponent] = {}
     neighbors: defaultdict[str, dict[str, dict[str, Config]]] = defaultdict(dict)
-    for uses in topics.values():
+    for topic, uses in topics.items():
+        outside = {"external_topics": Config()} if topic in external else {}
         for use in uses:
             found[use.component.name] = use.component
-            neighbors[use.component.name][use.port.name] = {
-                other.component.name: other.component.config
+            neighbors[use.component.name][use.port.name] = outside | {
+                other.component.name: other.component.config or Config()
                 for other in uses
-                if other.port.direction != use.port.direction and other.component.config is not None
+                if other.port.direction != use.port.direction
             }
     for name, component in found.items():
         if component.cls is None or component.config is None:

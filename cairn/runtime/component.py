@@ -98,8 +98,9 @@ class Component:
         """Return which parameters do not fit those of the components on the same topics.
 
         `cairn check` and `cairn up` report them as errors. `neighbors` has, for each port, the
-        components at its other end with their parameters. An error is a parameter of this
-        component (dotted), what is wrong, and the remedy. By default there is none.
+        components at its other end with their parameters; a topic under `external_topics` has one
+        without parameters, `external_topics`. An error is a parameter of this component (dotted),
+        what is wrong, and the remedy. By default there is none.
         """
         return ()
 

@@ -88,27 +88,37 @@ class VelocityGate(Component):
     teleoperation: In[TeleoperationCommand] = In(qos=SENSOR, optional=True)
     external_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True)
     emergency_stop: In[Bool] = In(qos=LATCHED, optional=True)
-    hardware_stop: In[Bool] = In(qos=LATCHED, optional=True)
+    hardware_stop: In[Bool] = In(qos=LATCHED, optional=True, exclusive=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
-    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
+    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
     cmd_vel: Out[Twist] = Out(qos=SENSOR)
     velocity_gate_status: Out[VelocityGateStatus] = Out(qos=LATCHED)
 
-    # Times [ns] of the newest scan and odometry, None before them; stamp of the operator's command.
+    # Times [ns] of the newest scan, odometry and message of the button, None before them; stamp of
+    # the operator's command.
     _scan_at: int | None = None
     _odometry_at: int | None = None
+    _pressed_at: int | None = None
     _teleoperated_at = 0
 
     @classmethod
     def check_neighbors(
         cls, config: Config, neighbors: Mapping[str, Mapping[str, Config]]
     ) -> Iterator[tuple[str, str, str]]:
-        """Yield limits lower than the navigator's, and braking harder than the base's.
+        """Yield limits lower than the navigator's, braking harder than the base's, missing sensors.
 
-        The gate would reduce the navigator's commands without its knowledge, or rely on a
-        deceleration that the base does not reach.
+        The gate would reduce the navigator's commands without its knowledge, rely on a deceleration
+        that the base does not reach, or never let the robot move.
         """
         assert isinstance(config, VelocityGateConfig)
+        for port in ("scan", "odom"):
+            if config.scanner and not neighbors[port]:
+                yield (
+                    "scanner",
+                    f"no component publishes {port}, without which the robot stands",
+                    f"add its publisher, list {port} under external_topics, or set scanner: false "
+                    "for a robot without a scanner",
+                )
         for key, limited in (
             ("speed", "speed"),
             ("turn_speed", "turn_speed"),
@@ -147,7 +157,7 @@ class VelocityGate(Component):
         self._warnings = RateLimitedLog(self.log)
         self._refused = dict.fromkeys(("lease", "late", "invalid", "disabled"), 0)
         self._clamped = 0
-        self._pressed, self._pressed_at = False, 0
+        self._pressed, self._pressed_at = False, None
         self._apply(self.config)
 
     def on_activate(self) -> None:
@@ -295,10 +305,9 @@ class VelocityGate(Component):
     def advance(self) -> None:
         """Continue ramps, and stop for stale inputs."""
         limit, now = self.config.hardware_stop_timeout, self.clock.now()
-        if limit is not None and not self._stop.engaged:
-            self._pressed_at = self._pressed_at or now
-            if abs(now - self._pressed_at) > limit * SECOND:
-                self._engage(f"{self.hardware_stop.topic} has been silent for {limit:g} s")
+        heard_at = self._pressed_at
+        if limit is not None and heard_at is not None and abs(now - heard_at) > limit * SECOND:
+            self._engage(f"{self.hardware_stop.topic} has been silent for {limit:g} s")
         self._step()
 
     def _apply(self, config: VelocityGateConfig) -> None:
@@ -356,7 +365,7 @@ class VelocityGate(Component):
                 f"({self.hardware_stop.topic}); release the button first"
             )
         self._sources.drop_all()
-        self._pressed_at = 0
+        self._pressed_at = None
         if self._stop.release():
             self.log.warning("emergency stop released")
         if self._stop.problem:
@@ -421,6 +430,8 @@ class VelocityGate(Component):
         """Return why the robot must stand, whatever is commanded."""
         if self._stop.engaged:
             return ReasonCode.EMERGENCY_STOP, f"emergency stop: {self._stop.reason}"
+        if self.config.hardware_stop_timeout is not None and self._pressed_at is None:
+            return ReasonCode.EMERGENCY_STOP, f"{self.hardware_stop.topic} is silent yet"
         if not self.config.scanner:
             return _FREE
         limits = self.config.odometry_timeout, self.config.scan_timeout
@@ -482,12 +493,15 @@ class VelocityGate(Component):
 
 def _state(source: str, operator: str, hold: _Hold) -> str:
     """Return the state of the gate for `cairn ps`."""
-    code, held = hold
-    if held and code != ReasonCode.EMERGENCY_STOP:
-        held = f"holds the robot: {held}"
+    held = hold[1]
     lease = f"{operator} has the operator's lease" if operator else ""
-    drives = f"{source or 'no source'} drives"
-    return "; ".join(filter(None, (held, lease, drives)))
+    if not held:
+        drives = f"{source or 'no source'} drives"
+    elif held.startswith("emergency stop"):
+        drives = held
+    else:
+        drives = f"holds {source or 'the robot'}: {held}"
+    return "; ".join(filter(None, (drives, lease)))
 
 
 def _stale(what: str, topic: str, at: int | None, now: int, limit_s: float) -> str:

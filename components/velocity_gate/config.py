@@ -133,8 +133,8 @@ class VelocityGateConfig(Config):
         None,
         gt=0,
         le=60,
-        description="Silence of hardware_stop from which the emergency stop is engaged [s]; null: "
-        "it may be silent.",
+        description="Silence of hardware_stop from which the emergency stop is engaged [s]; before "
+        "its first message the robot stands. null: it may be silent.",
     )
     state_file: Path | None = Field(
         None,

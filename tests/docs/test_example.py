@@ -105,9 +105,9 @@ def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
         turtle.send_signal(signal.SIGINT)
         assert turtle.wait(timeout=LIMIT_S) == 0
 
-    names = ["root", "turtle_supervisor", "base", "wanderer"]
+    names = ["root", "turtle_supervisor", "velocity_gate", "base", "wanderer"]
     assert {rows[f"/turtle/{name}"]["state"] for name in names} == {"active"}
-    assert len({rows[f"/turtle/{name}"]["pid"] for name in names}) == 4
+    assert len({rows[f"/turtle/{name}"]["pid"] for name in names}) == len(names)
     assert 0.0 <= state["charge"] <= 1.0
     assert "distance = 1000000" in refusal
     assert json.loads(speed) == 0.8
@@ -122,7 +122,7 @@ def test_component_runs_unchanged_in_its_parents_process(
         assert turtle.wait(timeout=LIMIT_S) == 0
 
     logs = {log.stem for log in (tmp_path / "logs").iterdir()}
-    assert logs == {"root", "turtle_supervisor", "base"}
+    assert logs == {"root", "turtle_supervisor", "velocity_gate", "base"}
 
 
 def test_packages_own_tests_pass(user: Any) -> None:

@@ -12,13 +12,13 @@ TURTLE = Path(__file__).parents[1] / "deploy" / "turtle.yaml"
 def test_deployment_ends_when_the_turtle_has_traveled_its_distance() -> None:
     with DeploymentHarness(TURTLE, sets=["distance=5"], seed=1) as turtle:
         odom = turtle.read("odom", Odometry)
-        turtle.run_until(lambda: len(odom.messages) >= 10)
+        turtle.run_until(lambda: len(odom.messages) >= 20)
         turtle.set_parameters("wanderer", {"speed": 0.8})
         end = turtle.run_to_end()
 
     assert end.normal
     assert "5.0 m traveled" in end.reason
-    assert odom.messages[9].twist.twist.linear.x == pytest.approx(0.5)
+    assert odom.messages[19].twist.twist.linear.x == pytest.approx(0.5)
     assert max(message.twist.twist.linear.x for message in odom.messages) == pytest.approx(0.8)
 
 

@@ -36,7 +36,7 @@ class TurtleBase(Component):
 
     config: TurtleBaseConfig
 
-    cmd_vel: In[Twist] = In(qos=SENSOR, optional=True)
+    cmd_vel: In[Twist] = In(qos=SENSOR, optional=True, exclusive=True)
     odom: Out[Odometry] = Out(qos=SENSOR)
     base_state: Out[BaseState]
 

@@ -5,10 +5,12 @@ from pathlib import Path
 
 from cairn.components.roboclaw.config import RoboclawBaseConfig
 from cairn.components.ros2_base.config import Ros2BaseConfig
+from cairn.components.velocity_gate.component import VelocityGate
 from cairn.deployment.load import load_deployment
+from cairn.runtime.ports import ports_of
 
 PAGE = Path(__file__).parents[3] / "docs" / "drivers" / "base.md"
-OTHER_NAMES = {"roboclaw_base", "ros2_base", "cmd_vel", "base_link", "base_footprint"} | {
+OTHER_NAMES = {"roboclaw_base", "ros2_base", "base_link", "base_footprint"} | {
     *("battery_state", "diff_drive_controller", "cmd_vel_timeout", "external_topics")
 }
 
@@ -40,7 +42,8 @@ def test_base_on_a_roboclaw_passes_the_check(tmp_path: Path) -> None:
 
 
 def test_page_names_only_existing_parameters() -> None:
-    fields = {*RoboclawBaseConfig.model_fields, *Ros2BaseConfig.model_fields}
+    gate = {*VelocityGate.config_class().model_fields, *ports_of(VelocityGate)}
+    fields = {*RoboclawBaseConfig.model_fields, *Ros2BaseConfig.model_fields, *gate}
     named = set(re.findall(r"`(\w+_\w+)(?:: \w+)?`", PAGE.read_text()))
 
     assert {"wheel_radius", "command_timeout_s", "stamp_on_arrival"} <= named

@@ -197,10 +197,10 @@ def test_status_for_people_names_source_operator_and_what_holds_the_robot() -> N
     assert state() == "navigator drives"
     robot.points = np.array([[robot.pose[0] + 0.3, 0.0]])
     robot.step(("navigator_cmd_vel", AHEAD), seconds=1.5)
-    assert "an obstacle" in state()
+    assert state().startswith("holds navigator: an obstacle")
     robot.gate.request("acquire_lease", operator="anna", seconds=2.0)
     robot.gate.request("stop", reason="test")
-    assert state() == "emergency stop: test; anna has the operator's lease; no source drives"
+    assert state() == "emergency stop: test; anna has the operator's lease"
 
 
 def test_external_source_can_be_enabled_without_giving_priorities() -> None:
@@ -216,10 +216,22 @@ def test_pressed_button_cannot_be_released_by_request() -> None:
         robot.gate.request("release_stop")
     robot.gate.publish("hardware_stop", Bool(data=False))
     robot.gate.request("release_stop")
-    robot.step(seconds=0.5)
+    robot.gate.publish("hardware_stop", Bool(data=False))
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=0.5)
     assert not robot.status.emergency_stop
-    robot.step(seconds=1.0)
+    assert robot.command[0] > 0.0
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    assert robot.status.emergency_stop
     assert "silent" in robot.status.reason
+
+
+def test_robot_stands_until_the_button_reports_without_latching_the_stop() -> None:
+    robot = GatedRobot(hardware_stop_timeout=0.5)
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=3.0)
+    assert robot.command == (0.0, 0.0)
+    assert "hardware_stop is silent" in robot.status.reason
+    robot.step(("hardware_stop", Bool(data=False)), ("navigator_cmd_vel", AHEAD), seconds=1.0)
+    assert robot.command == (0.4, 0.0)
 
 
 def test_commands_that_the_base_cannot_execute_are_refused() -> None:
