@@ -58,7 +58,7 @@ def test_package_is_found_by_its_entry_points(user: Any) -> None:
     plugins = {plugin["plugin"]: plugin for plugin in json.loads(user.cairn("plugins", "--json"))}
 
     assert plugins["turtle_wanderer"]["package"] == "turtle-robot 0.1.0"
-    assert "3 components, no problem" in user.cairn("check", TURTLE)
+    assert "4 components, no problem" in user.cairn("check", TURTLE)
     schema = json.loads(user.cairn("schema", "show", "turtle_msgs/msg/BaseState", "--json"))
     assert "float32 charge" in schema["definition"]
     assert "turtle_msgs/msg/BaseState" in user.cairn("schema", "list")
