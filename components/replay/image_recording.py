@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from cairn import SECOND, CairnError
+from cairn.bounded_files import open_regular
 from cairn.bounded_images import check_pixels
 from cairn.components.replay.bounded_streams import text_lines
 from cairn.components.replay.recording import (
@@ -278,7 +279,7 @@ def _stamp_in_name(file: Path) -> int | None:
 def is_video(path: Path) -> bool:
     """Return whether a file starts like AVI, MP4 (QuickTime), Matroska (WebM) or MPEG."""
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             start = stream.read(12)
     except OSError:
         return False

@@ -5,12 +5,12 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, validate_call
 
 from cairn import CairnError, RetriedSave
 from cairn.bounded_files import STATE_BYTES, read_bounded
@@ -91,13 +91,14 @@ class RunJournal:
             lines = read_bounded(self._file, STATE_BYTES).splitlines()
         except OSError as error:
             raise CairnError(f"report: {self._file}: {explain_os_error(error)}") from error
+        checked = {name: validate_call(getattr(self._record, name)) for name in _METHODS}
         for line in lines:
             try:
-                self._replay_line(json.loads(line))
-            except (ValueError, TypeError):  # cut off by the end of the process, or damaged
-                continue
+                self._replay_line(checked, json.loads(line))
+            except (ValueError, TypeError, ArithmeticError, RecursionError):
+                continue  # cut off by the end of the process, or damaged
 
-    def _replay_line(self, call: Any) -> None:
+    def _replay_line(self, checked: Mapping[str, Callable[..., Any]], call: Any) -> None:
         match call:
             case [str(method), state] if method == _STATE:
                 # Lax: JSON has lists for tuples, and text for the keys.
@@ -105,4 +106,4 @@ class RunJournal:
                 for one in fields(RunRecord):
                     setattr(self._record, one.name, getattr(stored, one.name))
             case [str(method), *values] if method in _METHODS:
-                getattr(self._record, method)(*values)
+                checked[method](*values)

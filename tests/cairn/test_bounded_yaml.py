@@ -18,7 +18,7 @@ _KINDS = ("deployment", "world", "grid_map", "camera_file")
         (kind, name)
         for kind in _KINDS
         for name in HOSTILE[kind]
-        if not name.startswith("image_") and name != "points"  # slow: 100,000 values are parsed
+        if not name.startswith("image_") and name != "points"  # slow: 50,000 values are parsed
     ],
 )
 def test_hostile_yaml_file_is_refused_with_its_reason(tmp_path: Path, kind: str, name: str) -> None:

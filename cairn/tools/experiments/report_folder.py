@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from cairn import CairnError
+from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.cli.output import note
 from cairn.cli.runs import writing_report
 from cairn.files import replace_file
@@ -115,8 +116,8 @@ def _check_is_replaceable(folder: ReportFolder, names: Sequence[str]) -> None:
 def _experiment_of(file: Path) -> str | None:
     """Return the experiment of a report, finished or not; None if the file is not a report."""
     try:
-        report = json.loads(file.read_bytes())
-    except (FileNotFoundError, ValueError):
+        report = json.loads(read_bounded(file, STATE_BYTES))
+    except (OSError, ValueError, RecursionError):
         return None
     experiment = report.get("experiment") if isinstance(report, dict) else None
     return experiment if isinstance(experiment, str) else None

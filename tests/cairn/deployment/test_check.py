@@ -241,11 +241,11 @@ def _grown(first: str, join: Callable[[int], str]) -> str:
     [
         (
             _grown("&a0 [x]", lambda n: f"&a{n} [{', '.join([f'*a{n - 1}'] * 9)}]"),
-            "the file holds more than 100,000 values, with its aliases expanded",
+            "the file holds more than 50,000 values, with its aliases expanded",
         ),
         (
             _grown("[x]", lambda n: f"[{', '.join([repr(f'${{a{n - 1}}}')] * 9)}]"),
-            "with its settings the deployment holds more than 100,000 values",
+            "with its settings the deployment holds more than 50,000 values",
         ),
         (
             _grown("text", lambda n: repr(f"${{a{n - 1}}}" * 9)),

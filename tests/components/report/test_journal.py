@@ -73,6 +73,31 @@ def test_restarted_report_replays_its_journal(owner: Owner, file: Path) -> None:
     assert not file.exists()
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "[" * 100_000,
+        '["record_estimate", "now", 0.5, 0.25, 0.1]',
+        '["record_estimate", 2000000000, [0.5], 0.25, 0.1]',
+        '["record_map", 1, [[1]]]',
+        '["record_removal", 1e999, 3, 1.0, 2.0]',
+        '["__init__"]',
+        "\0\0\0\0",
+    ],
+    ids=["nested", "text", "list", "objects", "infinite", "method", "zeros"],
+)
+def test_invalid_line_of_a_journal_is_skipped(owner: Owner, file: Path, line: str) -> None:
+    before = RunRecord()
+    record_messages(owner.journal(before, file))
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:2], line, *lines[2:]]) + "\n")
+
+    after = RunRecord()
+    owner.journal(after, file, resume=True)
+
+    assert after == before
+
+
 def test_first_report_ignores_the_journal_of_another_run(owner: Owner, file: Path) -> None:
     record_messages(owner.journal(RunRecord(), file))
 
