@@ -57,7 +57,7 @@ _JPEG_SIMPLE: Final = ("Gray", "YCbCr", "RGB")  # libjpeg-turbo converts these t
 _EXIF: Final = b"Exif\0\0"
 _ORIENTATION: Final = 0x0112  # Exif 2.3, 4.6.4 A
 _DECODERS_RAISE: Final = (
-    OSError, SyntaxError, ValueError, EOFError, MemoryError, struct.error, cv2.error,
+    OSError, SyntaxError, ValueError, EOFError, struct.error, cv2.error,
     Picture.DecompressionBombError,
 )  # fmt: skip
 _ROWS: Final = 256  # are converted at once
@@ -149,6 +149,11 @@ def decode_image(name: str, data: bytes) -> tuple[ImageHeader, NDArray[Any]]:
         pixels = decode[header.format](data)
     except _UnusualImageError as error:
         raise _unusual(name, error) from error
+    except MemoryError as error:
+        raise CairnError(
+            f"{name}: there is not enough memory for its {header.width} x {header.height} pixels; "
+            "make it smaller"
+        ) from error
     except _DECODERS_RAISE as error:
         raise _damaged(name, str(error) or type(error).__name__) from error
     if pixels.shape[:2] != (header.height, header.width):
