@@ -1,10 +1,12 @@
-"""The zygote of a deployment in real processes: its folder, and what it logs."""
+"""The root of a deployment in real processes: its zygote, its view, and what they log."""
 
 from pathlib import Path
 from textwrap import dedent
+from unittest.mock import Mock
 
 import pytest
 
+from cairn.placement.process_run import _Monitor
 from cairn.testing.launching import Launching
 
 pytestmark = pytest.mark.processes
@@ -38,3 +40,19 @@ def test_zygote_that_crashes_fails_the_deployment_with_the_cause_and_its_log_is_
         rf"on purpose \(process \d+, log {run.logs}/zygote.log\)"
     )
     assert "Traceback" in run.log_of("zygote")
+
+
+def test_view_that_fails_is_logged_once_and_does_not_stop_the_robot(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    view, zygote, loop = Mock(), Mock(stopped=False), Mock()
+    zygote.process.poll.return_value = None
+    view.refresh.side_effect = OSError("Input/output error")  # its terminal is gone
+    monitor = _Monitor(view, zygote, loop)
+    for _ in range(3):
+        monitor.check()
+    monitor.finish()
+
+    assert view.refresh.call_count == 1
+    assert not loop.stop.called
+    assert caplog.text.count("view ended: OSError: Input/output error") == 1
