@@ -91,16 +91,34 @@ def test_report_folder_is_used_again_without_the_old_logs(
     assert "old" not in run.log_of("listener")
 
 
-def test_robot_continues_while_its_output_is_on_a_full_disk(
+def test_robot_continues_while_its_output_is_on_a_full_disk_and_its_logs_are_rotated(
     launch: Launching, tmp_path: Path
 ) -> None:
-    file = launch.write(TALK)
+    module = """
+        from cairn import Component
+        class Printer(Component):
+            def on_activate(self):
+                for number in range(1000):
+                    print("a library prints", number)
+        """
+    (tmp_path / "printing.py").write_text(dedent(module))
+    printer = "components:\n      printer: {plugin: printing:Printer}"
+    file = launch.write(TALK.replace("components:", printer))
+    arguments = ["--report", str(tmp_path / "out"), "--set", "storage.max_log_size=10000"]
     with Path("/dev/full").open("w") as full:
-        command = [CAIRN, "up", str(file), "--report", str(tmp_path / "out")]
-        ended = subprocess.run(command, stdout=full, stderr=full, timeout=LIMIT_S)
+        ended = subprocess.run(
+            [CAIRN, "up", str(file), *arguments],
+            stdout=full,
+            stderr=full,
+            timeout=LIMIT_S,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        )
 
     assert ended.returncode == 0
-    log = (tmp_path / "out" / "logs" / "root.log").read_text()
+    logs = tmp_path / "out" / "logs"
+    assert (logs / "printer.log.1").read_text().count("a library prints") == 1000
+    assert "ended: shut down" in (logs / "printer.log").read_text()
+    log = (logs / "root.log").read_text()
     assert log.count("output of cairn up lost") == 1
     assert "No space left on device" in log
     assert "child ended: talker: all words sent" in log
