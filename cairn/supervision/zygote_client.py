@@ -40,6 +40,7 @@ from cairn.supervision.zygote import (
 )
 
 _PIECE_S = 0.25
+_OWN_END_S = 0.25
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
 # These halve the latency of images: glibc would map and unmap memory for each of them.
 _MALLOC = {
@@ -81,7 +82,10 @@ class ZygoteProcess:
         """
         if self.process.stdin is not None:
             self.process.stdin.close()
-        self.process.terminate()  # while it imports, it does not watch its standard input
+        try:
+            self.process.wait(_OWN_END_S)  # if it is failing, with its own exit code
+        except subprocess.TimeoutExpired:
+            self.process.terminate()  # while it imports, it does not watch its standard input
         try:
             self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
