@@ -42,11 +42,13 @@ from cairn.supervision.zygote import (
 _PIECE_S = 0.25
 _OWN_END_S = 0.25
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
-# These halve the latency of images: glibc would map and unmap memory for each of them.
+# glibc would map and unmap memory for each image, which takes longer than all the rest: so it keeps
+# freed memory for the next one, but not more than this in each heap. See docs/benchmarks.md.
+_KEPT_BYTES = str(32 << 20)
 _MALLOC = {
-    "MALLOC_MMAP_THRESHOLD_": "134217728",
-    "MALLOC_TRIM_THRESHOLD_": "268435456",
-    "MALLOC_TOP_PAD_": "33554432",
+    "MALLOC_MMAP_THRESHOLD_": _KEPT_BYTES,
+    "MALLOC_TRIM_THRESHOLD_": _KEPT_BYTES,
+    "MALLOC_TOP_PAD_": str(1 << 20),
 }
 # A process with threads must not fork, and numpy's OpenBLAS would start some when imported.
 _SINGLE_THREADED = {"OPENBLAS_NUM_THREADS": "1"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -35,6 +36,10 @@ _NEAR_M = 0.3
 # 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],
 # [rad/sqrt(s)]: a little more than those of the parameter `base`.
 _HORIZON_S, _PER_OBJECT, _DRIFT, _TURN_DRIFT = 30.0, 4, 0.03, 0.05
+# So many poses are compared with the observations at a time. The intermediate results, about ten
+# numbers for each pose and observation, then take some MB; for all poses of a global search
+# together (up to 200,000) they took hundreds. No result depends on it.
+_BLOCK = 1024
 
 
 @dataclass(frozen=True)
@@ -116,17 +121,16 @@ class RecentObservations:
         total = np.zeros(poses.shape[1])
         if not entries:
             return total
-        nis = self._nis(poses, entries, now, moved_s, landmarks, None)
-        count: dict[int, int] = {}
-        for entry in entries:
-            key = entry.observation.object_id
-            count[key] = count.get(key, 0) + 1
-        for row, entry in zip(nis, entries, strict=True):
-            key = entry.observation.object_id
-            reliability = landmarks[key].reliability
-            stray = (1.0 - reliability) * math.exp(STRAY)
-            weight = min(1.0, OBJECT_WORTH / count[key])
-            total += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
+        count = Counter(entry.observation.object_id for entry in entries)
+        for begin in range(0, poses.shape[1], _BLOCK):
+            block = slice(begin, begin + _BLOCK)
+            nis = self._nis(poses[:, block], entries, now, moved_s, landmarks, None)
+            for row, entry in zip(nis, entries, strict=True):
+                key = entry.observation.object_id
+                reliability = landmarks[key].reliability
+                stray = (1.0 - reliability) * math.exp(STRAY)
+                weight = min(1.0, OBJECT_WORTH / count[key])
+                total[block] += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
         return total
 
     def support(

@@ -49,7 +49,7 @@ def test_process_inherits_no_files_signal_handlers_or_threads_of_the_zygote(
     assert (facts["sigterm"], facts["sigchld"], facts["sigint"]) == (True, True, True)
     assert facts["blocked"] == []
     assert facts["threads"] == 1
-    assert facts["malloc"] == "33554432"
+    assert facts["malloc"] == str(1 << 20)
     assert facts["path"] == sys.path
 
 

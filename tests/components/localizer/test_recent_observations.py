@@ -1,6 +1,7 @@
 """Recent observations: which poses they support, at any heading."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -27,3 +28,21 @@ def test_true_pose_is_supported_by_all_objects_around_it(heading: float) -> None
     support = recent.support(PoseEstimate(here, np.eye(3) * 1e-4), here, 0.0, LANDMARKS)
 
     assert support == PoseSupport(agreeing=len(LANDMARKS), contradicting=0)
+
+
+def test_memory_for_the_poses_of_a_global_search_does_not_grow_with_the_observations() -> None:
+    recent = RecentObservations()
+    for moved_s in range(4):
+        made = [Observation(i, 2.0, 0.1 * i, 0.01, 0.0003) for i in LANDMARKS]
+        recent.add(made, (0.5 * moved_s, 0.0, 0.0), float(moved_s))
+    poses = np.random.default_rng(1).uniform(-2.0, 2.0, (3, 20_000))
+    now = (1.5, 0.0, 0.0)
+    of_each = [recent.log_likelihood(poses[:, [i]], now, 3.0, LANDMARKS)[0] for i in (0, 12_345)]
+
+    tracemalloc.start()
+    likelihood = recent.log_likelihood(poses, now, 3.0, LANDMARKS)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert peak < 8 << 20, "bytes; 30 MB if all poses are compared at once"
+    assert likelihood[[0, 12_345]] == pytest.approx(of_each)
