@@ -172,6 +172,11 @@ def _conflicting_keys(component: CheckedComponent) -> Iterator[Problem]:
     ):
         found = "a component in its parent's process uses its parent's interpreter"
         yield Problem(interpreter.where, f"{name}.interpreter", found, "use placement: process")
+    memory = node.find("memory_max_mib")
+    if memory is not None and _is(node.find("placement"), "in_process"):
+        found = "the memory of a component in its parent's process is its parent's"
+        remedy = "set it for the parent, or use placement: process"
+        yield Problem(memory.where, f"{name}.memory_max_mib", found, remedy)
 
 
 def _unattainable_stop(root: DocumentNode, component: CheckedComponent) -> Iterator[Problem]:

@@ -101,6 +101,12 @@ class ChildSpec(_Section):
     hang_timeout_s: Seconds = Field(
         5.0, description="Limit for one handler [s]; then it counts as hung and is killed."
     )
+    memory_max_mib: int = Field(
+        1024,
+        ge=256,
+        le=1 << 20,
+        description="Memory of its process [MiB]; with more, it is killed and restarted.",
+    )
     load: Literal["at_start", "on_request"] = Field(
         "at_start", description="Started with its parent, or when its parent or `cairn load` asks."
     )

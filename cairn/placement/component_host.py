@@ -151,6 +151,10 @@ class ComponentHost:
             LifecycleState(status.state), sendable(status.handler), max(0.0, status.handler_s)
         )
 
+    def memory(self) -> int:
+        """Return 0: its memory is that of this process, which its own supervisor watches."""
+        return 0
+
     def is_stopped(self) -> bool:
         """Return False: it runs in this process, which runs."""
         return False

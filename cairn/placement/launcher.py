@@ -1,5 +1,6 @@
 """Launches a component in a process of its own, and makes requests to it over its channel."""
 
+import os
 import re
 import signal
 import time
@@ -28,6 +29,7 @@ TRACEBACK_SIGNAL = signal.SIGUSR1
 """A component's process that receives it logs the stacks of all of its threads."""
 _TRACEBACK_POLL_S = 0.01
 _TRACEBACK = b"(most recent call first)"
+_PAGE_BYTES = os.sysconf("SC_PAGESIZE")
 _KILL_LIMIT_S = 5.0
 _EXIT_AFTER_ERROR_S = 0.2  # a component that refuses a request ends soon after
 _LEAVING_LIMIT_S = 5.0  # between the end of its channel and that of the process
@@ -113,6 +115,14 @@ class ProcessHandle:
         if self._starting:
             self._canceled = True
             self.terminate()
+
+    def memory(self) -> int:
+        """Return the memory [bytes] that its process has in RAM; what it shares counts as well."""
+        with suppress(OSError):  # it has just ended
+            if self._process is not None:
+                statm = Path(f"/proc/{self._process.pid}/statm").read_text(encoding="ascii")
+                return int(statm.split()[1]) * _PAGE_BYTES
+        return 0
 
     def expect_stop(self, limit_s: float) -> None:
         """Announce a stop, and cut short a start in progress; see `ChildHandle`."""

@@ -302,6 +302,10 @@ class _LockstepHost:
         """Return its state; no call is in progress."""
         return Heartbeat(self.runtime.state)
 
+    def memory(self) -> int:
+        """Return 0: it has no process of its own."""
+        return 0
+
     def is_stopped(self) -> bool:
         """Return False: it has no process of its own."""
         return False

@@ -334,6 +334,10 @@ class Runtime:
         return False
 
     def _describe_error(self, error: Exception) -> str:
+        if isinstance(error, MemoryError):
+            limit_mib = self.launch.spec.memory_max_mib
+            words = _text(error).removesuffix(": ")
+            return f"{words}; its process has reached its limit (memory_max_mib: {limit_mib})"
         ports = (
             self._ports.outputs_with(error.type_name) if isinstance(error, InvalidMessage) else []
         )

@@ -95,6 +95,10 @@ class ChildHandle(Protocol):
         """Return whether a signal such as SIGSTOP has stopped its process."""
         ...
 
+    def memory(self) -> int:
+        """Return how much memory its process uses now [bytes]; 0 if it has none of its own."""
+        ...
+
     def expect_stop(self, limit_s: float) -> None:
         """Have the child start nothing any more, and stop all below it within `limit_s` [s].
 
@@ -254,8 +258,8 @@ class Child:
         """Kill the child if it hangs, and restore its state if it deviates from its target.
 
         It hangs if it is too long in one handler, or if its process is silent for too long. It is
-        killed as well if it has sent something invalid, or cannot be restored. Returns how it
-        ended; None if it runs.
+        killed as well if it uses too much memory, has sent something invalid, or cannot be
+        restored. Returns how it ended; None if it runs.
         """
         if self.handle is None or self.state not in ("active", "held"):
             return None
@@ -268,6 +272,10 @@ class Child:
         hang = self._hang()
         if hang:
             return self._kill("hung", f"{hang}; killed")
+        used_mib, most_mib = self.handle.memory() >> 20, self.spec.memory_max_mib
+        if used_mib > most_mib:
+            excess = f"it uses {used_mib} MiB of memory, more than memory_max_mib, {most_mib}"
+            return self._kill("failed", f"{excess}; killed")
         return self._restore(canceled) if heartbeat is not None else None
 
     def hold(self, state: LifecycleState) -> None:

@@ -1,6 +1,7 @@
 """A component that hangs is detected, logged with handler and duration, killed and restarted."""
 
 import os
+import re
 import signal
 import threading
 import time
@@ -63,6 +64,38 @@ def test_hung_components_are_killed_with_their_stacks_logged_and_restarted(
     assert [run.pid_of("talker"), run.pid_of("listener")] == others
     assert "in tick" in run.log_of("sleeping"), "the log has no stack"
     assert "in tick" in run.log_of("holding"), "the log has no stack"
+
+
+def test_components_that_use_too_much_memory_are_restarted_with_the_reason(
+    launch: Launching,
+) -> None:
+    run = launch(
+        """
+    components:
+      talker: {plugin: test_talker}
+      growing: {plugin: test_faulty, memory_max_mib: 256, topics: {velocity: v1}}
+      bulky: {plugin: test_faulty, memory_max_mib: 256, topics: {velocity: v2}}
+    """
+    )
+    active = run.await_line("child active: bulky")
+    talker = run.pid_of("talker")
+
+    set_fault(run, "grow", "growing")
+    excess = r"it uses \d+ MiB of memory, more than memory_max_mib, 256; killed"
+    run.await_line(
+        "child active: growing",
+        after=run.await_line(f"ERROR   robot.root: child failed: growing: {excess}", after=active),
+    )
+    set_fault(run, "allocate", "bulky")
+    failed = run.await_line("child failed: bulky: tick: MemoryError.*memory_max_mib", after=active)
+    run.await_line("child active: bulky", after=failed)
+
+    reasons = {
+        one["component"]: one["reason"] for one in cairn("ps", "--json", connect=run.endpoint).json
+    }
+    assert re.search(excess, reasons["/robot/growing"])
+    assert "memory_max_mib" in reasons["/robot/bulky"]
+    assert run.pid_of("talker") == talker
 
 
 def test_machine_pause_does_not_trigger_hang_detection(launch: Launching) -> None:

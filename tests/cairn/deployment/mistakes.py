@@ -238,6 +238,16 @@ CASES = {
             "add `restart: transient` or `restart: temporary`",
         ),
     ),
+    "memory limit in the parent's process": (
+        HEAD + PARTS + "  other:\n    plugin: acme_base\n    placement: in_process\n"
+        "    memory_max_mib: 512\n",
+        (
+            8,
+            "components.other.memory_max_mib",
+            "the memory of a component in its parent's process is its parent's; "
+            "set it for the parent, or use placement: process",
+        ),
+    ),
     "fresh interpreter in the parent's process": (
         HEAD + PARTS + "  other:\n    plugin: acme_base\n    placement: in_process\n"
         "    interpreter: fresh\n",

@@ -69,6 +69,7 @@ class ScriptedChild:
     sent: Heartbeat | None = _READY  # that was not read yet
     garbage: str = ""
     stopped: bool = False
+    memory_bytes: int = 0
 
     def request(self, verb: Verb, timeout_s: float) -> None:
         self.world.limits.append((f"{verb} {self.name}", timeout_s))
@@ -88,6 +89,9 @@ class ScriptedChild:
 
     def is_stopped(self) -> bool:
         return self.stopped
+
+    def memory(self) -> int:
+        return self.memory_bytes
 
     def expect_stop(self, limit_s: float) -> None:
         self.world.limits.append((f"expect_stop {self.name}", limit_s))

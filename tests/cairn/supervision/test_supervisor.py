@@ -94,6 +94,24 @@ def test_hang_of_an_earlier_incarnation_has_no_effect(world: World) -> None:
     assert supervisor.status()[0].incarnation == 2
 
 
+def test_child_that_uses_too_much_memory_is_killed_and_restarted(world: World) -> None:
+    supervisor = world.supervisor("scanner", base=ChildSpec(plugin="test", memory_max_mib=300))
+    supervisor.start_all()
+    world.take_steps()
+    for child in world.children.values():
+        child.memory_bytes = 300 << 20
+    supervisor.check()
+    assert world.steps == []
+    for child in world.children.values():
+        child.memory_bytes = 301 << 20
+    supervisor.check()
+    supervisor.reconcile()
+    assert world.steps == ["kill base", *START_BASE]
+    reason = "it uses 301 MiB of memory, more than memory_max_mib, 300; killed"
+    assert f"ERROR child failed: base: {reason}" in world.log.lines
+    assert supervisor.status()[1].reason == reason
+
+
 def test_one_for_all_stops_running_children_and_starts_all(world: World) -> None:
     supervisor = world.supervisor_with(Supervision(strategy="one_for_all"), "base", "scanner")
     supervisor.start_all()

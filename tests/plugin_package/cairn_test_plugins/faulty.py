@@ -23,6 +23,8 @@ Fault = Literal[
     "exit",
     "sys_exit",
     "publish_nan",
+    "grow",
+    "allocate",
     "orphan",
 ]
 Where = Literal["constructor", "on_configure", "on_activate", "on_shutdown", "tick"]
@@ -46,6 +48,7 @@ class Faulty(Component):
     def __init__(self, context: ComponentContext) -> None:
         """Fail if the configuration says so."""
         super().__init__(context)
+        self._filled = b""
         assert isinstance(context.config, FaultyConfig)
         if context.config.where == "constructor":
             self._fail(context.config.fault)
@@ -96,5 +99,9 @@ class Faulty(Component):
                 sys.exit(3)
             case "publish_nan":
                 self.velocity.publish(Twist(linear=Vector3(x=float("nan"))))
+            case "grow":
+                self._filled = b"x" * (160 << 20)
+            case "allocate":
+                bytes(2 << 30)
             case "orphan":
                 subprocess.Popen(["sh", "-c", "sleep 1000 & exit 0"]).wait()
