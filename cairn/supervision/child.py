@@ -30,6 +30,8 @@ _TERMINATE_LIMIT_S = 2.0  # from terminating a child that has not stopped in tim
 _KILL_LIMIT_S = 5.0  # for the kernel to end a killed process and its group
 _LOG_LIMIT_S = 5.0  # for a process to log its stacks before; only one that cannot log needs it all
 _LEAST_KILL_LIMIT_S = 1.0  # it takes some milliseconds, on a busy computer more
+_KEPT_S = 0.5
+"""What a component that stops later keeps, whatever hangs before it: most take 0.05 s to stop."""
 _MAX_RESERVE_S = 1.0
 _RESERVE = 1 / 6
 _SILENCE_S = 3.0
@@ -58,11 +60,14 @@ def without_reserve(limit_s: float) -> float:
 def stop_share(left_s: float, components: int, remaining: int) -> float:
     """Return the time [s] that a child may take to stop if all that remain have `left_s` [s].
 
-    It has `components` components, itself and those below it, of `remaining`. Half of the time is
-    divided equally among these; the child may use the other half as well. So a child that hangs
-    leaves at least half of the others' equal shares, and one that answers leaves almost everything.
+    It has `components` components, itself and those below it, of `remaining`. Each of the others
+    keeps `_KEPT_S`, or its equal share of the time if that is less; the child has all the rest.
     """
-    return max(0.0, left_s) * (1.0 + components / max(1, remaining)) / 2.0
+    if left_s == math.inf:
+        return left_s
+    others = remaining - components
+    kept_s = min(others * _KEPT_S, left_s * others / max(1, remaining))
+    return max(0.0, left_s - kept_s)
 
 
 class ZygoteLost(CairnError):  # noqa: N818 - an event as much as an error
