@@ -27,6 +27,10 @@ _EXPLAINED_M = 0.12
 _NEAR_SD = 3.0
 
 
+# Rows of which a field is computed at once, to limit the memory for a large map.
+_BAND = 1024
+
+
 class LikelihoodField:
     """The log-likelihood of a beam that ends in a cell, by the distance of the cell to an obstacle.
 
@@ -45,7 +49,8 @@ class LikelihoodField:
         far = np.float32(math.log(stray))
         self.cells: NDArray[np.float32] = np.full((rows + 2, columns + 2), far, np.float32)
         self._obstacles: NDArray[np.bool_] = np.asarray(grid.values >= OCCUPIED_FROM)
-        self._rebuild(0, rows, 0, columns)
+        for top in range(0, rows, _BAND):
+            self._rebuild(top, min(top + _BAND, rows), 0, columns)
 
     def renew(self, row: int, column: int, values: NDArray[np.int8]) -> None:
         """Replace the occupancy `values` (rows, columns) of the window that starts at a cell."""
@@ -263,7 +268,9 @@ class FreeSpace:
 
     def __init__(self, grid: OccupancyCells) -> None:
         self._frame = grid.frame
-        self._cells = np.argwhere((grid.values >= 0) & (grid.values <= FREE_TO))
+        self._columns = grid.values.shape[1]
+        free = (grid.values >= 0) & (grid.values <= FREE_TO)
+        self._cells = np.flatnonzero(free).astype(np.int32)
 
     @property
     def area(self) -> float:
@@ -276,8 +283,9 @@ class FreeSpace:
         if not len(self._cells):
             return poses[:, :0]
         chosen = self._cells[random.integers(0, len(self._cells), count)]
-        along = (chosen[:, 1] + random.random(count)) * self._frame.resolution
-        across = (chosen[:, 0] + random.random(count)) * self._frame.resolution
+        row, column = np.divmod(chosen, self._columns)
+        along = (column + random.random(count)) * self._frame.resolution
+        across = (row + random.random(count)) * self._frame.resolution
         x, y, theta = self._frame.origin
         cosine, sine = math.cos(theta), math.sin(theta)
         poses[0] = x + cosine * along - sine * across
