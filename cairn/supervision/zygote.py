@@ -141,7 +141,12 @@ def main() -> None:
     gc.freeze()
     listening = socket.socket(fileno=listener)
     socket_path = Path(listening.getsockname())
-    spawn = Zygote(listening, import_failures).serve()
+    spawn = None
+    try:
+        spawn = Zygote(listening, import_failures).serve()
+    finally:
+        if spawn is None:  # this is not a fork: it ends, or fails, with an exit code of its own
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if spawn is None:
         _remove_socket(socket_path)
     else:

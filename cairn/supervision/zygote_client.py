@@ -40,7 +40,6 @@ from cairn.supervision.zygote import (
 )
 
 _PIECE_S = 0.25
-_OWN_END_S = 0.25
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
 # glibc would map and unmap memory for each image, which takes longer than all the rest: so it keeps
 # freed memory for the next one, but not more than this in each heap. See docs/benchmarks.md.
@@ -84,10 +83,7 @@ class ZygoteProcess:
         """
         if self.process.stdin is not None:
             self.process.stdin.close()
-        try:
-            self.process.wait(_OWN_END_S)  # if it is failing, with its own exit code
-        except subprocess.TimeoutExpired:
-            self.process.terminate()  # while it imports, it does not watch its standard input
+        self.process.terminate()  # while it imports, it does not watch its standard input
         try:
             self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
