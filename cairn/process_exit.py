@@ -53,7 +53,7 @@ class ExitLog:
 
     Earlier incarnations have written to the same file; on a full disk the process may not have
     been able to write at all. When the file is long, it is renamed to FILE.1, and a new one is
-    begun (`OutputFile`).
+    started (`OutputFile`).
     """
 
     def __init__(self, file: Path) -> None:

@@ -51,7 +51,7 @@ class Storage(_Section):
         10_000_000,
         ge=10_000,
         le=10_000_000_000,
-        description="A longer log file is renamed to FILE.1, and a new one is begun [bytes].",
+        description="A longer log file is renamed to FILE.1, and a new one is started [bytes].",
     )
     old_logs: int = Field(
         2, ge=1, le=100, description="Older log files kept of each process: FILE.1, FILE.2 ..."

@@ -1,6 +1,7 @@
 """Images of all supported kinds are decoded; hostile images and videos are refused, cheaply."""
 
 import struct
+import zlib
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -105,6 +106,20 @@ def test_pixels_of_all_modes_are_decoded_as_stored(kind: str, mode: str) -> None
     expected = picture.convert({"1": "L", "P": "RGB"}.get(mode, mode))
 
     assert np.array_equal(decode_image("it", stream.getvalue())[1], np.asarray(expected))
+
+
+def test_interlaced_images_are_decoded() -> None:
+    passes = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2),
+              (0, 1, 1, 2))  # first column and row, steps (PNG 3, 8)  # fmt: skip
+    gray = COLORS[..., 0]
+    parts = (gray[y::down, x::right] for x, y, right, down in passes)
+    rows = b"".join(b"\0" + row.tobytes() for part in parts for row in part)
+    header = struct.pack(">IIBBBBB", 30, 20, 8, 0, 0, 0, 1)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+
+    data = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+
+    assert np.array_equal(decode_image("it", data)[1], gray)
 
 
 def test_transparency_by_color_is_opacity() -> None:
