@@ -32,8 +32,11 @@ _ANSWER_LIMIT_S = 5.0  # a component that has not answered by then hangs
 
 
 _STATUS_LIMIT_S = 1.0  # four times the period of heartbeats
+_STATUS_BYTES = 64 << 10  # a longer status is forged: one port takes about 100 bytes
 _MAX_ROBOTS = 50  # whose statuses are read at once
 _MAX_SILENT = 100  # components without an answer that are listed
+KEPT_BYTES = 64 << 20
+"""Samples that a client keeps until they are read [bytes]; a single one may be longer."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,25 @@ class Statuses:
     answered: dict[str, ComponentStatus]
     silent: dict[str, int | None]
     left_out: int
+
+
+class SampleQueue(queue.Queue[Any]):
+    """A queue of samples that drops the oldest ones when they take more than `KEPT_BYTES`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._bytes = 0
+
+    def _put(self, item: Any) -> None:
+        self._bytes += len(item.payload)
+        while self.queue and self._bytes > KEPT_BYTES:
+            self._get()
+        self.queue.append(item)
+
+    def _get(self) -> Any:
+        item = self.queue.popleft()
+        self._bytes -= len(item.payload)
+        return item
 
 
 @dataclass(frozen=True)
@@ -117,7 +139,7 @@ class Connection:
         }
         missing = dict(publishers)
         answered: dict[str, ComponentStatus] = {}
-        samples: queue.Queue[Any] = queue.Queue()
+        samples = SampleQueue()
         deadline = time.monotonic() + _STATUS_LIMIT_S
         with ExitStack() as stack:
             for topic in topics:
@@ -132,6 +154,8 @@ class Connection:
                 except queue.Empty:
                     break
                 sent = attachment_of(sample)
+                if len(sample.payload) > _STATUS_BYTES:
+                    continue
                 if sent is None or missing.pop(sent.gid, None) is None:
                     continue  # a foreign publisher without rmw_zenoh's numbering
                 with suppress(InvalidMessage):  # components count these at their ports
@@ -163,9 +187,10 @@ class Connection:
         )
 
     def cached(self, key: str) -> tuple[list[zenoh.Sample], bool]:
-        """Return the samples that the latched publishers of a key keep, and whether all replied.
+        """Return the samples that the latched publishers of a key keep, and whether these are all.
 
-        This asks their caches as an advanced subscriber does, but it knows when all have replied.
+        They are not if a cache has not replied, or if there are more than `KEPT_BYTES`. This asks
+        the caches as an advanced subscriber does, but it knows when all have replied.
         The limit is 5 s.
         """
         replies = self.session.get(
@@ -175,15 +200,19 @@ class Connection:
             accept_replies=zenoh.ReplyKeyExpr.ANY,  # they carry the publisher's key
             timeout=_ANSWER_LIMIT_S,
         )
-        samples, complete = [], True
+        samples: list[zenoh.Sample] = []
+        size, complete = 0, True
         for reply in replies:
             if reply.ok is None:
                 complete = False
-            else:
-                samples.append(reply.ok)
+                continue
+            size += len(reply.ok.payload)
+            if size > KEPT_BYTES:
+                return samples, False
+            samples.append(reply.ok)
         return samples, complete
 
-    def _ask_caches(self, key: str, samples: queue.Queue[Any]) -> None:
+    def _ask_caches(self, key: str, samples: SampleQueue) -> None:
         """Add the samples that the latched publishers of a key keep, each when it arrives."""
 
         def add(reply: zenoh.Reply) -> None:
@@ -230,13 +259,13 @@ class Connection:
 
     @contextmanager
     def listen(
-        self, key: str, *, latched: bool = False, samples: queue.Queue[Any] | None = None
-    ) -> Iterator[queue.Queue[Any]]:
+        self, key: str, *, latched: bool = False, samples: SampleQueue | None = None
+    ) -> Iterator[SampleQueue]:
         """Yield a queue of all samples on a key from now on; with the latched ones if asked.
 
         `samples` is the queue, by default a new one.
         """
-        samples = queue.Queue() if samples is None else samples
+        samples = SampleQueue() if samples is None else samples
         handler = zenoh.handlers.Callback(samples.put, indirect=False)
         subscriber = self.subscriber(key, handler, latched=latched)
         try:

@@ -6,7 +6,7 @@ import logging
 import secrets
 import threading
 import time
-from collections import Counter, defaultdict, deque
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,7 +16,9 @@ import zenoh
 
 from cairn.bus import keys
 from cairn.bus.codec import Codec
+from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.client.connection import (
+    KEPT_BYTES,
     Connection,
     attachment_of,
     check_robot,
@@ -213,7 +215,8 @@ class Robot:
             message: class of its messages.
             callback: called with each message on a thread of its own; without it, iterate over
                 the subscription or call `next`.
-            depth: number of newest messages kept for the reader; older ones are dropped.
+            depth: number of newest messages kept for the reader, of 64 MiB at most; older ones are
+                dropped.
             timeout_s: `next` and iteration raise `NoMessageError` after that time [s] without one.
 
         Raises:
@@ -440,14 +443,12 @@ class Subscription(Generic[M]):
     ) -> None:
         self.topic = topic
         self.timeout_s = timeout_s
-        self.dropped = 0
-        """Number of messages that were dropped because the reader was slow."""
         self.key = keys.message_key(connection.domain, topic, message)
         self._codec = Codec()
         self._message = message
         self._callback = callback
         self._accept = accept
-        self._payloads: deque[bytes] = deque(maxlen=depth)
+        self._payloads: DropOldestQueue[bytes] = DropOldestQueue(depth, KEPT_BYTES)
         self._changed = threading.Condition()
         self._closed = False
         # A callback runs on a thread of its own, so that it may be slow; else nothing slow happens.
@@ -455,6 +456,11 @@ class Subscription(Generic[M]):
         self._subscriber = connection.subscriber(self.key, handler, latched=True)
         self._opened = opened
         opened.add(self)
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages that were dropped because the reader was slow."""
+        return self._payloads.dropped
 
     def __enter__(self) -> Self:
         return self
@@ -478,7 +484,7 @@ class Subscription(Generic[M]):
         deadline = time.monotonic() + limit_s
         while True:
             with self._changed:
-                while not self._payloads:
+                while (payload := self._payloads.take()) is None:
                     if self._closed:
                         raise NoMessageError(
                             f"{self.topic}: the subscription is closed; call subscribe again"
@@ -487,7 +493,6 @@ class Subscription(Generic[M]):
                     if left_s <= 0:
                         raise NoMessageError(f"{self.topic}: no message within {limit_s:g} s")
                     self._changed.wait(min(left_s, threading.TIMEOUT_MAX))
-                payload = self._payloads.popleft()
             message = self._codec.decode(self._message, payload)
             if self._accept is None or self._accept(message):
                 return message
@@ -514,8 +519,7 @@ class Subscription(Generic[M]):
         with self._changed:
             if self._closed:
                 return
-            self.dropped += len(self._payloads) == self._payloads.maxlen
-            self._payloads.append(payload)
+            self._payloads.put(payload, len(payload))
             self._changed.notify()
 
 
