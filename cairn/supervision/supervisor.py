@@ -197,7 +197,6 @@ class ChildGroup:
         requested, or a significant child has finished. Raises the same as `reconcile`.
         """
         self.finished = None
-        self._stopping_by = math.inf
         for name, child in self._children.items():
             if child.spec.load == "at_start":
                 self._policy.load(name)
@@ -308,11 +307,11 @@ class ChildGroup:
         """
         for name in self._children:
             self._policy.unload(name)
-        latest = self._host.awake() + without_reserve(self._stop_limit_s)
-        self._stopping_by = min(self._stopping_by, latest)
+        self._stopping_by = self._host.awake() + without_reserve(self._stop_limit_s)
         for child in reversed(self._children.values()):
             self._stop(child)
             child.state, child.target = "unloaded", LifecycleState.ACTIVE
+        self._stopping_by = math.inf
 
     def check_stops(self) -> None:
         """Raise `CairnError` if a child has failed while it was stopped.

@@ -462,9 +462,12 @@ def test_escalation_without_a_signal_has_the_same_time_limit(world: World) -> No
     world.script("base", {"deactivate": takes(9.5)})
     world.script("scanner", {"activate": fails("no device")})
     supervisor = world.supervisor("base", "scanner")
+    overdue: list[tuple[str, bool]] = []
+    world.on_step = lambda text: overdue.append((text, supervisor.stop_overdue))
     with pytest.raises(Escalate, match="no device"):
         supervisor.start_all()
-    assert supervisor.stop_overdue
+    assert overdue[-2:] == [("stopping base: deactivate", False), ("ending base by force", True)]
+    assert not supervisor.stop_overdue
 
 
 def test_child_that_cannot_be_killed_does_not_keep_the_others_from_stopping(world: World) -> None:
