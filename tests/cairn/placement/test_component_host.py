@@ -1,14 +1,19 @@
 """A component on a thread of this process, which answers requests and ends as a child does."""
 
+import json
+import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import ClassVar
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import pytest
+import zenoh
 
 from cairn import CairnError, Component, every
-from cairn.bus.control import ControlError, request
+from cairn.bus.control import ControlError, ControlRequest, request
+from cairn.bus.keys import control_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import ChildSpec
 from cairn.placement.component_host import ComponentHost
@@ -23,6 +28,20 @@ pytestmark = pytest.mark.processes
 
 class Idle(Component):
     """Does nothing."""
+
+
+class Wordy(Component):
+    """Answers with the length of what it is sent, when a test allows it."""
+
+    request_max_bytes = MappingProxyType({"long": 200_000})
+    urgent_requests = frozenset({"halt"})
+    entered: ClassVar[threading.Event]
+    allowed: ClassVar[threading.Event]
+
+    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
+        self.entered.set()
+        assert self.allowed.wait(LIMIT_S)
+        return len(arguments.get("text", ""))
 
 
 class Brief(Component):
@@ -108,6 +127,42 @@ def test_transitions_of_the_life_cycle_are_rejected_from_the_bus(
     assert request(bus.session, 0, "/robot/thing", "parameters", timeout_s=LIMIT_S) == []
 
     assert host.heartbeat().state == "inactive"
+    host.request("shutdown", LIMIT_S)
+    host.close()
+
+
+def test_component_declares_which_requests_may_be_long_and_which_are_urgent(
+    bus: ZenohBus, endpoint: str
+) -> None:
+    Wordy.entered, Wordy.allowed = threading.Event(), threading.Event()
+    host = hosted(bus, endpoint, Wordy)
+    replies: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def send(verb: str, text: str = "") -> None:
+        def note(reply: zenoh.Reply) -> None:
+            assert reply.ok is not None
+            replies.put(reply.ok.payload.to_string())
+
+        handler: Any = zenoh.handlers.Callback(note, indirect=False)
+        payload = ControlRequest(arguments={"text": text}).model_dump_json()
+        key = control_key(0, "/robot/thing", verb)
+        bus.session.get(key, handler, payload=payload, timeout=LIMIT_S)
+
+    send("long", "x" * 100_000)
+    assert Wordy.entered.wait(LIMIT_S)
+    for _ in range(100):
+        send("short")
+    assert all("busy" in replies.get(timeout=LIMIT_S) for _ in range(60))
+    send("halt")
+    send("short", "x" * 100_000)
+    while "65,536" not in (reply := replies.get(timeout=LIMIT_S)):  # all before it are received
+        assert "busy" in reply
+    Wordy.allowed.set()
+    answers = [json.loads(replies.get(timeout=LIMIT_S)) for _ in range(34)]
+
+    values = [answer["value"] for answer in answers if answer["error"] is None]
+    assert values[0] == 100_000
+    assert len(values) == 34
     host.request("shutdown", LIMIT_S)
     host.close()
 
