@@ -26,7 +26,7 @@ class LockstepBus:
     """Connects nodes in one process and one thread; messages are immutable and not copied."""
 
     def __init__(self) -> None:
-        self.codec = Codec()
+        self._codec = Codec()
         self._topics: dict[str, _Topic] = {}
 
     def node(self, name: str, report: Callable[[str], None]) -> "LockstepNode":
@@ -39,7 +39,7 @@ class LockstepBus:
 
     def topic(self, name: str) -> "_Topic":
         """Return the topic of that name, created on first use."""
-        return self._topics.setdefault(name, _Topic(name))
+        return self._topics.setdefault(name, _Topic(name, self._codec))
 
 
 class LockstepNode:
@@ -48,7 +48,7 @@ class LockstepNode:
     def __init__(self, bus: LockstepBus, name: str, report: Callable[[str], None]) -> None:
         self.name = name
         self.report = report
-        self.bus = bus
+        self._bus = bus
         self._ends: list[LockstepPublisher | LockstepSubscription] = []
 
     def advertise(
@@ -59,7 +59,7 @@ class LockstepNode:
         exclusive: Exclusive | None = None,  # noqa: ARG002 - readers know the publisher's name
     ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
-        end = LockstepPublisher(self, self.bus.topic(topic), message, qos)
+        end = LockstepPublisher(self, self._bus.topic(topic), message, qos)
         self._ends.append(end)
         return end
 
@@ -75,7 +75,7 @@ class LockstepNode:
         """Return a subscription to class `message` on `topic`; latched messages pend at once."""
         limit = default_max_bytes(message) if max_bytes is None else max_bytes
         end = LockstepSubscription(
-            self, self.bus.topic(topic), message, qos, wake, exclusive, limit
+            self, self._bus.topic(topic), message, qos, wake, exclusive, limit
         )
         self._ends.append(end)
         return end
@@ -157,7 +157,7 @@ class LockstepSubscription:
         A message that is too long is rejected, and one of a node that is not entitled to an
         exclusive topic is refused.
         """
-        size = 0 if self._always_fits else self.node.bus.codec.size(message)
+        size = 0 if self._always_fits else self._topic.size(message)
         if size > self._max_bytes:
             self.invalid += 1
             self._long_messages.add(
@@ -193,10 +193,18 @@ class LockstepSubscription:
 
 
 class _Topic:
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, codec: Codec) -> None:
         self.name = name
+        self._codec = codec
+        self._measured: tuple[Any, int] = (None, 0)
         self.publishers: list[LockstepPublisher] = []
         self.subscriptions: list[LockstepSubscription] = []
+
+    def size(self, message: Any) -> int:
+        """Return the length of a message on the wire [bytes], measured once for all readers."""
+        if self._measured[0] is not message:
+            self._measured = (message, self._codec.size(message))
+        return self._measured[1]
 
     def join(self, end: End, ends: list[End]) -> None:
         others: list[LockstepPublisher | LockstepSubscription] = [
