@@ -530,8 +530,8 @@ def mcap(
 
 
 def zeros_zstd(size: int) -> bytes:
-    """Return zstd frames of `size` zeros, a multiple of 128 MiB."""
-    block = 1 << 27
+    """Return zstd frames of `size` zeros, a multiple of 16 MiB."""
+    block = 1 << 24
     return zstandard.ZstdCompressor(level=3).compress(bytes(block)) * (size // block)
 
 
@@ -606,8 +606,8 @@ def ros1_bag(compression: str, packed: bytes, size: int | None, *, index: bool =
 
 
 def zeros_bz2(size: int) -> bytes:
-    """Return bzip2 streams of `size` zeros, a multiple of 45 MB."""
-    block = 45 * MB
+    """Return bzip2 streams of `size` zeros, a multiple of 4.5 MB."""
+    block = 45 * MB // 10
     return bz2.compress(bytes(block)) * (size // block)
 
 
@@ -682,7 +682,7 @@ RECORDINGS: Final[Mapping[str, HostileFile]] = {
         "longer than",
     ),
     "carmen_line_xz": HostileFile(
-        _bytes("line.log.xz", lambda: lzma.compress(b"FLASER 1 " + b"0 " * 20 * MB, preset=0)),
+        _bytes("line.log.xz", lambda: lzma.compress(b"FLASER 1 " + b"0 " * MB, preset=0)),
         "longer than",
     ),
     "carmen_lines": HostileFile(_bytes("lines.log.gz", _gzipped_lines), "lines, the limit"),
@@ -745,7 +745,7 @@ RECORDINGS: Final[Mapping[str, HostileFile]] = {
         "the trigger",
     ),
     "ros2_blob": HostileFile(
-        _sqlite_bag(_MESSAGES, "INSERT INTO messages VALUES (1, 1, 1, zeroblob(200000000))"),
+        _sqlite_bag(_MESSAGES, "INSERT INTO messages VALUES (1, 1, 1, zeroblob(129000000))"),
         "too big",
     ),
     "ros2_metadata": HostileFile(_ros2_folder(f"{merges()}\nb: {{<<: *a23}}\n"), "values"),

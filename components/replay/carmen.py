@@ -255,6 +255,7 @@ MESSAGES = ("PARAM", "SYNC", "ODOM", "FLASER", "RLASER", "TRUEPOS", "RAWLASER1",
 
 _STAMP = 3  # the fields that end each line
 _LATEST = 2.0**31
+_LARGEST = 1e9  # of ranges, poses and velocities: no robot goes so far
 
 
 @dataclass(frozen=True, slots=True)
@@ -431,6 +432,8 @@ def _numbers(words: list[str], meaning: str) -> list[float]:
         raise _DamageError(f"{meaning}: not a number among {' '.join(words)[:60]!r}") from None
     if not all(map(math.isfinite, numbers)):
         raise _DamageError(f"{meaning}: not a finite number among {' '.join(words)[:60]!r}")
+    if numbers and (max(numbers) > _LARGEST or min(numbers) < -_LARGEST):
+        raise _DamageError(f"{meaning}: a number above {_LARGEST:g} in {' '.join(words)[:60]!r}")
     return numbers
 
 

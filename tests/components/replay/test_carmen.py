@@ -207,6 +207,8 @@ def test_recording_may_start_at_any_time(write: Write) -> None:
         ("ODOM 1 0 0 1 0 0 9.0 host", "ODOM has 9 fields instead of 10"),
         ("ODOM 1 0 fast 1 0 0 9.0 host 9.0", "not a number among '1 0 fast 1 0'"),
         ("ODOM 1 0 nan 1 0 0 9.0 host 9.0", "not a finite number"),
+        ("ODOM 1 1e300 0 1 0 0 9.0 host 9.0", "a number above 1e"),
+        ("FLASER 1 1e99 0 0 0 0 0 0 9.0 host 9.0", "a number above 1e"),
         ("ODOM 1 0 0 1 0 0 3.0 host 3.0", "time runs backwards, from 6.000 s to 3.000 s"),
         ("ODOM 1 0 0 1 0 0 9000 host 3.0", "8994 s pass since the record before"),
         ("FLASER 3 1 1 0 0 0 0 0 0 9.0 host 9.0", "FLASER has 13 fields instead of 14"),
