@@ -32,10 +32,17 @@ def pose_message(pose: poses.Pose) -> Pose:
     return Pose(position=Point(x=x, y=y), orientation=_rotation(theta))
 
 
+_LONGEST_QUATERNION = 1e6
+
+
 def planar_pose(pose: Pose) -> poses.Pose:
-    """Return x [m], y [m] and yaw [rad] of a message."""
+    """Return x [m], y [m] and yaw [rad] of a message; the yaw is finite for any quaternion."""
     q = pose.orientation
-    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+    w, x, y, z = q.w, q.x, q.y, q.z
+    # A quaternion that is far from unit length means nothing, but its square must not overflow.
+    if (largest := max(abs(w), abs(x), abs(y), abs(z))) > _LONGEST_QUATERNION:
+        w, x, y, z = w / largest, x / largest, y / largest, z / largest
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return pose.position.x, pose.position.y, yaw
 
 
@@ -79,7 +86,11 @@ def planar_poses(packed: Packed[Pose]) -> Array:
     """Return the planar poses (n, 3) of a sequence of messages."""
     rows = np.empty((len(packed), 3))
     rows[:, 0], rows[:, 1] = packed.array[:, 0], packed.array[:, 1]
-    x, y, z, w = packed.array[:, 3:].T
+    quaternions = packed.array[:, 3:]
+    largest = np.abs(quaternions).max(axis=1, initial=0.0, keepdims=True)
+    if (largest > _LONGEST_QUATERNION).any():
+        quaternions = quaternions / np.maximum(largest, 1.0)
+    x, y, z, w = quaternions.T
     rows[:, 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return rows
 

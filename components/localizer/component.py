@@ -52,7 +52,7 @@ from cairn.schemas.cairn_msgs import ObjectEvidenceArray, RecognizedObjectArray,
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
 from cairn.schemas.geometry_msgs import PoseArray, PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
-from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
+from cairn.schemas.nav_msgs import LARGEST_ORIGIN, OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
@@ -87,6 +87,8 @@ PUBLISHED_PARTICLES = 200
 # Odometry is kept for so long [s], for scans and observations that wait for it: as long as the
 # parameter `hold_s` may be.
 _HISTORY_S = 5
+_FASTEST = 100.0
+"""Odometry with a higher speed [m/s, rad/s] is not that of a robot, and is ignored."""
 
 T = TypeVar("T")
 
@@ -200,6 +202,15 @@ class Localizer(Component):
     def on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
         """Start from the pose that an operator states."""
         pose = operator_pose(message.pose)
+        spread = math.sqrt(pose.covariance[0, 0] + pose.covariance[1, 1])
+        if not _is_possible(pose.mean) or spread > LARGEST_ORIGIN:
+            self._warnings.warn(
+                self.initialpose.topic,
+                f"pose on {self.initialpose.topic} rejected: ({pose.mean[0]:g} m, "
+                f"{pose.mean[1]:g} m) with a deviation of {spread:g} m; coordinates are at most "
+                f"{LARGEST_ORIGIN:g} m",
+            )
+            return
         self._localization.set_pose(pose.mean, pose.covariance)
         self.log.info("pose set by the operator: (%.2f m, %.2f m, %.2f rad)", *pose.mean)
 
@@ -208,6 +219,15 @@ class Localizer(Component):
         """Add odometry; process the scans and observations that waited for it."""
         stamp = _seconds(odom.header.stamp)
         pose = planar_pose(odom.pose.pose)
+        twist = odom.twist.twist
+        speed, turn = twist.linear.x, twist.angular.z
+        if not _is_possible(pose) or max(abs(speed), abs(turn)) > _FASTEST:
+            self._warnings.warn(
+                "impossible",
+                f"odometry on {self.odom.topic} ignored: at ({pose[0]:g} m, {pose[1]:g} m) with "
+                f"{speed:g} m/s and {turn:g} rad/s; at most {LARGEST_ORIGIN:g} m and {_FASTEST:g}",
+            )
+            return
         latest = self._track.latest
         if latest == -math.inf:
             self._localization.advance(stamp)
@@ -218,8 +238,7 @@ class Localizer(Component):
             self._warnings.warn(
                 "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
             )
-        twist = odom.twist.twist
-        if not self._localization.add_odometry(stamp, pose, twist.linear.x, twist.angular.z):
+        if not self._localization.add_odometry(stamp, pose, speed, turn):
             self._outdated += 1
             if self._outdated < OUTDATED_IN_A_ROW:
                 self._warnings.warn(
@@ -229,7 +248,7 @@ class Localizer(Component):
                 )
                 return
             self._restart_at(stamp)
-            self._localization.add_odometry(stamp, pose, twist.linear.x, twist.angular.z)
+            self._localization.add_odometry(stamp, pose, speed, turn)
         self._outdated = 0
         self._handle_jump()
         self._history.add(to_ns(odom.header.stamp), pose)
@@ -437,6 +456,11 @@ class Localizer(Component):
 
     def _header(self, stamp: float) -> Header:
         return Header(stamp=from_ns(round(stamp * SECOND)), frame_id="map")
+
+
+def _is_possible(pose: Pose) -> bool:
+    """Return whether a pose is within the coordinates that a map may have."""
+    return max(abs(pose[0]), abs(pose[1])) <= LARGEST_ORIGIN
 
 
 def _seconds(stamp: Time) -> float:

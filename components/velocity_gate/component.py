@@ -89,8 +89,8 @@ class VelocityGate(Component):
     external_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True)
     emergency_stop: In[Bool] = In(qos=LATCHED, optional=True)
     hardware_stop: In[Bool] = In(qos=LATCHED, optional=True, exclusive=True)
-    scan: In[LaserScan] = In(qos=SENSOR, optional=True)
-    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
+    scan: In[LaserScan] = In(qos=SENSOR, optional=True, exclusive=True)
+    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True, exclusive=True)
     cmd_vel: Out[Twist] = Out(qos=SENSOR)
     velocity_gate_status: Out[VelocityGateStatus] = Out(qos=LATCHED)
 

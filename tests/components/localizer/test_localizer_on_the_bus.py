@@ -246,6 +246,33 @@ def test_operator_sets_the_pose() -> None:
     assert error(localizer.take("pose")[-1], moments) < 0.2
 
 
+def test_impossible_poses_and_odometry_are_rejected(caplog: pytest.LogCaptureFixture) -> None:
+    localizer = start_localizer(START)
+    moments = list(drive(20.0))
+    travel(localizer, moments[:50])
+
+    far = Pose(position=Point(x=1e200))
+    stated = Pose(position=Point(x=1.0)), np.full(36, 1e300)
+    for pose in (
+        PoseWithCovariance(pose=far),
+        PoseWithCovariance(pose=stated[0], covariance=stated[1]),
+        PoseWithCovariance(pose=stated[0], covariance=np.diag([1e300] * 6).ravel()),
+    ):
+        localizer.publish("initialpose", PoseWithCovarianceStamped(pose=pose))
+    now = odometry(moments[50])
+    fast = TwistWithCovariance(twist=Twist(linear=Vector3(x=1e300)))
+    for forged in (
+        Odometry(header=now.header, pose=PoseWithCovariance(pose=far), twist=now.twist),
+        Odometry(header=now.header, pose=now.pose, twist=fast),
+    ):
+        localizer.publish("odom", forged)
+    travel(localizer, moments[50:])
+
+    assert "pose on /robot/initialpose rejected: (1e+200 m, 0 m)" in caplog.text
+    assert "odometry on /robot/odom ignored: at (1e+200 m, 0 m)" in caplog.text
+    assert error(localizer.take("pose")[-1], moments) < 0.6
+
+
 def test_evidence_has_the_moved_object_and_its_position() -> None:
     localizer = start_localizer(START)
     localizer.publish("visual_map", visual_map(o3=(1.3, 0.4)))

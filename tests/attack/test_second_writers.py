@@ -1,0 +1,98 @@
+"""A peer without rights publishes valid messages beside the components, while the robot drives.
+
+Inputs that are not exclusive accept them; so may every program of the robot's user. At worst the
+robot stands with a reason: the velocity gate believes only its own scanner, base and navigator.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final
+
+import pytest
+
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
+from cairn.schemas.message import type_name
+from tests.attack.conftest import Cases
+from tests.attack.inputs import CODEC, Topic, topics
+from tests.attack.robot import MOST_MEMORY_MB, AttackedRobot
+from tests.attack.test_peers import Peer
+from tests.schemas.arbitrary import samples
+
+GOAL: Final = (6.6, 1.8, 0.0)
+_GOAL_LIMIT_S: Final = 90.0
+_ATTACK_S: Final = 4.0
+_PERIOD_S: Final = 0.02
+_PHYSICS: Final = frozenset({"world_state", "world_geometry", "wheel_motion", "kidnap"})
+"""What the simulation takes for the world itself: a real robot has no such topics."""
+
+_COMMANDS: Final = frozenset({"goal_pose", "initialpose", "emergency_stop", "hardware_stop"})
+"""Orders of an operator, which are obeyed."""
+
+WRITTEN: Final = [topic for name, topic in topics().items() if name not in _PHYSICS | _COMMANDS]
+
+
+@pytest.fixture(scope="module")
+def peer(robot: AttackedRobot) -> Iterator[Peer]:
+    """The attacker."""
+    with robot.attacker() as session:
+        yield Peer(session)
+
+
+def publish_for(seconds: float, peer: Peer, messages: Mapping[Topic, list[bytes]]) -> None:
+    """Publish messages on all topics at 50 Hz."""
+    end = time.monotonic() + seconds
+    pause = threading.Event()
+    for number in itertools.count():
+        for topic, valid in messages.items():
+            peer.put(topic.key, valid[number % len(valid)], peer.attachment().encode())
+        pause.wait(_PERIOD_S)
+        if time.monotonic() > end:
+            return
+
+
+def test_scans_and_odometry_of_a_second_writer_are_refused_by_the_gate(
+    robot: AttackedRobot, peer: Peer
+) -> None:
+    sensors = {
+        topics()[name]: [CODEC.encode(one) for one in samples(type_name(topics()[name].message), 9)]
+        for name in ("scan", "odom")
+    }
+    publish_for(0.5, peer, sensors)
+    robot.next_statuses()
+
+    for topic in sensors:
+        gate = next(
+            port
+            for (component, _), port in zip(topic.readers, robot.ports(topic), strict=True)
+            if component == "velocity_gate"
+        )
+        assert gate.refused >= 10
+        robot.await_log("velocity_gate", f"refused message on {topic.name} from .*not signed")
+
+
+def test_afterward_the_robot_stands_or_drives_on_and_is_unharmed(
+    robot: AttackedRobot,
+    peer: Peer,
+    cases: Cases,
+    record_property: Callable[[str, object], None],
+) -> None:
+    messages = {
+        topic: [CODEC.encode(one) for one in samples(type_name(topic.message), 20)]
+        for topic in WRITTEN
+    }
+    cases(messages)
+    with robot.client.go(*GOAL):
+        publish_for(_ATTACK_S, peer, messages)
+    robot.next_statuses()
+    with robot.client.go(*GOAL) as mission:
+        result = mission.result(_GOAL_LIMIT_S)
+    assert result.state == NavigationStatus.SUCCEEDED or result.reason
+
+    harm = robot.harm()
+    record_property("harm", vars(harm))
+    assert (harm.collisions, harm.replaced) == (0, []), robot.run
+    assert harm.peak_mb <= MOST_MEMORY_MB
