@@ -87,6 +87,9 @@ PUBLISHED_PARTICLES = 200
 # Odometry is kept for so long [s], for scans and observations that wait for it: as long as the
 # parameter `hold_s` may be.
 _HISTORY_S = 5
+_MOST_STEPS = 200
+"""A gap in odometry takes at most so many steps, also if a stamp is decades in the future."""
+
 _FASTEST = 100.0
 """Odometry with a higher speed [m/s, rad/s] is not that of a robot, and is ignored."""
 
@@ -132,8 +135,8 @@ class Localizer(Component):
 
     config: LocalizerConfig
     operator_inputs = frozenset({"initialpose"})
-    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
-    scan: In[LaserScan] = In(qos=SENSOR, optional=True)
+    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), exclusive=True)
+    scan: In[LaserScan] = In(qos=SENSOR, optional=True, exclusive=True)
     map: In[OccupancyGrid] = In(qos=LATCHED, optional=True)
     map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50), optional=True)
     objects: In[RecognizedObjectArray] = In(qos=RELIABLE.with_depth(200), optional=True)
@@ -343,10 +346,11 @@ class Localizer(Component):
             else:
                 self._fuse_objects(stamp, message)
         oldest = self._pending.oldest
-        while track.latest - track.integrated_to >= STEP_S + BEHIND_S:
-            if oldest is not None and oldest <= track.integrated_to + STEP_S:
+        step_s = max(STEP_S, (track.latest - track.integrated_to) / _MOST_STEPS)
+        while track.latest - track.integrated_to >= step_s + BEHIND_S:
+            if oldest is not None and oldest <= track.integrated_to + step_s:
                 break
-            self._localization.advance(track.integrated_to + STEP_S)
+            self._localization.advance(track.integrated_to + step_s)
 
     def _fuse_scan(self, end: float, scan: LaserScan) -> None:
         sweep = sweep_of(scan, self._history.at)

@@ -41,6 +41,7 @@ class Topic:
     message: type[Any]
     readers: tuple[tuple[str, str], ...]
     exclusive: bool
+    """Whether all its readers accept the entitled writer alone."""
     operated: bool
     """Whether the role `operate` may publish on it."""
 
@@ -61,7 +62,7 @@ def topics() -> Mapping[str, Topic]:
     """Return all topics that components of the simulated robot subscribe to, by short name."""
     readers: dict[str, list[tuple[str, str]]] = defaultdict(list)
     kinds: dict[str, type[Any]] = {}
-    exclusive, operated = set(), set()
+    open_to_all, operated = set(), set()
     for member in deployment().members():
         cls = load_plugin(member.spec.plugin)
         for port in ports_of(cls).values():
@@ -69,11 +70,15 @@ def topics() -> Mapping[str, Topic]:
                 name = member.spec.topics.get(port.name, port.name)
                 readers[name].append((member.name, port.name))
                 kinds[name] = port.message
-                exclusive |= {name} if port.exclusive else set()
+                open_to_all |= set() if port.exclusive else {name}
                 operated |= {name} if port.name in cls.operator_inputs else set()
     return {
         name: Topic(
-            full_name("robot", name), kinds[name], tuple(ports), name in exclusive, name in operated
+            full_name("robot", name),
+            kinds[name],
+            tuple(ports),
+            name not in open_to_all,
+            name in operated,
         )
         for name, ports in readers.items()
     }

@@ -9,6 +9,7 @@ import pytest
 
 from cairn import from_ns
 from cairn.components.localizer.component import Localizer
+from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
     RecognizedObject,
@@ -271,6 +272,20 @@ def test_impossible_poses_and_odometry_are_rejected(caplog: pytest.LogCaptureFix
     assert "pose on /robot/initialpose rejected: (1e+200 m, 0 m)" in caplog.text
     assert "odometry on /robot/odom ignored: at (1e+200 m, 0 m)" in caplog.text
     assert error(localizer.take("pose")[-1], moments) < 0.6
+
+
+def test_odometry_from_the_far_future_does_not_take_long() -> None:
+    localizer = start_localizer(START)
+    moments = list(drive(20.0))
+    travel(localizer, moments[:50])
+
+    future = Header(stamp=Time(sec=2**31 - 1), frame_id="odom")
+    now = odometry(moments[50])
+    localizer.publish("odom", Odometry(header=future, pose=now.pose, twist=now.twist))
+    localizer.take("pose")
+    travel(localizer, moments[50:])
+
+    assert localizer.take("pose")
 
 
 def test_evidence_has_the_moved_object_and_its_position() -> None:
