@@ -42,6 +42,7 @@ def test_robot_drives_while_its_disk_is_full_and_saves_all_when_there_is_room(
     overlay.write_text(REPORT)
     with robot_in(tmp_path, overlay=overlay) as robot:
         report = robot.run.report
+        robot.run.await_line("child active: report")  # the last one at start
         limit_files(robot, 0)  # also while AutoMove's components start, for the first goal
         assert robot.go("2.2", "1.1", "0").await_end() == 0
         assert not (report / "visual_map.cairn").exists()
