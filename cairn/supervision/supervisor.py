@@ -156,7 +156,7 @@ class ChildGroup:
         self.stop_requested = False
         self._name = launch.name
         self._stop_limit_s = launch.context.stop_limit_s
-        # Awake times [s] at which all must have stopped: as requested, and of the stop in progress.
+        # When all must have stopped [s]: as requested, and in the stop in progress. A pause counts.
         self._requested_by = self._stopping_by = math.inf
         self._host = host
         self._log = log
@@ -176,7 +176,7 @@ class ChildGroup:
         deployment's `stop_limit_s`.
         """
         own_s = without_reserve(self._stop_limit_s if limit_s is None else limit_s)
-        self._requested_by = min(self._requested_by, self._host.awake() + own_s)
+        self._requested_by = min(self._requested_by, self._host.now() + own_s)
         self.stop_requested = True
         self._host.cancel_starts()
         for child in self._children.values():
@@ -187,7 +187,7 @@ class ChildGroup:
     @property
     def stop_overdue(self) -> bool:
         """Whether a stop takes longer than it may; from any thread."""
-        return self._host.awake() > min(self._requested_by, self._stopping_by)
+        return self._host.now() > min(self._requested_by, self._stopping_by)
 
     def start_all(self) -> None:
         """Start the children that load at start, each when the one before is active.
@@ -307,7 +307,7 @@ class ChildGroup:
         """
         for name in self._children:
             self._policy.unload(name)
-        self._stopping_by = self._host.awake() + without_reserve(self._stop_limit_s)
+        self._stopping_by = self._host.now() + without_reserve(self._stop_limit_s)
         for child in reversed(self._children.values()):
             self._stop(child)
             child.state, child.target = "unloaded", LifecycleState.ACTIVE
@@ -325,7 +325,7 @@ class ChildGroup:
 
     def _stop(self, child: Child) -> None:
         """Stop a child in the time that it may take if all must stop, otherwise in its own."""
-        left_s = min(self._requested_by, self._stopping_by) - self._host.awake()
+        left_s = min(self._requested_by, self._stopping_by) - self._host.now()
         remaining = sum(one.components for one in self._children.values())
         child.stop(stop_share(left_s, child.components, remaining))
 

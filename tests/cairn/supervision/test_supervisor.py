@@ -458,6 +458,17 @@ def test_stop_request_reaches_running_children_at_once_with_the_time_that_they_h
     assert supervisor.stop_overdue
 
 
+def test_time_in_which_the_process_could_not_run_counts_for_the_stop_limit(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor = world.supervisor("base")
+    supervisor.start_all()
+    supervisor.request_stop(12.0)
+    monkeypatch.setattr(world, "awake", lambda: 100.0)
+    world.now_s += 11.1
+    assert supervisor.stop_overdue
+
+
 def test_escalation_without_a_signal_has_the_same_time_limit(world: World) -> None:
     world.script("base", {"deactivate": takes(9.5)})
     world.script("scanner", {"activate": fails("no device")})
