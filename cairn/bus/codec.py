@@ -90,11 +90,6 @@ class Codec:
             failure = str(error)
         raise self._explained(cls, view, failure)
 
-    def size(self, message: Any) -> int:
-        """Return the length of a message as CDR [bytes], without encoding it."""
-        definition = self._wire.get_msgdef(self.register(type(message)))
-        return 4 + definition.getsize_cdr(0, message, self._wire)
-
     def register(self, cls: type[Any]) -> str:
         """Prepare for messages of a class, if that is not done yet; return the type's name.
 

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from cairn.bus.bus import type_conflict
-from cairn.bus.codec import Codec
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.exclusive import Exclusive, RefusalLog
 from cairn.bus.message_limits import (
@@ -14,6 +13,7 @@ from cairn.bus.message_limits import (
     PublisherLog,
     default_max_bytes,
     has_fixed_size,
+    length_of,
     too_long,
 )
 from cairn.bus.qos import Qos
@@ -26,7 +26,6 @@ class LockstepBus:
     """Connects nodes in one process and one thread; messages are immutable and not copied."""
 
     def __init__(self) -> None:
-        self._codec = Codec()
         self._topics: dict[str, _Topic] = {}
 
     def node(self, name: str, report: Callable[[str], None]) -> "LockstepNode":
@@ -39,7 +38,7 @@ class LockstepBus:
 
     def topic(self, name: str) -> "_Topic":
         """Return the topic of that name, created on first use."""
-        return self._topics.setdefault(name, _Topic(name, self._codec))
+        return self._topics.setdefault(name, _Topic(name))
 
 
 class LockstepNode:
@@ -193,17 +192,16 @@ class LockstepSubscription:
 
 
 class _Topic:
-    def __init__(self, name: str, codec: Codec) -> None:
+    def __init__(self, name: str) -> None:
         self.name = name
-        self._codec = codec
         self._measured: tuple[Any, int] = (None, 0)
         self.publishers: list[LockstepPublisher] = []
         self.subscriptions: list[LockstepSubscription] = []
 
     def size(self, message: Any) -> int:
-        """Return the length of a message on the wire [bytes], measured once for all readers."""
+        """Return the length of a message [bytes], measured once for all readers."""
         if self._measured[0] is not message:
-            self._measured = (message, self._codec.size(message))
+            self._measured = (message, length_of(message))
         return self._measured[1]
 
     def join(self, end: End, ends: list[End]) -> None:

@@ -10,9 +10,10 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from cairn.schemas.message import fields_of
+from cairn.schemas.message import Field, fields_of
 
 MAX_MESSAGE_SIZE = 32 << 20
 """Longest message [bytes] that a process accepts by default: a color image of 3840 x 2160 pixels.
@@ -133,6 +134,62 @@ def _default(message: type[Any]) -> int:
         if isinstance(field.element, type):
             longest = max(longest, _default(field.element))
     return longest
+
+
+def length_of(message: Any) -> int:
+    """Return the length of a message as CDR [bytes], but for padding, without encoding it."""
+    return 4 + _length(message)
+
+
+def _length(message: Any) -> int:
+    fixed, variable = _layout(type(message))
+    return fixed + sum(measure(getattr(message, name)) for name, measure in variable)
+
+
+_Layout = tuple[int, tuple[tuple[str, Callable[[Any], int]], ...]]
+_layouts: dict[type[Any], _Layout] = {}
+
+
+def _layout(message: type[Any]) -> _Layout:
+    """Return the length of a class's fixed fields, and functions that measure the others."""
+    if message in _layouts:
+        return _layouts[message]
+    fixed = 0
+    variable: list[tuple[str, Callable[[Any], int]]] = []
+    for field in fields_of(message):
+        if field.count == 0:
+            fixed += 4  # its number of elements
+            variable.append((field.name, _sequence_measure(field)))
+        elif isinstance(field.element, type):
+            inner, more = _layout(field.element)
+            fixed += 0 if more else inner
+            if more:
+                variable.append((field.name, _length))
+        elif field.element == "string":
+            fixed += 5  # its length, and a zero byte
+            variable.append((field.name, len))
+        else:
+            fixed += _item_bytes(field.element) * (field.count or 1)
+    _layouts[message] = fixed, tuple(variable)
+    return _layouts[message]
+
+
+def _sequence_measure(field: Field) -> Callable[[Any], int]:
+    if field.packed:
+        return lambda packed: int(packed.array.nbytes)
+    if isinstance(field.element, type):
+        inner, more = _layout(field.element)
+        return (
+            (lambda items: sum(map(_length, items))) if more else lambda items: inner * len(items)
+        )
+    if field.element == "string":
+        return lambda texts: sum(5 + len(text) for text in texts)
+    size = _item_bytes(field.element)
+    return lambda array: size * len(array)
+
+
+def _item_bytes(element: str) -> int:
+    return 1 if element in ("byte", "char") else np.dtype(element).itemsize
 
 
 def ring_length(depth: int, max_bytes: int) -> int:

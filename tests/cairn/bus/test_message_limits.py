@@ -2,11 +2,14 @@
 
 import subprocess
 import sys
+from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 
 from cairn import RELIABLE
+from cairn.bus.codec import Codec
 from cairn.bus.keys import message_key
 from cairn.bus.message_limits import (
     MAX_MESSAGE_SIZE,
@@ -14,13 +17,16 @@ from cairn.bus.message_limits import (
     PublisherLog,
     default_max_bytes,
     is_bulk,
+    length_of,
     ring_length,
 )
-from cairn.schemas.geometry_msgs import PoseArray, Twist
+from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
+from cairn.schemas.geometry_msgs import Pose, PoseArray, TransformStamped, Twist
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
+from cairn.schemas.packed import Packed
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import Image, LaserScan
-from cairn.schemas.std_msgs import String
+from cairn.schemas.std_msgs import Header, String
 from cairn.schemas.tf2_msgs import TFMessage
 from tests.cairn.bus.network import SECRET, Network, eventually, node
 from tests.patience import LIMIT_S
@@ -47,6 +53,29 @@ def test_images_maps_and_particles_are_bulk_messages() -> None:
     bulk = {cls for cls in (Image, OccupancyGrid, PoseArray) if is_bulk(cls)}
     assert bulk == {Image, OccupancyGrid, PoseArray}
     assert not any(is_bulk(cls) for cls in (LaserScan, Twist, TFMessage, Path, Clock))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Twist(),
+        Header(frame_id="map"),
+        Odometry(),
+        Image(height=1, step=700, data=np.zeros(700, np.uint8)),
+        PoseArray(poses=Packed(Pose, [Pose()] * 3)),
+        TFMessage(transforms=(TransformStamped(child_frame_id="base"),) * 3),
+        ComponentStatus(
+            header=Header(),
+            component="base",
+            children=("a", "bcd"),
+            ports=(PortStatus(port="x", topic="/x", direction=PortStatus.IN),) * 4,
+        ),
+    ],
+    ids=lambda message: type(message).__name__,
+)
+def test_length_of_a_message_is_that_of_its_encoding_but_for_padding(message: Any) -> None:
+    encoded = len(Codec().encode(message))
+    assert 0.8 * encoded - 8 < length_of(message) <= encoded
 
 
 @pytest.mark.parametrize(
