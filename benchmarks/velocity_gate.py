@@ -10,7 +10,8 @@ import json
 import math
 import statistics
 import tempfile
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -51,6 +52,7 @@ _SCAN_S, _SWEEP_S = 0.1, 0.019  # period and duration of a scan
 _STOP_LIMIT_MS = 1e3 * _SCAN_S + 20.0
 _RADIUS = 0.22
 ROUNDS = 3
+_LOGGED = 100  # values in a line of the log
 # Commands to measure [1], their least speed [m/s], the difference of two [m/s], and how many
 # different ones there are [1].
 _COMMANDS, _SPEED, _CODED, _CODES = 1200, 0.5, 1e-4, 100
@@ -381,7 +383,7 @@ class SensorsAndNavigator(Component):
 
     def on_activate(self) -> None:
         """Start with the first command."""
-        self._sent: dict[int, int] = {}
+        self._sent: list[tuple[int, int]] = []
         self._shown: list[int] = []
         self._pose: Pose = (0.0, 0.0, 0.0)
         self._number = self._scans = 0
@@ -423,13 +425,14 @@ class SensorsAndNavigator(Component):
         number, self._number = self._number, self._number + 1
         port = self.navigator_cmd_vel if number % 2 else self.direct_cmd_vel
         value = _SPEED + _CODED * (number % _CODES)
-        self._sent[number] = self.clock.now()
+        self._sent.append((number, self.clock.now()))
         port.publish(_twist(value, 0.0))
         if number < _COMMANDS:
             pause_s = float(self.random.uniform(0.015, 0.025))
             self.schedule(self.clock.now() + round(pause_s * SECOND), self._command)
         else:
-            self.log.info("RESULT %s", json.dumps({"sent": self._sent, "shown": self._shown}))
+            _log(self, "sent", self._sent)
+            _log(self, "shown", self._shown)
             self.finish("measured")
 
 
@@ -455,7 +458,14 @@ class BaseReader(Component):
 
     def on_deactivate(self) -> None:
         """Log what arrived."""
-        self.log.info("RESULT %s", json.dumps({"arrived": self._arrived}))
+        _log(self, "arrived", self._arrived)
+
+
+def _log(component: Component, name: str, values: Sequence[Any]) -> None:
+    """Log the values of a result, in lines short enough for the log."""
+    for first in range(0, len(values), _LOGGED):
+        part = list(values[first : first + _LOGGED])
+        component.log.info("RESULT %s", json.dumps({name: part}))
 
 
 @dataclass(frozen=True)
@@ -485,12 +495,13 @@ def real_times() -> RealTimes:
         },
         120,
     )
-    found: dict[str, Any] = {}
+    found = defaultdict[str, list[Any]](list)
     for result in results(output):
-        found |= result
+        for name, values in result.items():
+            found[name] += values
     direct: list[float] = []
     gated: list[float] = []
-    waiting = {int(number): at for number, at in found["sent"].items()}
+    waiting = dict(found["sent"])
     for at, value, by_gate in found["arrived"]:
         # The ramp of the gate may reach a command in several steps: the first one counts.
         code = math.ceil((value - _SPEED) / _CODED - 1e-3)
