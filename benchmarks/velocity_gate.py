@@ -18,6 +18,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from benchmarks.result import Metric
 from benchmarks.running import results, run_deployment
@@ -60,7 +61,7 @@ _HERE = "benchmarks.velocity_gate"
 _GATE = "components.velocity_gate.parameters"
 _NOISE_M = 0.03  # two standard deviations of a simulated range
 _HALL_M = 14.0
-_BOX = "box"
+_BOX, _FORGED = "box", "forged"  # name of the obstacle; frame of forged scans
 # A lower command [m/s]; the noise of ranges lets a robot that stands before a box creep [m/s].
 _LOWER, _CREEPS = 1e-3, 0.06
 
@@ -88,11 +89,12 @@ class GatedRobot(DeploymentHarness):
         self._gate = self.bus.node("/robot/reader", _ignore).subscribe(
             "/robot/cmd_vel", Twist, SENSOR, self._note, Exclusive("/robot/velocity_gate")
         )
-        other = self.bus.node("/robot/range_scanner", _ignore)
+        other = self.bus.node("/robot/world", _ignore)
         self._forged = {
             topic: other.advertise(f"/robot/{topic}", Twist, SENSOR)
             for topic in ("cmd_vel", "navigator_cmd_vel")
         }
+        self._forged_scans = other.advertise("/robot/scan", LaserScan, SENSOR)
         self.boxes: list[tuple[Pose, float]] = []
 
     @property
@@ -124,10 +126,14 @@ class GatedRobot(DeploymentHarness):
         self.publish("teleoperation", command, qos=SENSOR, handled=False)
 
     def forge(self, speed: float, turn: float) -> None:
-        """Publish a command to base and gate, as a program outside and as another component."""
+        """Publish a command to base and gate, as a program outside and as another component.
+
+        Also publish a scan without obstacles.
+        """
         for topic, publisher in self._forged.items():
             self.publish(topic, _twist(speed, turn), qos=SENSOR, handled=False)
             publisher.publish(_twist(speed, turn))
+        self._forged_scans.publish(_scan(self.now_ns, np.full(361, 5.0, np.float32), _FORGED))
 
     def put_obstacle(self, gap: float, aside: float, random: np.random.Generator) -> bool:
         """Put a box `gap` [m] before the robot, in a straight line; return whether there was room.
@@ -166,7 +172,8 @@ class GatedRobot(DeploymentHarness):
 
     def next_scan_s(self) -> float:
         """Return the time [s] until the next scan begins."""
-        return (to_ns(self.scans[-1].header.stamp) / SECOND - self.now) % _SCAN_S
+        true = next(one for one in reversed(self.scans) if one.header.frame_id != _FORGED)
+        return (to_ns(true.header.stamp) / SECOND - self.now) % _SCAN_S
 
     def _note(self) -> None:
         if self._gate is not None:
@@ -413,13 +420,7 @@ class SensorsAndNavigator(Component):
         stamp = self.clock.now() - round(_SWEEP_S * SECOND)
         if self._scans % 20 == 17:
             self._shown.append(stamp)
-        step = math.radians(0.75)
-        scan = LaserScan(
-            header=Header(stamp=from_ns(stamp), frame_id="laser"), angle_min=-180 * step,
-            angle_max=180 * step, angle_increment=step, time_increment=_SWEEP_S / 361,
-            range_max=10.0, ranges=ranges,
-        )  # fmt: skip
-        self.scan.publish(scan)
+        self.scan.publish(_scan(stamp, ranges, "laser"))
 
     def _command(self) -> None:
         number, self._number = self._number, self._number + 1
@@ -595,7 +596,7 @@ def _stopping_way(speed: float) -> float:
     return config.stop_margin + speed * reaction_s + speed**2 / (2.0 * config.braking)
 
 
-def _points(box: tuple[Pose, float], robot: Pose) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _points(box: tuple[Pose, float], robot: Pose) -> NDArray[np.float64]:
     """Return points (n, 2) [m] of a box's outline in the frame of the robot."""
     (bx, by, bt), size = box
     along = np.linspace(-size / 2.0, size / 2.0, 50)
@@ -620,6 +621,20 @@ def _ignore(_: str) -> None:
 
 def _twist(speed: float, turn: float) -> Twist:
     return Twist(linear=Vector3(x=speed), angular=Vector3(z=turn))
+
+
+def _scan(stamp: int, ranges: NDArray[np.float32], frame: str) -> LaserScan:
+    """Return a scan of 361 beams over 270 degrees."""
+    step = math.radians(0.75)
+    return LaserScan(
+        header=Header(stamp=from_ns(stamp), frame_id=frame),
+        angle_min=-180 * step,
+        angle_max=180 * step,
+        angle_increment=step,
+        time_increment=_SWEEP_S / 361,
+        range_max=10.0,
+        ranges=ranges,
+    )
 
 
 def _deployment(folder: Path) -> Path:
