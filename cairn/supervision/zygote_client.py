@@ -40,6 +40,7 @@ from cairn.supervision.zygote import (
 )
 
 _PIECE_S = 0.25
+_KILLED_LIMIT_S = 10.0  # for killed processes to end, on a computer without processor time
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
 # glibc would map and unmap memory for each image, which takes longer than all the rest: so it keeps
 # freed memory for the next one, but not more than this in each heap. See docs/benchmarks.md.
@@ -79,7 +80,8 @@ class ZygoteProcess:
     def close(self, timeout_s: float = 10.0) -> None:
         """End the zygote and all processes of the tree, also if the zygote has been killed.
 
-        Raises `CairnError` if some do not end by SIGKILL within the time limit [s].
+        The zygote has `timeout_s` [s] to do that itself. Raises `CairnError` if some processes do
+        not end by SIGKILL.
         """
         if self.process.stdin is not None:
             self.process.stdin.close()
@@ -88,8 +90,8 @@ class ZygoteProcess:
             self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             self.process.kill()
-            self.process.wait(timeout_s)
-        left = kill_marked(self._mark, timeout_s)
+            self.process.wait(_KILLED_LIMIT_S)
+        left = kill_marked(self._mark, _KILLED_LIMIT_S)
         self.socket_path.unlink(missing_ok=True)
         if left:
             raise CairnError(f"these processes do not end even by SIGKILL: {left}")
