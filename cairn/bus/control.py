@@ -12,7 +12,7 @@ import re
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
 from types import MappingProxyType
@@ -29,6 +29,9 @@ from cairn.errors import CairnError
 _VERB = re.compile(r"[a-z][a-z0-9_]{0,99}")
 _DEFAULT_BYTES = 64 << 10
 """Longest request [bytes], unless the component declares another limit for its verb."""
+
+PING = "ping"
+"""The request that every component answers at once."""
 
 _MAX_PENDING = 32
 """Requests that wait until the component answers them; of each urgent verb again as many."""
@@ -90,18 +93,28 @@ def request(
         replies = session.get(
             control_key(domain, component, verb),
             payload=payload,
+            # Otherwise one false queryable that does not answer would hide the component.
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
             timeout=timeout_s,
             priority=zenoh.Priority.REAL_TIME,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
     except zenoh.ZError as error:
         raise ControlError(f"{component}: cannot send the request {verb}: {error}") from error
+    invalid: ControlError | None = None
     for received in replies:
         if received.ok is not None:
-            reply = _parsed_reply(component, received.ok.payload)
+            try:
+                reply = _parsed_reply(component, received.ok.payload)
+            except ControlError as error:  # perhaps of a false queryable
+                invalid = error
+                continue
             if reply.error is not None:
                 raise ControlError(reply.error)
             return reply.value
+    if invalid is not None:
+        raise invalid
     waited_s = time.monotonic() - start
     if waited_s < timeout_s:
         raise NoReplyError(
@@ -113,6 +126,25 @@ def request(
         f"{component}: no reply to {verb} within {timeout_s:g} s: it hangs or is still busy; "
         "`cairn ps` shows in which handler"
     )
+
+
+def answering(session: zenoh.Session, domain: int, robot: str, timeout_s: float) -> Iterator[str]:
+    """Yield the full name of each component of a robot (`*`: of any) that answers, when it does.
+
+    A liveliness token proves nothing, as any peer can declare one; an answer does.
+    """
+    prefix = control_key(domain, "", "").rstrip("/")
+    replies = session.get(
+        control_key(domain, f"/{robot}/*", PING),
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=timeout_s,
+    )
+    for received in replies:
+        if received.ok is not None:
+            with suppress(ControlError):
+                _parsed_reply(robot, received.ok.payload)
+                yield str(received.ok.key_expr).removeprefix(prefix).rpartition("/")[0]
 
 
 class ControlServer:
@@ -169,9 +201,12 @@ class ControlServer:
             del query  # the requester learns of this process's end when nothing holds its query
 
     def _receive(self, query: zenoh.Query) -> None:
-        verb = str(query.key_expr).rpartition("/")[2]
+        verb = _verb(query)
         if not _VERB.fullmatch(verb):
             self._reply(query, ControlReply(error=f"{verb[:100]!r} is not the name of a request"))
+            return
+        if verb == PING:  # not by the component's loop, which may be busy
+            self._reply(query, ControlReply())
             return
         try:
             received = _parsed_request(query, self._max_bytes.get(verb, _DEFAULT_BYTES))
@@ -214,7 +249,12 @@ class ControlServer:
                 "allowed; request less at a time"
             )
         with query, suppress(zenoh.ZError):  # the requester may have ended
-            query.reply(query.key_expr, payload)
+            # Its own key, also if the request was to several components.
+            query.reply(self._key.removesuffix("*") + _verb(query), payload)
+
+
+def _verb(query: zenoh.Query) -> str:
+    return str(query.key_expr).rpartition("/")[2]
 
 
 def _error(text: str) -> bytes:

@@ -33,6 +33,9 @@ from cairn.bus.session import CAIRN_ID_PREFIX, is_member, process_id, process_of
 _ANSWER_POLL_S = 0.1
 """Interval for checking whether a process that has not answered yet still exists."""
 
+_ASK_AGAIN_S = 0.5
+"""A process that has not answered by then is asked again, and then after twice the time."""
+
 _LINK_POLL_S = 0.05
 """Interval for checking whether a process that is not linked yet still exists."""
 
@@ -127,20 +130,35 @@ class DiscoveryBarrier:
                 if is_over():
                     return False
         nonce = secrets.token_bytes(_NONCE_BYTES)
-        query = _Query(self._session, session_key(zid), _remaining(deadline), nonce)
-        while not query.ended.wait(_ANSWER_POLL_S):
-            if self._has_left(zid, deadline):
+        changed = threading.Event()
+        queries: list[_Query] = []
+        due, wait_s = time.monotonic(), _ASK_AGAIN_S
+        while True:
+            # Again and again: a false queryable may have hidden that this one did not exist yet.
+            if time.monotonic() >= due:
+                key = session_key(zid)
+                queries.append(_Query(self._session, key, _remaining(deadline), nonce, changed))
+                due, wait_s = time.monotonic() + wait_s, 2.0 * wait_s
+            ended = all(query.ended.is_set() for query in queries)
+            if any(self._is_proved(zid, nonce, query.new_payloads()) for query in queries):
                 return True
+            if ended or self._has_left(zid, deadline):
+                return self._has_left(zid, deadline)
             if is_over():
                 return False
-        for payload in query.payloads():
+            changed.wait(_ANSWER_POLL_S)
+            changed.clear()
+
+    def _is_proved(self, zid: str, nonce: bytes, replies: Sequence[bytes]) -> bool:
+        """Return whether one of the replies comes from the process; others may reply, too."""
+        for payload in replies:
             silent = payload[_TAG_BYTES:]
             if not self._secret:  # a program outside the run cannot check the reply
                 return True
             if secrets.compare_digest(payload[:_TAG_BYTES], self._tag(zid, nonce, silent)):
                 self._silent.add(_parsed_silent(silent))
                 return True
-        return self._has_left(zid, deadline)
+        return False
 
     def _reach_others(self, peers: Sequence[str], deadline: float) -> list[str]:
         """Wait for sessions that are not of this run; return those that were not reached."""
@@ -223,11 +241,19 @@ class _Query:
     """A query whose replies are collected, so that its caller can watch for other events."""
 
     def __init__(
-        self, session: zenoh.Session, key: str, timeout_s: float, payload: bytes | None = None
+        self,
+        session: zenoh.Session,
+        key: str,
+        timeout_s: float,
+        payload: bytes | None = None,
+        changed: threading.Event | None = None,
     ) -> None:
+        """`changed` is set with each reply, and at the end."""
         self.ended = threading.Event()
+        self._changed = changed or threading.Event()
         self._replies: list[zenoh.Reply] = []
-        handler = zenoh.handlers.Callback(self._replies.append, self.ended.set, indirect=False)
+        self._read = 0
+        handler = zenoh.handlers.Callback(self._on_reply, self._on_end, indirect=False)
         session.get(
             key,
             cast("Any", handler),
@@ -241,9 +267,23 @@ class _Query:
         """Return the payloads of the replies so far."""
         return [reply.ok.payload.to_bytes() for reply in list(self._replies) if reply.ok]
 
+    def new_payloads(self) -> list[bytes]:
+        """Return the payloads of the replies since the last call."""
+        replies = self._replies[self._read :]
+        self._read += len(replies)
+        return [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
+
     def keys(self) -> set[str]:
         """Return the keys of the replies so far."""
         return {str(reply.ok.key_expr) for reply in list(self._replies) if reply.ok}
+
+    def _on_reply(self, reply: zenoh.Reply) -> None:
+        self._replies.append(reply)
+        self._changed.set()
+
+    def _on_end(self) -> None:
+        self.ended.set()
+        self._changed.set()
 
 
 class PeerLinks:

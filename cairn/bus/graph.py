@@ -1,7 +1,9 @@
 """The graph: which nodes are on the bus and what they publish and subscribe, from their tokens."""
 
 import logging
+import queue
 import threading
+import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -23,16 +25,30 @@ _log = logging.getLogger("cairn.graph")
 
 
 def read_graph(
-    session: zenoh.Session, domain: int, timeout_s: float = 10.0
+    session: zenoh.Session, domain: int, timeout_s: float = 10.0, *, patience_s: float | None = None
 ) -> list[keys.NodeEntity | keys.EndpointEntity]:
     """Return all nodes and endpoints alive in a domain, sorted by their tokens.
+
+    After `patience_s` [s] it returns what has arrived, perhaps nothing.
 
     For the session of a client (`open_client`): to a peer, zenoh 1.10 may declare the reply
     complete before all of it has arrived. Peers follow the graph with `GraphWatcher`. Raises
     `CairnError` if the router has not answered by the timeout [s].
     """
-    tokens = []
-    for reply in session.liveliness().get(keys.tokens_pattern(domain), timeout=timeout_s):
+    tokens: list[str] = []
+    replies: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
+    handler: Any = zenoh.handlers.Callback(replies.put, lambda: replies.put(None), indirect=False)
+    session.liveliness().get(keys.tokens_pattern(domain), handler, timeout=timeout_s)
+    deadline = None if patience_s is None else time.monotonic() + patience_s
+    while True:
+        try:
+            left_s = None if deadline is None else max(0.0, deadline - time.monotonic())
+            reply = replies.get(timeout=left_s)
+        except queue.Empty:
+            _log.warning("graph too large: only %d tokens are read in time", len(tokens))
+            break
+        if reply is None:
+            break
         if reply.ok is None:
             raise CairnError(
                 f"the router did not list the components within {timeout_s:g} s: its process hangs "
@@ -49,14 +65,31 @@ class GraphWatcher:
     """Reports each endpoint of the domain, those that exist already and those that appear."""
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
+        """Follow nothing yet: `start` does."""
+        self._session = session
+        self._domain = domain
+        self._subscriber: zenoh.Subscriber[Any] | None = None
         self._lock = threading.Lock()
         self._endpoints: dict[str, keys.EndpointEntity] = {}
         self._by_gid: dict[bytes, keys.EndpointEntity] = {}
         self._callbacks: list[Callable[[keys.EndpointEntity], None]] = []
-        self._subscriber: zenoh.Subscriber[Any] = session.liveliness().declare_subscriber(
-            keys.tokens_pattern(domain), zenoh.handlers.RingChannel(_MAX_PENDING), history=True
+
+    def start(self) -> None:
+        """Follow the graph from now on.
+
+        Zenoh then sends this process all tokens, which takes seconds if another process has
+        declared thousands: after the start of a component they delay nothing.
+        """
+        if self._subscriber is not None:
+            return
+        self._subscriber = self._session.liveliness().declare_subscriber(
+            keys.tokens_pattern(self._domain),
+            zenoh.handlers.RingChannel(_MAX_PENDING),
+            history=True,
         )
-        self._thread = threading.Thread(target=self._follow, name="cairn graph", daemon=True)
+        self._thread = threading.Thread(
+            target=self._follow, args=(self._subscriber.handler,), name="cairn graph", daemon=True
+        )
         self._thread.start()
 
     def watch(self, on_endpoint: Callable[[keys.EndpointEntity], None]) -> Callable[[], None]:
@@ -80,11 +113,11 @@ class GraphWatcher:
 
     def close(self) -> None:
         """Stop following the graph."""
-        self._subscriber.undeclare()
-        self._thread.join(timeout=2.0)
+        if self._subscriber is not None:
+            self._subscriber.undeclare()
+            self._thread.join(timeout=2.0)
 
-    def _follow(self) -> None:
-        channel = self._subscriber.handler
+    def _follow(self, channel: Any) -> None:
         while True:
             try:
                 sample = channel.recv()

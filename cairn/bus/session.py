@@ -36,6 +36,8 @@ from cairn.runtime_folder import (
 CONNECT_TIMEOUT_S = 2.0
 """A router on the same machine answers in milliseconds."""
 
+_CLIENT_QUERY_MS = 1000
+
 _JOIN_TIMEOUT_S = 10.0
 """A new process waits so long for its router, which may get no processor while many start."""
 
@@ -120,6 +122,8 @@ def open_client(connect: Sequence[str], credentials: Credentials = NO_CREDENTIAL
     `CairnError` if no router answers.
     """
     settings = credentials.session_settings() | DEFAULT_LIMITS.transport_settings()
+    # Caches that do not answer delay the messages on a latched topic for so long.
+    settings["queries_default_timeout"] = _CLIENT_QUERY_MS
     config = _config("client", [], connect, settings)
     try:
         return zenoh.open(config)

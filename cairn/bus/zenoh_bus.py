@@ -42,6 +42,9 @@ from cairn.schemas.message import InvalidMessage, type_name
 _EXCLUSIVE_RING = 1024
 """Samples that the ring of an exclusive port holds: so many forged ones displace no true one."""
 
+_CLOSE_LIMIT_S = 0.2
+"""A session that takes longer to close does so while its process ends."""
+
 
 class ZenohBus:
     """Connects the components of one process to all others through one Zenoh session."""
@@ -75,7 +78,9 @@ class ZenohBus:
 
         Returns the processes that were not reached within the timeout, such as "process 4711".
         """
-        return self._barrier.wait_for_peers(timeout_s)
+        unreached = self._barrier.wait_for_peers(timeout_s)
+        self.graph.start()
+        return unreached
 
     def next_id(self) -> int:
         """Return a number for a node or an endpoint, unique in this session."""
@@ -88,7 +93,10 @@ class ZenohBus:
         self._closed = True
         self.graph.close()
         self._barrier.close()
-        self.session.close()
+        # Zenoh waits for seconds for each linked process that is stopped; this process need not.
+        closing = threading.Thread(target=self.session.close, name="cairn close", daemon=True)
+        closing.start()
+        closing.join(_CLOSE_LIMIT_S)
 
 
 class ZenohNode:

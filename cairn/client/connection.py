@@ -6,11 +6,11 @@ import itertools
 import queue
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeGuard, cast
 
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
@@ -28,12 +28,14 @@ from cairn.schemas.message import InvalidMessage, type_name
 STATUS_TOPIC = "component_status"
 
 _MATCH_LIMIT_S = 2.0
-_ANSWER_LIMIT_S = 5.0  # a component that has not answered by then hangs
+_CACHE_LIMIT_S = 5.0  # for all caches together
+_CACHE_PAUSE_S = 1.0  # caches that have sent nothing for so long do not answer
 
-
-_STATUS_LIMIT_S = 1.0  # four times the period of heartbeats
+_STATUS_LIMIT_S = 1.0  # four times the period of statuses
+_STATUS_PAUSE_S = 0.5  # if no further component has answered for so long, the others do not
 _STATUS_BYTES = 64 << 10  # a longer status is forged: one port takes about 100 bytes
 _MAX_ROBOTS = 50  # whose statuses are read at once
+_MAX_ANSWERED = 10_000  # components
 _MAX_SILENT = 100  # components without an answer that are listed
 KEPT_BYTES = 64 << 20
 """Samples that a client keeps until they are read [bytes]; a single one may be longer."""
@@ -125,42 +127,46 @@ class Connection:
     def read_statuses(self) -> Statuses:
         """Return the last status of every component, and which have not answered within 1 s."""
         codec = Codec()
-        status_type = type_name(ComponentStatus)
-        announced = [
-            endpoint
-            for endpoint in self.endpoints()
-            if endpoint.kind == "MP" and endpoint.type_name == status_type
-        ]
-        # Tokens may be forged: those of processes that exist here come first.
-        announced.sort(key=lambda one: (not _runs_here(one.node.zid), one.topic, one.node.name))
-        topics = list(dict.fromkeys(one.topic for one in announced))[:_MAX_ROBOTS]
-        publishers = {
-            keys.gid(keys.token_key(one)): one for one in announced if one.topic in topics
-        }
-        missing = dict(publishers)
-        answered: dict[str, ComponentStatus] = {}
         samples = SampleQueue()
-        deadline = time.monotonic() + _STATUS_LIMIT_S
+        answered: dict[str, ComponentStatus] = {}
+        answered_at = time.monotonic()
+        limit = answered_at + _STATUS_LIMIT_S
         with ExitStack() as stack:
-            for topic in topics:
+            # Of all robots, and whatever the graph contains: reading that may take too long.
+            everywhere = keys.message_key(self.domain, f"/*/{STATUS_TOPIC}", ComponentStatus)
+            stack.enter_context(self.listen(everywhere, latched=True, samples=samples))
+            graph = read_graph(self.session, self.domain, patience_s=_STATUS_LIMIT_S)
+            announced = [one for one in graph if _is_status_publisher(one)]
+            # Tokens may be forged: those of processes that exist here come first.
+            announced.sort(key=lambda one: (not _runs_here(one.node.zid), one.topic, one.node.name))
+            topics = list(dict.fromkeys(one.topic for one in announced))[:_MAX_ROBOTS]
+            publishers = {
+                keys.gid(keys.token_key(one)): one for one in announced if one.topic in topics
+            }
+            for topic in topics:  # over the network, a role may allow only these
                 key = keys.message_key(self.domain, topic, ComponentStatus)
-                # Not an advanced subscriber: that delivers nothing until all caches have replied,
-                # and one process that is stopped does not.
-                stack.enter_context(self.listen(key, samples=samples))
-                self._ask_caches(key, samples)
-            while missing:
+                stack.enter_context(self.listen(key, latched=True, samples=samples))
+            missing = dict(publishers)
+            deadline = limit
+            while (missing or not samples.empty()) and time.monotonic() < limit + _STATUS_PAUSE_S:
+                if answered:
+                    deadline = min(limit, answered_at + _STATUS_PAUSE_S)
                 try:
                     sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
                 except queue.Empty:
                     break
                 sent = attachment_of(sample)
-                if len(sample.payload) > _STATUS_BYTES:
-                    continue
-                if sent is None or missing.pop(sent.gid, None) is None:
+                if sent is None or len(sample.payload) > _STATUS_BYTES:
                     continue  # a foreign publisher without rmw_zenoh's numbering
                 with suppress(InvalidMessage):  # components count these at their ports
                     status = codec.decode(ComponentStatus, sample.payload.to_bytes())
-                    answered[publishers[sent.gid].node.name] = status
+                    known = publishers.get(sent.gid)
+                    robot = str(sample.key_expr).split("/")[1]
+                    name = known.node.name if known else f"/{robot}/{status.component}"
+                    if missing.pop(sent.gid, None) is not None or name not in answered:
+                        answered_at = time.monotonic()
+                    if len(answered) < _MAX_ANSWERED:
+                        answered[name] = status
         silent = {
             one.node.name: process_id(one.node.zid)
             for one in missing.values()
@@ -190,19 +196,20 @@ class Connection:
         """Return the samples that the latched publishers of a key keep, and whether these are all.
 
         They are not if a cache has not replied, or if there are more than `KEPT_BYTES`. This asks
-        the caches as an advanced subscriber does, but it knows when all have replied.
-        The limit is 5 s.
+        the caches as an advanced subscriber does, but it knows when all have replied. It waits for
+        those that do not reply until nothing has arrived for 1 s.
         """
-        replies = self.session.get(
-            keys.cached_samples_key(key),
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            accept_replies=zenoh.ReplyKeyExpr.ANY,  # they carry the publisher's key
-            timeout=_ANSWER_LIMIT_S,
-        )
+        replies: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
+        self._query_caches(key, replies.put, lambda: replies.put(None), _CACHE_LIMIT_S)
         samples: list[zenoh.Sample] = []
         size, complete = 0, True
-        for reply in replies:
+        while True:
+            try:
+                reply = replies.get(timeout=_CACHE_PAUSE_S)
+            except queue.Empty:
+                return samples, False
+            if reply is None:
+                return samples, complete
             if reply.ok is None:
                 complete = False
                 continue
@@ -210,7 +217,6 @@ class Connection:
             if size > KEPT_BYTES:
                 return samples, False
             samples.append(reply.ok)
-        return samples, complete
 
     def _ask_caches(self, key: str, samples: SampleQueue) -> None:
         """Add the samples that the latched publishers of a key keep, each when it arrives."""
@@ -219,13 +225,24 @@ class Connection:
             if reply.ok is not None:
                 samples.put(reply.ok)
 
+        self._query_caches(key, add, lambda: None, _STATUS_LIMIT_S)
+
+    def _query_caches(
+        self,
+        key: str,
+        on_reply: Callable[[zenoh.Reply], object],
+        on_end: Callable[[], object],
+        timeout_s: float,
+    ) -> None:
+        """Ask the caches of the latched publishers of a key, without waiting."""
+        handler: Any = zenoh.handlers.Callback(on_reply, on_end, indirect=False)
         self.session.get(
             keys.cached_samples_key(key),
-            cast("Any", zenoh.handlers.Callback(add, indirect=False)),
+            handler,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
-            accept_replies=zenoh.ReplyKeyExpr.ANY,
-            timeout=_STATUS_LIMIT_S,
+            accept_replies=zenoh.ReplyKeyExpr.ANY,  # they carry the publisher's key
+            timeout=timeout_s,
         )
 
     def publisher(self, key: str, encoding: zenoh.Encoding) -> zenoh.Publisher:
@@ -263,12 +280,16 @@ class Connection:
     ) -> Iterator[SampleQueue]:
         """Yield a queue of all samples on a key from now on; with the latched ones if asked.
 
-        `samples` is the queue, by default a new one.
+        The latched ones may arrive after newer ones. `samples` is the queue, by default a new one.
         """
         samples = SampleQueue() if samples is None else samples
         handler = zenoh.handlers.Callback(samples.put, indirect=False)
-        subscriber = self.subscriber(key, handler, latched=latched)
+        subscriber = self.subscriber(key, handler, latched=False)
         try:
+            if latched:
+                # Not an advanced subscriber: that delivers nothing until all caches have replied,
+                # and one process that is stopped does not.
+                self._ask_caches(key, samples)
             yield samples
         finally:
             subscriber.undeclare()
@@ -279,6 +300,16 @@ class Connection:
             return self.session.declare_subscriber(key, handler)
         history = HistoryConfig(detect_late_publishers=True)
         return declare_advanced_subscriber(self.session, key, handler, history=history)
+
+
+def _is_status_publisher(
+    one: keys.NodeEntity | keys.EndpointEntity,
+) -> TypeGuard[keys.EndpointEntity]:
+    return (
+        isinstance(one, keys.EndpointEntity)
+        and one.kind == "MP"
+        and one.type_name == type_name(ComponentStatus)
+    )
 
 
 def _runs_here(zid: str) -> bool:

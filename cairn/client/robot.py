@@ -305,7 +305,6 @@ class Robot:
 
         If a component does not answer, the others' messages are returned and `notify` is called.
         """
-        self._check_logger(component)
         key = keys.message_key(self.connection.domain, ROSOUT, Log)
         samples, complete = self.connection.cached(key)
         if not complete:
@@ -319,6 +318,8 @@ class Robot:
             except InvalidMessage:
                 continue  # of a foreign node
         found = [entry for entry in entries if self._is_of(entry, component)]
+        if not found:
+            self._check_logger(component)
         return sorted(found, key=lambda entry: (entry.stamp.sec, entry.stamp.nanosec))
 
     def follow_logs(

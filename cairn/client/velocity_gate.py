@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import queue
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Self
 
+from cairn.bus import keys
+from cairn.bus.codec import Codec
+from cairn.bus.control import answering
 from cairn.client.connection import resolve
 from cairn.clock import from_ns
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import TeleoperationCommand, VelocityGateStatus
 from cairn.schemas.geometry_msgs import Twist, Vector3
-from cairn.schemas.message import type_name
+from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 
 if TYPE_CHECKING:
@@ -20,6 +24,8 @@ if TYPE_CHECKING:
 
 CONFIRM_S = 1.0
 """The gate must confirm an emergency stop within this time [s]."""
+_ANSWER_S = 0.5  # of the gate, which has no handler that takes longer
+_STATUS_PORT = "velocity_gate_status"
 _LEASE_S = 10.0
 _PERIOD_S = 0.05  # of commands that last
 _REMEDY = (
@@ -33,14 +39,18 @@ def find_gate(robot: Robot, name: str) -> tuple[str, str]:
 
     Raises `CairnError` if it runs no gate.
     """
-    kind = type_name(VelocityGateStatus)
     writers = {
-        end.node.name: end.topic
-        for end in robot.connection.endpoints()
-        if end.kind == "MP" and end.type_name == kind
+        full: port.topic
+        for full, status in robot.connection.statuses().items()
+        for port in status.ports
+        if (port.port, port.direction) == (_STATUS_PORT, port.OUT)
     }
     if not writers:
         raise CairnError(f"no velocity gate runs on the bus; {_REMEDY}")
+    if len(writers) > 1:  # of several robots, or announced by tokens that are forged
+        connection = robot.connection
+        alive = set(answering(connection.session, connection.domain, name or "*", _ANSWER_S))
+        writers = {gate: topic for gate, topic in writers.items() if gate in alive} or writers
     gate = resolve(writers, next(iter(writers)).rpartition("/")[2], name)
     return gate, writers[gate]
 
@@ -55,18 +65,23 @@ def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityG
     engage = reason is not None
     verb, arguments = ("stop", {"reason": reason}) if engage else ("release_stop", {})
     deadline = time.monotonic() + CONFIRM_S
-    with robot.subscribe(topic, VelocityGateStatus, timeout_s=CONFIRM_S) as statuses:
+    connection, codec = robot.connection, Codec()
+    key = keys.message_key(connection.domain, topic, VelocityGateStatus)
+    with connection.listen(key, latched=True) as samples:
         try:
-            robot.connection.request(gate, verb, arguments, timeout_s=CONFIRM_S)
+            connection.request(gate, verb, arguments, timeout_s=CONFIRM_S)
             while True:
-                status = statuses.next(max(0.0, deadline - time.monotonic()))
-                if status.emergency_stop == engage:
-                    return status
-        except CairnError as error:
+                with suppress(InvalidMessage):
+                    sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
+                    status = codec.decode(VelocityGateStatus, sample.payload.to_bytes())
+                    if status.emergency_stop == engage:
+                        return status
+        except (CairnError, queue.Empty) as error:
+            cause = str(error) or f"no status on {topic}"
             if not engage:
-                raise
+                raise CairnError(f"{gate} has not confirmed the release: {cause}") from error
             raise CairnError(
-                f"{gate} has not confirmed the emergency stop within {CONFIRM_S:g} s ({error}); "
+                f"{gate} has not confirmed the emergency stop within {CONFIRM_S:g} s ({cause}); "
                 f"{_REMEDY}"
             ) from error
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cairn.bus.bus import full_name
+from cairn.bus.control import answering
 from cairn.bus.credentials import NO_CREDENTIALS
 from cairn.bus.endpoints import domain_socket, parse_endpoint
 from cairn.bus.exclusive import KEY_BYTES
@@ -42,6 +43,7 @@ from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 _log = logging.getLogger("cairn.root")
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
+_ANSWER_LIMIT_S = 1.0  # of the components of a running robot
 _FORCE_S = 1.0  # for the zygote to end, with all processes
 
 
@@ -217,12 +219,22 @@ def _check_robot_name_is_free(deployment: Deployment) -> None:
     name = full_name(deployment.robot, ROOT)
     with open_client(deployment.bus.connect, deployment.bus.credentials) as session:
         nodes = read_graph(session, deployment.domain)
-    if any(isinstance(node, NodeEntity) and node.name == name for node in nodes):
+        if not any(isinstance(node, NodeEntity) and node.name == name for node in nodes):
+            return
+        answers = answering(session, deployment.domain, deployment.robot, _ANSWER_LIMIT_S)
+        runs = next(answers, None) is not None
+    if runs:
         raise CairnError(
             f"a robot {deployment.robot} runs already on the bus of "
             f"{', '.join(deployment.bus.connect)}; give this one another name "
             "(`--set robot=NAME`), or stop the other"
         )
+    _log.warning(
+        "%s is announced on the bus, but no component of this robot answers within %g s: starting "
+        "it; if processes of that name are stopped or hang, end them",
+        name,
+        _ANSWER_LIMIT_S,
+    )
 
 
 class _Monitor:

@@ -45,6 +45,7 @@ class Network:
     def bus(self) -> ZenohBus:
         """Return the bus of one more process."""
         bus = ZenohBus(open_peer([self.endpoint], secret=SECRET), secret=SECRET)
+        bus.graph.start()
         self._stack.callback(bus.close)
         return bus
 

@@ -1,6 +1,7 @@
 """A control request gets a reply, a rejection, or an error that no reply will arrive."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from typing import Any
@@ -9,12 +10,12 @@ import pytest
 import zenoh
 
 from cairn import CairnError
-from cairn.bus.control import ControlError, ControlServer, request
+from cairn.bus.control import ControlError, ControlServer, answering, request
 from cairn.bus.keys import control_key
 from cairn.bus.session import open_client
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.runtime.loop import ThreadLoop
-from tests.cairn.bus.network import Network, eventually
+from tests.cairn.bus.network import Network, eventually, fail_test
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -260,3 +261,39 @@ def test_closing_stops_the_thread_and_fails_pending_requests(network: Network) -
         assert not thread.is_alive()
     with pytest.raises(ControlError):
         send_request(client, "ping")
+
+
+def test_silent_and_lying_queryables_do_not_hide_the_component(network: Network) -> None:
+    bus, other = network.bus(), network.bus()
+    served = ServedComponent(bus)
+    silent: Any = zenoh.handlers.FifoChannel(99)
+    other.session.declare_queryable(control_key(0, NAME), silent, complete=True)
+    other.session.declare_queryable(
+        "@cairn/0/component/robot/*/*", lambda query: query.reply(query.key_expr, b"?")
+    )
+    with open_client([network.endpoint]) as client:
+        assert eventually(lambda: list(answering(client, 0, "robot", 0.2)) == [NAME])
+        began = time.monotonic()
+        assert request(client, 0, NAME, "echo", {"x": 1}, timeout_s=LIMIT_S) == {"x": 1}
+        assert time.monotonic() - began < LIMIT_S / 4
+    served.release.set()
+    request(bus.session, 0, NAME, "stop", timeout_s=LIMIT_S)
+    served.thread.join(LIMIT_S)
+    served.server.close()
+
+
+def test_busy_component_answers_a_ping_and_a_token_alone_does_not(network: Network) -> None:
+    served = ServedComponent(network.bus())
+    other = network.bus()
+    other.node("/robot/ghost", fail_test)
+    with open_client([network.endpoint]) as client:
+        waiting = threading.Thread(
+            target=lambda: request(client, 0, NAME, "stop", timeout_s=LIMIT_S)
+        )
+        waiting.start()
+        assert served.entered.wait(LIMIT_S)
+        assert list(answering(client, 0, "*", LIMIT_S)) == [NAME]
+        served.release.set()
+        waiting.join(LIMIT_S)
+    served.thread.join(LIMIT_S)
+    served.server.close()

@@ -259,6 +259,32 @@ def test_reply_of_another_session_does_not_pass_for_that_of_a_process_of_the_run
         assert f"process {os.getpid()}" in joiner.wait_for_peers(0.5)
 
 
+def test_false_queryables_for_all_sessions_do_not_delay_discovery(network: Network) -> None:
+    present = Participant(network.bus(), "present")
+    with open_peer([network.endpoint], secret="not of the run") as mute:
+        pending = mute.declare_queryable(session_key("*"), FifoChannel(99))
+        joiner = Participant(network.bus(), "joiner")
+        began = time.monotonic()
+        unreached = joiner.bus.wait_for_peers(10.0)
+
+        assert all("not of this run" in name for name in unreached)
+        assert time.monotonic() - began < 5.0
+        joiner.publish("received nevertheless")
+        assert present.reader.next().data == "received nevertheless"
+        pending.undeclare()
+
+
+def test_stopped_process_does_not_delay_the_end_of_another(network: Network) -> None:
+    with process(network, "hanging") as (peer, _, output):
+        assert output.readline() == "ready []\n"
+        bus = network.bus()
+        assert bus.wait_for_peers(LIMIT_S) == []
+        stop(peer)
+        began = time.monotonic()
+        bus.close()
+        assert time.monotonic() - began < 3.0, "zenoh has waited for the stopped process"
+
+
 @contextmanager
 def process(
     network: Network, name: str

@@ -2,12 +2,19 @@
 
 from pathlib import Path
 from textwrap import dedent
+from types import SimpleNamespace
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
 
+from cairn import CairnError
+from cairn.bus.control import ControlServer
+from cairn.bus.credentials import NO_CREDENTIALS
+from cairn.placement import process_run
 from cairn.placement.process_run import _Monitor
 from cairn.testing.launching import Launching
+from tests.cairn.bus.network import Network, fail_test
 
 pytestmark = pytest.mark.processes
 
@@ -56,3 +63,23 @@ def test_view_that_fails_is_logged_once_and_does_not_stop_the_robot(
     assert view.refresh.call_count == 1
     assert not loop.stop.called
     assert caplog.text.count("view ended: OSError: Input/output error") == 1
+
+
+def test_robots_name_is_taken_by_an_answer_and_not_by_a_ghost_token() -> None:
+    network = Network()
+    try:
+        joining: Any = SimpleNamespace(
+            robot="robot",
+            domain=0,
+            bus=SimpleNamespace(connect=(network.endpoint,), credentials=NO_CREDENTIALS),
+        )
+        bus = network.bus()
+        bus.node("/robot/root", fail_test)
+        process_run._check_robot_name_is_free(joining)
+
+        server = ControlServer(bus.session, 0, "/robot/base", lambda call: call(), lambda *_: None)
+        with pytest.raises(CairnError, match="robot robot runs already"):
+            process_run._check_robot_name_is_free(joining)
+        server.close()
+    finally:
+        network.close()
