@@ -23,6 +23,7 @@ BENCHMARKS = (
     "hokuyo",
     "navigation",
     "velocity_gate",
+    "silent_peers",
     "vision",
 )
 

@@ -267,8 +267,8 @@ def test_silent_and_lying_queryables_do_not_hide_the_component(network: Network)
     bus, other = network.bus(), network.bus()
     served = ServedComponent(bus)
     silent: Any = zenoh.handlers.FifoChannel(99)
-    other.session.declare_queryable(control_key(0, NAME), silent, complete=True)
-    other.session.declare_queryable(
+    false = other.session.declare_queryable(control_key(0, NAME), silent, complete=True)
+    lying = other.session.declare_queryable(
         "@cairn/0/component/robot/*/*", lambda query: query.reply(query.key_expr, b"?")
     )
     with open_client([network.endpoint]) as client:
@@ -276,6 +276,8 @@ def test_silent_and_lying_queryables_do_not_hide_the_component(network: Network)
         began = time.monotonic()
         assert request(client, 0, NAME, "echo", {"x": 1}, timeout_s=LIMIT_S) == {"x": 1}
         assert time.monotonic() - began < LIMIT_S / 4
+    false.undeclare()
+    lying.undeclare()
     served.release.set()
     request(bus.session, 0, NAME, "stop", timeout_s=LIMIT_S)
     served.thread.join(LIMIT_S)
@@ -285,7 +287,7 @@ def test_silent_and_lying_queryables_do_not_hide_the_component(network: Network)
 def test_busy_component_answers_a_ping_and_a_token_alone_does_not(network: Network) -> None:
     served = ServedComponent(network.bus())
     other = network.bus()
-    other.node("/robot/ghost", fail_test)
+    ghost = other.node("/robot/ghost", fail_test)
     with open_client([network.endpoint]) as client:
         waiting = threading.Thread(
             target=lambda: request(client, 0, NAME, "stop", timeout_s=LIMIT_S)
@@ -295,5 +297,6 @@ def test_busy_component_answers_a_ping_and_a_token_alone_does_not(network: Netwo
         assert list(answering(client, 0, "*", LIMIT_S)) == [NAME]
         served.release.set()
         waiting.join(LIMIT_S)
+    ghost.close()
     served.thread.join(LIMIT_S)
     served.server.close()

@@ -9,12 +9,13 @@ from unittest.mock import Mock
 import pytest
 
 from cairn import CairnError
-from cairn.bus.control import ControlServer
+from cairn.bus.control import ControlServer, answering
 from cairn.bus.credentials import NO_CREDENTIALS
+from cairn.bus.session import open_client
 from cairn.placement import process_run
 from cairn.placement.process_run import _Monitor
 from cairn.testing.launching import Launching
-from tests.cairn.bus.network import Network, fail_test
+from tests.cairn.bus.network import Network, eventually, fail_test
 
 pytestmark = pytest.mark.processes
 
@@ -74,12 +75,16 @@ def test_robots_name_is_taken_by_an_answer_and_not_by_a_ghost_token() -> None:
             bus=SimpleNamespace(connect=(network.endpoint,), credentials=NO_CREDENTIALS),
         )
         bus = network.bus()
-        bus.node("/robot/root", fail_test)
+        ghost = bus.node("/robot/root", fail_test)
+        assert eventually(lambda: bool(network.graph()))
         process_run._check_robot_name_is_free(joining)
 
         server = ControlServer(bus.session, 0, "/robot/base", lambda call: call(), lambda *_: None)
+        with open_client([network.endpoint]) as client:
+            assert eventually(lambda: any(answering(client, 0, "robot", 1.0)))
         with pytest.raises(CairnError, match="robot robot runs already"):
             process_run._check_robot_name_is_free(joining)
         server.close()
+        ghost.close()
     finally:
         network.close()
