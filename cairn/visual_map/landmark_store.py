@@ -36,7 +36,7 @@ from cairn.visual_map.sqlite_file import (
 )
 
 _MOST_READ: Final = 20_000  # pieces of evidence of one object; newer programs keep 1,200
-_FARTHEST_M: Final = 1e7  # as of the origin of a grid map
+FARTHEST_M: Final = 1e7  # as of the origin of a grid map
 # The robot's pose at the last observation of a candidate is not stored: the next observation counts
 # as made from another pose.
 _ELSEWHERE = (float("inf"), float("inf"), 0.0)
@@ -323,8 +323,8 @@ def _position(values: Row) -> MapPosition | None:
     position = MapPosition(*(float(value) for value in values))
     if not all(map(math.isfinite, (position.x, position.y, position.xx, position.xy, position.yy))):
         raise ValueError(f"its position has values that are not finite: {values}")
-    if max(abs(position.x), abs(position.y)) > _FARTHEST_M or max(position.xx, position.yy) > 1e14:
-        raise ValueError(f"its position {values} is farther than {_FARTHEST_M:g} m")
+    if max(abs(position.x), abs(position.y)) > FARTHEST_M or max(position.xx, position.yy) > 1e14:
+        raise ValueError(f"its position {values} is farther than {FARTHEST_M:g} m")
     if (
         position.xx < 0
         or position.yy < 0

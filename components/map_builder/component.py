@@ -46,7 +46,7 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from cairn.visual_map.landmark_store import open_landmarks
+from cairn.visual_map.landmark_store import FARTHEST_M, open_landmarks
 from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
@@ -146,12 +146,7 @@ class MapBuilder(Component):
                 self._save_landmarks(keeper)
             self._publish(stamp_ns, counted, changes)
             if keeper.refused:
-                self._warnings.warn(
-                    "full map",
-                    f"visual map is full: it has {len(keeper.landmarks)} landmarks, and "
-                    f"max_landmarks is {self.config.max_landmarks}; did not learn object "
-                    f"{keeper.refused[-1]}",
-                )
+                self._warn_of_refused(keeper, keeper.refused[-1])
 
     @on("relocalized")
     def on_relocalized(self, message: Relocalization) -> None:
@@ -218,6 +213,21 @@ class MapBuilder(Component):
         self._publish_grid_update(now)
         if now - self._saved_at >= _SAVE_S * SECOND:
             self._save_grid(self._grid)
+
+    def _warn_of_refused(self, keeper: LandmarkKeeper, object_id: int) -> None:
+        known, most = {one.object_id for one in keeper.landmarks}, self.config.max_landmarks
+        if len(known) >= most and object_id not in known:
+            self._warnings.warn(
+                "full map",
+                f"visual map is full: it has {len(known)} landmarks, and max_landmarks is {most}; "
+                f"did not learn object {object_id}",
+            )
+        else:
+            self._warnings.warn(
+                "far object",
+                f"refused evidence about object {object_id}: its position would be farther than "
+                f"{FARTHEST_M:g} m",
+            )
 
     def _save_landmarks(self, keeper: LandmarkKeeper, *, now: bool = False) -> None:
         # If it fails, the robot goes on with the landmarks in memory.

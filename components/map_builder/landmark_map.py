@@ -12,7 +12,12 @@ from cairn.components.map_builder.landmark_rule import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
 from cairn.components.map_builder.working_copy import is_reusable
 from cairn.visual_map.evidence_history import EvidenceSummaries, Row
-from cairn.visual_map.landmark_store import LandmarkStore, evidence_row, open_landmarks
+from cairn.visual_map.landmark_store import (
+    FARTHEST_M,
+    LandmarkStore,
+    evidence_row,
+    open_landmarks,
+)
 from cairn.visual_map.landmarks import (
     ChangeKind,
     EvidenceVerdict,
@@ -47,7 +52,7 @@ class AppliedEvidence:
 
     `after` holds for each piece of evidence the landmark after it and whether it counted, None for
     an object that is not in the map. `refused` are the identifiers of those that the map did not
-    learn because it is full.
+    learn because it is full, and of those whose position would be too far for its file.
     """
 
     after: tuple[tuple[LandmarkRecord, bool] | None, ...]
@@ -95,6 +100,10 @@ class LandmarkMap:
                     continue
                 known = new_landmark(piece.object_id)
             judged, change = self._rule(known, piece, now_s)
+            if not _is_near(judged):
+                refused.append(piece.object_id)
+                after.append(None)
+                continue
             if is_new and judged is known:
                 after.append(None)  # evidence is kept about the map's objects only: they are few
                 continue
@@ -171,7 +180,7 @@ class LandmarkKeeper:
         self._map = LandmarkMap(landmarks, most_learned, rule, undo_s, self._model_name)
         self._unsaved = _Unsaved()
         self.refused: tuple[int, ...] = ()
-        """Objects of the last evidence that the map did not learn, because it is full."""
+        """Objects whose last evidence was refused, see `AppliedEvidence`."""
 
     @property
     def landmarks(self) -> list[LandmarkRecord]:
@@ -286,6 +295,18 @@ def _is_reusable(map_file: Path, working_copy: Path, now_ns: int) -> bool:
         same = previous.digest() == digest_of(map_file)
         ahead = previous.last_stamp_ns() > now_ns
     return is_reusable(working_copy, same=same, ahead=ahead)
+
+
+def _is_near(landmark: LandmarkRecord) -> bool:
+    """Return whether the file of a map takes the positions of a landmark, and their covariances."""
+    found = landmark.candidate
+    positions = (landmark.position, found.position if found else None)
+    return all(
+        abs(value) <= FARTHEST_M
+        for one in positions
+        if one is not None
+        for value in (one.x, one.y, one.xx, one.xy, one.yy)
+    )
 
 
 # A smaller difference of positions [m] is not a change that readers of the map need.

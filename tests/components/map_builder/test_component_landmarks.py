@@ -267,3 +267,17 @@ def test_evidence_about_an_object_that_is_not_learned_is_not_kept(map_file: Path
 
     with open_landmarks(map_file, read_only=True) as kept:
         assert not any(kept.evidence_of(1000 + step) for step in range(50))
+
+
+def test_evidence_about_an_endless_position_does_not_make_the_map_unreadable(
+    map_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+    for step in range(10):
+        it.publish("object_evidence", frame(step, 0.0, 1e300, (7, 8)))
+    it.run_for(1.5)
+    it.request("deactivate")
+
+    with open_landmarks(map_file, read_only=True) as kept:
+        assert {one.object_id for one in kept.landmarks()} == {6, 7}
+    assert_words(caplog.text, "refused evidence about object 8", "1e+07 m")
