@@ -4,7 +4,7 @@
 |---|---|---|
 | test_files.py | supplier of files | YAML, images, recordings, maps: bombs, devices, damage |
 | test_requests.py | peer without rights | malformed, huge and forbidden requests, floods |
-| test_peers.py | peer without rights | forged, replayed, invalid messages; ghosts, silent peers |
+| test_peers.py | peer without rights | forged, replayed, invalid messages; ghosts, floods |
 | test_roles.py | user on the network | all that the roles `view` and `operate` do not allow |
 | test_other_users.py | other local user | sockets and files of a run |
 
