@@ -860,7 +860,7 @@ VISUAL_MAPS: Final[Mapping[str, HostileFile]] = {
             "INSERT INTO objects (object_id, name, reliability, state, evidence_count, x, y, xx, "
             "xy, yy) VALUES (1, 'x', 0.5, 0, 0, 1e300, 0, 1, 0, 1)"
         ),
-        "1e+300",
+        "farther than",
     ),
     "overflow": HostileFile(
         _map_after(
