@@ -7,6 +7,7 @@ moves, and forged, late or contradictory commands. The other figures need real p
 from __future__ import annotations
 
 import json
+import logging
 import math
 import statistics
 import tempfile
@@ -525,6 +526,8 @@ def real_times() -> RealTimes:
 
 def measure() -> list[Metric]:
     """Measure collisions in 200 runs, times to the stop, and the latency that the gate adds."""
+    # Without a handler, Python prints warnings: here thousands of refusals.
+    logging.getLogger("cairn").addHandler(logging.NullHandler())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         runs = [hostile_run(folder, KINDS[seed % len(KINDS)], seed) for seed in range(RUNS)]
