@@ -37,7 +37,7 @@ UNSIZED = Thing(3, 0.0, 1.5)
         (np.full((480, 640), 255, np.uint8), "left_image: it is too bright"),
         (np.full((480, 640), 120, np.uint8), ""),  # as in front of a wall
         (np.full((4, 4), 120, np.uint8), "4 x 4 pixels, too few"),
-        (np.full((10_000, 10_000), 120, np.uint8), "too large"),
+        (np.full((5_100, 5_100), 120, np.uint8), "too large"),
         (np.full((480, 800), 120, np.uint8), "800 x 480 pixels, but its CameraInfo is of 640"),
     ],
 )
