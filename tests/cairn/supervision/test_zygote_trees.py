@@ -206,6 +206,7 @@ def test_process_whose_start_is_answered_just_at_the_time_limit_is_returned(
             return answer
 
     monkeypatch.setattr(zygote_client, "Future", LateAnswer)
+    monkeypatch.setattr(zygote_client, "_PIECE_S", 2 * LIMIT_S)  # its one wait is the last one
     driver = owner.spawn("run_until_killed")
     assert owner.reports.of("driver").pid == driver.pid
     driver.kill()
