@@ -42,7 +42,7 @@ _LINK_POLL_S = 0.05
 _ROUTER_TIMEOUT_S = 1.0
 """A router that has not answered by then is treated as one without an admin space."""
 
-_OTHERS_LIMIT_S = 0.5
+_OTHERS_LIMIT_S = 0.3
 """Sessions that are not of this run, and stopped processes, are waited for at most so long."""
 
 _SILENT_S = 60.0
@@ -86,7 +86,7 @@ class DiscoveryBarrier:
         """Wait until every process of the run and this one know all declarations of each other.
 
         Returns the processes that were not reached within the timeout, such as "process 4711", and
-        the other sessions that were not reached within half a second.
+        the other sessions that were not reached within 0.3 s.
         """
         deadline = time.monotonic() + timeout_s
         peers = self._links.peers(timeout_s)

@@ -43,7 +43,7 @@ from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 _log = logging.getLogger("cairn.root")
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
-_ANSWER_LIMIT_S = 1.0  # of the components of a running robot
+_ANSWER_LIMIT_S = 0.5  # of the components of a running robot, whatever their loops do
 _FORCE_S = 1.0  # for the zygote to end, with all processes
 
 
