@@ -199,7 +199,7 @@ class ComponentHost:
         """Ask the component to shut down."""
         self.send_request("shutdown")
 
-    def kill(self, log_limit_s: float) -> None:  # noqa: ARG002
+    def kill(self, log_limit_s: float) -> None:  # noqa: ARG002 - nothing is killed
         """Raise `CairnError`: a thread cannot be killed; its whole process has to end."""
         raise CairnError(
             f"{self._name}: it runs in its supervisor's process and cannot be killed; "
