@@ -53,6 +53,9 @@ _PNG_CHUNKS: Final = (b"PLTE", b"tRNS", b"IDAT", b"IEND")
 _JPEG: Final = b"\xff\xd8\xff"
 # All that begin a frame, except the tables DHT, JPG and DAC (ITU-T T.81, table B.1).
 _JPEG_FRAMES: Final = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+# What may precede a frame: DHT, DAC, DQT, DRI, APPn and COM. Others have no length, so that a
+# reader that skips one by its length would see another frame than the decoders.
+_JPEG_TABLES: Final = frozenset({0xC4, 0xCC, 0xDB, 0xDD, 0xFE, *range(0xE0, 0xF0)})
 _JPEG_SIMPLE: Final = ("Gray", "YCbCr", "RGB")  # libjpeg-turbo converts these to RGB
 _EXIF: Final = b"Exif\0\0"
 _ORIENTATION: Final = 0x0112  # Exif 2.3, 4.6.4 A
@@ -264,6 +267,8 @@ def _jpeg_header(stream: BinaryIO) -> ImageHeader:
         elif marker in _JPEG_FRAMES:
             _, height, width = struct.unpack(">BHH", stream.read(5))
             return ImageHeader("JPEG", width, height, orientation)
+        elif marker not in _JPEG_TABLES:
+            raise ValueError(f"it has a marker ff{marker:02x} before its frame")
         elif marker == 0xE1 and orientation == 1:
             orientation = _orientation(stream.read(length - 2).removeprefix(_EXIF))
         else:

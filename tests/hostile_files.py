@@ -231,6 +231,18 @@ def jpeg_with(segments: bytes) -> bytes:
     return b"\xff\xd8" + segments + jpeg()[2:]
 
 
+def _jpeg_hidden_frame() -> bytes:
+    """Return an image that announces 64 pixels to a reader that takes RST0 for a segment."""
+    big = jpeg(16, 16, progressive=True)
+    at = big.find(b"\xff\xc2")
+    frame = big[at : at + 5] + struct.pack(">HH", 65_000, 65_000) + big[at + 9 : at + 13]
+    start = b"\xff\xd8\xff\xd0" + frame  # ffc2 is the length of that segment
+    small = b"\xff\xc0" + struct.pack(">HBHH", 11, 8, 8, 8) + bytes(4)
+    comment = bytes(4 + 0xFFC2 - len(start) - 4) + small
+    length = struct.pack(">H", 2 + len(comment))
+    return start + b"\xff\xfe" + length + comment + big[2:at] + big[at + 13 :]
+
+
 def exif_bomb() -> bytes:
     """Return a segment of Exif data with 2,700 entries that each refer to the same 32 kB."""
     entries = b"".join(
@@ -321,6 +333,7 @@ PICTURES: Final[Mapping[str, HostileFile]] = {
         "truncated",
     ),
     "jpeg_pixels": HostileFile(_bytes("big.jpg", lambda: _jpeg_header(65_000, 65_000)), "megapix"),
+    "jpeg_hidden_frame": HostileFile(_bytes("hidden.jpg", _jpeg_hidden_frame), "a marker ffd0"),
     "jpeg_scans": HostileFile(_bytes("scans.jpg", lambda: _jpeg_scans(3_000)), "scans"),
     "jpeg_most_scans": HostileFile(
         _bytes("many.jpg", lambda: _jpeg_scans(44)), "truncated or damaged"
