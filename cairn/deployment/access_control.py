@@ -48,8 +48,9 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     It depends on the deployment and its plugins' classes only.
     """
     topics, requests = _operator_topics(deployment), _requests(deployment)
+    confidential = _input_topics(deployment, "confidential_inputs")
     roles: Mapping[Role, list[dict[str, Any]]] = {
-        "view": _view_rules(deployment.domain, requests["view"]),
+        "view": _view_rules(deployment.domain, requests["view"], confidential),
         "operate": _operate_rules(deployment.domain, topics, requests["operate"]),
         "administer": [_rule("everything", "ingress", _EVERY_MESSAGE, _EVERY_KEY),
                        _rule("everything", "egress", _EVERY_MESSAGE, _EVERY_KEY)],
@@ -85,9 +86,15 @@ def _members(deployment: Deployment, role: Role) -> dict[str, list[str]]:
     return {"usernames": users} if users else {"cert_common_names": names} if names else {}
 
 
-def _view_rules(domain: int, requests: Iterable[str]) -> list[dict[str, Any]]:
-    """Subscribe to every topic, read the graph, and make the requests that only read."""
+def _view_rules(
+    domain: int, requests: Iterable[str], confidential: Mapping[str, tuple[str, ...]]
+) -> list[dict[str, Any]]:
+    """Subscribe to every topic, read the graph, and make the requests that only read.
+
+    Messages on confidential topics are denied, which outweighs what is allowed.
+    """
     topics, cached = f"{domain}/**", f"{domain}/**/@adv/**"
+    denied = tuple(key for topic in confidential for key in confidential[topic])
     tokens = keys.tokens_pattern(domain)
     queryables = (cached, f"@cairn/{domain}/component/*/*/*")
     queries = (cached, *requests)
@@ -105,6 +112,11 @@ def _view_rules(domain: int, requests: Iterable[str]) -> list[dict[str, Any]]:
         _rule("view: request", "ingress", ("query",), queries),
         # A publisher's cache replies with the keys of its messages.
         _rule("view: reply", "egress", ("reply",), (topics, *queries)),
+        *(
+            [_rule("view: confidential", "egress", ("put", "reply"), denied, permission="deny")]
+            if denied
+            else []
+        ),
     ]
 
 
@@ -148,10 +160,16 @@ def _operate_rules(
     return rules
 
 
-def _rule(name: str, flow: Flow, messages: Iterable[str], on: Iterable[str]) -> dict[str, Any]:
+def _rule(
+    name: str,
+    flow: Flow,
+    messages: Iterable[str],
+    on: Iterable[str],
+    permission: Literal["allow", "deny"] = "allow",
+) -> dict[str, Any]:
     return {
         "id": f"{name} ({flow})",
-        "permission": "allow",
+        "permission": permission,
         "flows": [flow],
         "messages": list(messages),
         "key_exprs": list(on),
@@ -160,17 +178,25 @@ def _rule(name: str, flow: Flow, messages: Iterable[str], on: Iterable[str]) -> 
 
 def _operator_topics(deployment: Deployment) -> dict[str, tuple[str, ...]]:
     """Return the topics (full names) on which operators may publish, each with its keys."""
+    topics = _input_topics(deployment, "operator_inputs")
+    for name in deployment.external_topics:  # the type may be one that no component here has
+        topic = full_name(deployment.robot, name)
+        topics[topic] = (f"{deployment.domain}{topic}/*/*",)
+    return topics
+
+
+def _input_topics(
+    deployment: Deployment, attribute: Literal["operator_inputs", "confidential_inputs"]
+) -> dict[str, tuple[str, ...]]:
+    """Return the topics (full names) of the inputs that this attribute names, with their keys."""
     topics: dict[str, tuple[str, ...]] = {}
     for member in deployment.members():
         cls = load_plugin(member.spec.plugin)
         ports = ports_of(cls)
-        for port in sorted(cls.operator_inputs):
+        for port in sorted(getattr(cls, attribute)):
             topic = full_name(deployment.robot, member.spec.topics.get(port, port))
             kind = type_name(ports[port].message)
             topics[topic] = (f"{deployment.domain}{topic}/{keys.dds_type(kind)}/*",)
-    for name in deployment.external_topics:  # the type may be one that no component here has
-        topic = full_name(deployment.robot, name)
-        topics[topic] = (f"{deployment.domain}{topic}/*/*",)
     return topics
 
 

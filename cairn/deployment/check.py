@@ -121,8 +121,9 @@ def _resolve_plugin(
     try:
         ports, config = ports_of(cls), cls.config_class()
         handlers_of(cls)
-        if unknown := sorted(cls.operator_inputs - ports.keys()):
-            raise CairnError(f"{cls.__name__}.operator_inputs names unknown ports: {unknown}")
+        for attribute in ("operator_inputs", "confidential_inputs"):
+            if unknown := sorted(getattr(cls, attribute) - ports.keys()):
+                raise CairnError(f"{cls.__name__}.{attribute} names unknown ports: {unknown}")
     except CairnError as error:
         remedy = "correct the class, or use another plugin"
         return component, [Problem(plugin.where, dotted(path), str(error), remedy)]

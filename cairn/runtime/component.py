@@ -68,6 +68,8 @@ class Component:
     """Requests that are accepted also while too many others wait: to stop something."""
     operator_inputs: ClassVar[frozenset[str]] = frozenset()
     """Input ports on whose topics users on the network with the role `operate` may publish."""
+    confidential_inputs: ClassVar[frozenset[str]] = frozenset()
+    """Input ports whose topics users on the network with less than `administer` may not read."""
 
     config: Config
 

@@ -83,6 +83,8 @@ class VelocityGate(Component):
     )
     urgent_requests = frozenset({"stop"})
     operator_inputs = frozenset({"teleoperation", "emergency_stop"})
+    # Whoever reads the lease in an operator's commands could drive by it.
+    confidential_inputs = frozenset({"teleoperation"})
 
     navigator_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True, exclusive=True)
     teleoperation: In[TeleoperationCommand] = In(qos=SENSOR, optional=True)

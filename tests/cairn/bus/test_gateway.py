@@ -26,6 +26,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.client import Connection
 from cairn.deployment.model import Deployment
 from cairn.placement.process_run import gateway_of
+from cairn.schemas.cairn_nav_msgs import TeleoperationCommand
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.message import type_name
 from cairn.schemas.std_msgs import Header
@@ -40,11 +41,15 @@ ROLES: tuple[Role, ...] = ("view", "operate", "administer")
 ROBOT = {
     "cairn": 1,
     "external_topics": ["joy"],
-    "components": {"mobile": {"plugin": "mobile_supervisor"}},
+    "components": {
+        "mobile": {"plugin": "mobile_supervisor"},
+        "velocity_gate": {"plugin": "velocity_gate"},
+    },
 }
 GOAL = PoseStamped()
 MESSAGE = Codec().encode(GOAL)
 GOAL_KEY = keys.message_key(0, "/robot/goal_pose", PoseStamped)
+TELEOPERATION_KEY = keys.message_key(0, "/robot/teleoperation", TeleoperationCommand)
 COMMAND_KEY = keys.message_key(0, "/robot/cmd_vel", Twist)
 
 
@@ -64,6 +69,7 @@ class Robot:
         self.bus = self.network.bus()
         robot = self.node = node(self.bus, "/robot/mobile")
         self.goals = Reader(robot, "/robot/goal_pose", PoseStamped, RELIABLE)
+        self.teleoperation = Reader(robot, "/robot/teleoperation", TeleoperationCommand, RELIABLE)
         self.commands = Reader(robot, "/robot/cmd_vel", Twist, RELIABLE)
         self.map = robot.advertise("/robot/map", PoseStamped, LATCHED)
         self.map.publish(GOAL)
@@ -219,6 +225,25 @@ def test_only_administrators_publish_commands_and_change_components(
 
     commands = received(robot, robot.commands, COMMAND_KEY, Twist(linear=Vector3(x=1.0)))
     assert commands == ([Twist()] if role == "administer" else [])
+
+
+def test_only_administrators_read_the_lease_in_the_commands_of_another_operator(
+    robot: Robot, user: zenoh.Session, role: str, tmp_path: Path
+) -> None:
+    command = Codec().encode(TeleoperationCommand(lease=4711))
+    received: list[bytes] = []
+    subscriber: Any = user.declare_subscriber(
+        "0/robot/**", lambda sample: received.append(sample.payload.to_bytes())
+    )
+    passed(user)
+    with joined(robot, login(tmp_path, "operate")) as anna:
+        anna.put(TELEOPERATION_KEY, command)
+        anna.put(keys.message_key(0, "/robot/joy", PoseStamped), MESSAGE)
+
+        assert eventually(lambda: MESSAGE in received)
+    assert (command in received) == (role == "administer")
+    subscriber.undeclare()
+    assert eventually(lambda: TeleoperationCommand(lease=4711) in robot.teleoperation.pending())
 
 
 def test_only_administrators_imitate_components(
