@@ -26,6 +26,7 @@ from cairn.bus.session import (
     peer_socket,
 )
 from cairn.bus.zenoh_bus import ZenohBus
+from cairn.compilation import before_compilation
 from cairn.deployment.access_control import access_control
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import exclusive_topics
@@ -39,11 +40,13 @@ from cairn.process_exit import ExitLog, ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime_folder import run_folder
+from cairn.supervision.zygote import COMPILATION_LIMIT_S
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
 _log = logging.getLogger("cairn.root")
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
 _ANSWER_LIMIT_S = 0.5  # of the components of a running robot, whatever their loops do
+_IMPORTS_LIMIT_S = COMPILATION_LIMIT_S + 60.0
 _FORCE_S = 1.0  # for the zygote to end, with all processes
 
 
@@ -68,6 +71,8 @@ def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
     """
     with run_folder() as path:
         zygote = start_zygote([MainLoop.__module__, *modules], path)
+        # This process imports the same modules for the check: it need not compile them as well.
+        before_compilation(lambda: zygote.wait_for_imports(_IMPORTS_LIMIT_S))
         try:
             yield zygote
         finally:

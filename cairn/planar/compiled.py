@@ -1,7 +1,8 @@
 """Compile numeric kernels with numba when their module is imported, and cache them on disk.
 
 A robot never waits for a compiler: modules are imported before any component's process is forked,
-and from the second start on the compiled code is read from the cache.
+and from the second start on the compiled code is read from the cache. The zygote does not compile
+either: at the first start a helper process fills the cache (`cairn.compilation`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numba.core import caching
+
+from cairn.compilation import prepare_compilation
 
 # Numba's annotations cover its public interface only.
 _caching: Any = caching
@@ -66,7 +69,10 @@ class _KernelCache(_caching.FunctionCache):  # type: ignore[misc]  # see `_cachi
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled code for a signature, or None if it is not cached or outdated."""
         self._bind()
-        return super().load_overload(sig, target_context)
+        code = super().load_overload(sig, target_context)
+        if code is None and prepare_compilation():  # which may have filled the cache
+            code = super().load_overload(sig, target_context)
+        return code
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write the compiled code for a signature to disk."""

@@ -11,6 +11,7 @@ import gc
 import importlib
 import json
 import os
+import select
 import selectors
 import signal
 import socket
@@ -28,6 +29,7 @@ from pydantic import ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
 from setproctitle import setproctitle
 
+from cairn.compilation import before_compilation
 from cairn.files import TAKES_NO_DATA
 from cairn.supervision.orphan_cleanup import (
     become_subreaper,
@@ -45,6 +47,9 @@ BOOTSTRAP = (
     "getattr(import_module(module), function)()"
 )
 """Calls a function ("module:function") of a new interpreter, with the caller's search path."""
+
+COMPILATION_LIMIT_S = 600.0
+"""Limit for compiling all kernels [s]: they took 168 s on two cores with a load of 20."""
 
 _GROUP_LIMIT_S = 1.0  # killed helpers of an ended process may take this long to vanish
 _END_LIMIT_S = 5.0
@@ -136,7 +141,11 @@ def main() -> None:
     set_parent_death_signal(signal.SIGKILL)  # during the imports the pipe is not watched
     if os.getppid() != starter:
         return
+    zygote = os.getpid()
+    before_compilation(_compile_in_helper)
     import_failures = preload(modules)
+    if os.getpid() != zygote:
+        os._exit(0)  # the helper: all kernels are in the cache
     gc.collect()
     gc.freeze()
     listening = socket.socket(fileno=listener)
@@ -172,6 +181,44 @@ def preload(modules: Iterable[str]) -> dict[str, str]:
             _log(f"module starts threads: {module}: forked processes lack these: {started}")
         before = after
     return failures
+
+
+def _compile_in_helper() -> None:
+    """Fork a helper process, which continues the imports and fills the cache of kernels.
+
+    Returns in both: in the zygote when the helper has ended, so that it loads the kernels from the
+    cache. A compiler keeps about 200 MiB, which the zygote would share with all its forks. If the
+    helper fails, the zygote compiles.
+    """
+    began, zygote = time.monotonic(), os.getpid()
+    try:
+        helper = os.fork()
+    except OSError as error:
+        _log(f"compiling kernels in this process: a helper cannot be started: {error}")
+        return
+    if helper == 0:
+        set_parent_death_signal(signal.SIGKILL)
+        if os.getppid() != zygote:
+            os._exit(1)
+        os.setpgid(0, 0)
+        setproctitle("cairn: compiler")
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 1)  # the zygote imports the same modules, and reports the same failures
+        os.dup2(nothing, 2)
+        return
+    with contextlib.suppress(PermissionError, ProcessLookupError):
+        os.setpgid(helper, helper)  # the helper does the same: the first of the two counts
+    descriptor = os.pidfd_open(helper)
+    ended, _, _ = select.select([descriptor], [], [], COMPILATION_LIMIT_S)
+    os.close(descriptor)
+    kill_group(helper)  # what the modules have started; the helper too, if it has not ended
+    _, status = os.waitpid(helper, 0)
+    took_s, code = time.monotonic() - began, os.waitstatus_to_exitcode(status)
+    if ended and code == 0:
+        _log(f"compiled kernels: {took_s:.1f} s in a helper process; they are in the cache now")
+    else:
+        how = f"exit code {code}" if ended else "not ready"
+        _log(f"compiling kernels in this process: helper process: {how} after {took_s:.1f} s")
 
 
 def _threads() -> dict[int, str]:

@@ -77,6 +77,11 @@ class ZygoteProcess:
         except psutil.NoSuchProcess:
             return False
 
+    def wait_for_imports(self, timeout_s: float) -> None:
+        """Wait until the zygote has imported its modules or has ended, at most `timeout_s` [s]."""
+        with contextlib.suppress(CairnError):
+            ZygoteClient(self.socket_path, timeout_s=timeout_s).close()
+
     def close(self, timeout_s: float = 10.0) -> None:
         """End the zygote and all processes of the tree, also if the zygote has been killed.
 

@@ -59,10 +59,10 @@ class Package:
     def write(self, module: str, text: str) -> None:
         (self.folder / f"{module}.py").write_text(text)
 
-    def run(self, **environment: str) -> tuple[float, bool]:
+    def run(self, prepare: str = "", **environment: str) -> tuple[float, bool]:
         """The result of the caller for 10 in a new process, and whether it came from the cache."""
         done = subprocess.run(
-            [sys.executable, "-B", "-c", RUN],
+            [sys.executable, "-B", "-c", prepare + RUN],
             env={**self._environment, **environment},
             capture_output=True,
             text=True,
@@ -116,6 +116,19 @@ def test_unchanged_kernel_comes_from_the_cache_whatever_its_comments(package: Pa
 
     assert package.run() == (21.0, True)
     assert sorted(path.name for path in package.cache.glob("*.nb?")) == files
+
+
+def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> None:
+    package = Package(tmp_path)
+    package.create()
+    prepare = (
+        "import subprocess, sys\n"
+        "from cairn.compilation import before_compilation\n"
+        "other = [sys.executable, '-B', '-c', 'import edited_package.caller']\n"
+        "before_compilation(lambda: subprocess.run(other, check=True))\n"
+    )
+
+    assert package.run(prepare) == (21.0, True)
 
 
 def test_cache_of_a_read_only_package_is_in_the_folder_that_the_environment_names(

@@ -184,10 +184,37 @@ def test_module_that_starts_threads_when_imported_is_named(
     zygote.close()
 
 
-def test_module_that_hangs_when_imported_does_not_delay_a_stop(
-    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("end", ["", "os._exit(3)"], ids=["helper ends", "helper fails"])
+def test_kernels_are_compiled_in_a_process_that_ends_before_the_zygote_forks(
+    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str
 ) -> None:
-    (tmp_path / "hangs_when_imported.py").write_text("import time\ntime.sleep(1000)\n")
+    (tmp_path / "has_kernels.py").write_text(
+        "import os\n"
+        "from pathlib import Path\n"
+        "from cairn.compilation import prepare_compilation\n"
+        "cached, zygote = Path(__file__).with_name('cached'), os.getpid()\n"
+        "if not cached.exists():\n"
+        "    prepare_compilation()\n"
+        f"    if os.getpid() != zygote: {end or 'pass'}\n"
+        "    if not cached.exists():\n"
+        "        cached.write_text(str(os.getpid()))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    zygote = start_zygote(["has_kernels", "json"], tmp_path / "run")
+    zygote.wait_for_imports(LIMIT_S)
+    compiler = int((tmp_path / "cached").read_text())
+    assert [process.pid for process in tree.processes()] == [zygote.process.pid]
+    assert (compiler == zygote.process.pid) == bool(end)
+    log = zygote.log_file.read_text()
+    assert ("exit code 3" if end else "compiled kernels: ") in log
+    zygote.close()
+
+
+@pytest.mark.parametrize("first", ["", "import cairn.compilation as c; c.prepare_compilation()\n"])
+def test_module_that_hangs_when_imported_does_not_delay_a_stop(
+    tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: str
+) -> None:
+    (tmp_path / "hangs_when_imported.py").write_text(f"{first}import time\ntime.sleep(1000)\n")
     monkeypatch.syspath_prepend(tmp_path)
     zygote = start_zygote(["hangs_when_imported"], tmp_path / "run")
     began = time.monotonic()
