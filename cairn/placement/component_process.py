@@ -45,7 +45,7 @@ def main(argument: dict[str, Any], end: socket.socket) -> None:
     os.register_at_fork(after_in_child=end.close)  # a forked helper must not hold it
     launch = LaunchRequest.model_validate(argument)
     logging.basicConfig(level=logging.INFO, handlers=[OutputHandler()])
-    faulthandler.register(TRACEBACK_SIGNAL, all_threads=True)
+    log_stacks_on_signal()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     _limit_allocation(launch.spec.memory_max_mib)
     report = ExitReport(False, "it could not join the bus")
@@ -64,6 +64,13 @@ def main(argument: dict[str, Any], end: socket.socket) -> None:
             log.error("component start failed: %s", error, exc_info=error.__cause__)
     log_reason(report.reason)
     end_process(report.exit_code)
+
+
+def log_stacks_on_signal() -> None:
+    """Have `TRACEBACK_SIGNAL` log the stacks of all threads; at the end of Python, do nothing."""
+    # What is set now holds again when Python removes the handler, as it ends.
+    signal.signal(TRACEBACK_SIGNAL, signal.SIG_IGN)
+    faulthandler.register(TRACEBACK_SIGNAL, all_threads=True)
 
 
 def _limit_allocation(memory_max_mib: int) -> None:

@@ -151,8 +151,10 @@ class ProcessHandle:
         """Kill its process group, after its process has logged the stacks of its threads."""
         if self._process is not None:
             before, end = _threads_of(self._process.pid), self._log.end()
-            self._process.signal(TRACEBACK_SIGNAL)
-            deadline = time.monotonic() + log_limit_s
+            deadline = time.monotonic()
+            if before.handling:  # otherwise it has just begun, or is about to end
+                self._process.signal(TRACEBACK_SIGNAL)
+                deadline += log_limit_s
             while self._process.wait(_TRACEBACK_POLL_S) is None and time.monotonic() < deadline:
                 now = _threads_of(self._process.pid)
                 if now.stopped:
@@ -202,19 +204,25 @@ class ProcessHandle:
 
 @dataclass(frozen=True)
 class _Threads:
-    """The threads of a process: whether a signal stops it, and which block `TRACEBACK_SIGNAL`."""
+    """The threads of a process: whether a signal stops it, and which block `TRACEBACK_SIGNAL`.
+
+    `handling` is whether the process logs its stacks on that signal.
+    """
 
     stopped: bool
     blocking: frozenset[str]
+    handling: bool
 
 
 def _threads_of(pid: int) -> _Threads:
-    stopped, blocking = False, set()
+    stopped, blocking, handling = False, set(), False
     for thread in Path(f"/proc/{pid}/task").glob("*/status"):
         with suppress(OSError):  # it has just ended
             status = thread.read_text(encoding="utf-8", errors="replace")
             fields = dict(re.findall(r"^(\w+):\s+(\S+)", status, re.MULTILINE))
             stopped |= fields["State"] in "Tt"
-            if int(fields["SigBlk"], 16) >> (TRACEBACK_SIGNAL - 1) & 1:
+            bit = TRACEBACK_SIGNAL - 1
+            handling |= bool(int(fields["SigCgt"], 16) >> bit & 1)
+            if int(fields["SigBlk"], 16) >> bit & 1:
                 blocking.add(thread.parent.name)
-    return _Threads(stopped, frozenset(blocking))
+    return _Threads(stopped, frozenset(blocking), handling)

@@ -1,9 +1,11 @@
 """Processes of components that cannot be killed, or log their stacks late: an injected zygote."""
 
+import faulthandler
 import os
+import re
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 
 from cairn.deployment.model import ChildSpec
 from cairn.errors import Escalate
+from cairn.placement.component_process import log_stacks_on_signal
 from cairn.placement.launcher import TRACEBACK_SIGNAL, ProcessHandle
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.supervision.child import ChildHandle
@@ -83,6 +86,7 @@ class BusyProcess(ChildProcess):
 
     def __init__(self, log: Path) -> None:
         super().__init__(os.getpid(), self._receive)
+        self.received: list[int] = []
         self.killed_with = ""
         self._log = log
 
@@ -90,6 +94,7 @@ class BusyProcess(ChildProcess):
         return self
 
     def _receive(self, request: Signal) -> None:
+        self.received.append(request.signal)
         if request.signal == TRACEBACK_SIGNAL:
             self._log.write_text("a warning\n")
             threading.Timer(1.0, self._log_stacks).start()
@@ -100,9 +105,9 @@ class BusyProcess(ChildProcess):
         self._log.write_text("Thread 0x1 (most recent call first):\n  in tick\n")
 
 
-def test_hung_process_is_killed_when_its_stacks_are_logged(
-    tmp_path: Path,
-) -> None:
+@pytest.fixture
+def busy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[BusyProcess, ProcessHandle]:
+    monkeypatch.setattr("cairn.placement.launcher._KILL_LIMIT_S", 0.0)  # it does not end
     launch = LaunchRequest(
         name="base",
         spec=ChildSpec(plugin=f"{__name__}:Unused", interpreter="fresh", start_timeout_s=0.05),
@@ -111,7 +116,45 @@ def test_hung_process_is_killed_when_its_stacks_are_logged(
     process = BusyProcess(tmp_path / "base.log")
     handle = ProcessHandle(launch)
     handle.launch(process, lambda: None)  # type: ignore[arg-type]  # only `spawn` is called
+    process.received.clear()
+    return process, handle
+
+
+@pytest.fixture
+def handles_signal() -> Iterator[None]:
+    """This process, which stands for the busy one, logs its stacks on the signal."""
+    before = signal.getsignal(TRACEBACK_SIGNAL)
+    log_stacks_on_signal()
+    yield
+    faulthandler.unregister(TRACEBACK_SIGNAL)
+    signal.signal(TRACEBACK_SIGNAL, before)
+
+
+@pytest.mark.usefixtures("handles_signal")
+def test_hung_process_is_killed_when_its_stacks_are_logged(
+    busy: tuple[BusyProcess, ProcessHandle],
+) -> None:
+    process, handle = busy
 
     handle.kill(LIMIT_S)
 
     assert "in tick" in process.killed_with
+
+
+def test_process_that_has_just_begun_or_ends_is_killed_by_no_other_signal(
+    busy: tuple[BusyProcess, ProcessHandle],
+) -> None:
+    process, handle = busy
+
+    handle.kill(LIMIT_S)
+
+    assert process.received == [signal.SIGKILL]
+
+
+@pytest.mark.usefixtures("handles_signal")
+def test_signal_for_stacks_is_ignored_when_python_has_removed_its_handler() -> None:
+    faulthandler.unregister(TRACEBACK_SIGNAL)
+
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    ignored = int(re.findall(r"^SigIgn:\s+(\w+)", status, re.MULTILINE)[0], 16)
+    assert ignored >> (TRACEBACK_SIGNAL - 1) & 1
