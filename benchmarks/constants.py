@@ -27,7 +27,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Queue
 from typing import Any
 
 import numpy as np
@@ -274,7 +274,7 @@ class Copies:
     """Copies of the code, one per job, in which one constant at a time is changed."""
 
     def __init__(self, folder: Path, number: int) -> None:
-        self._free: SimpleQueue[Path] = SimpleQueue()
+        self._free: Queue[Path] = Queue()
         listed = ["git", "ls-files", "-z"]
         names = subprocess.run(listed, cwd=ROOT, capture_output=True, check=True, timeout=60).stdout
         for index in range(number):

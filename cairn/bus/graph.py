@@ -36,7 +36,7 @@ def read_graph(
     `CairnError` if the router has not answered by the timeout [s].
     """
     tokens: list[str] = []
-    replies: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
+    replies: queue.Queue[zenoh.Reply | None] = queue.Queue()
     handler: Any = zenoh.handlers.Callback(replies.put, lambda: replies.put(None), indirect=False)
     session.liveliness().get(keys.tokens_pattern(domain), handler, timeout=timeout_s)
     deadline = None if patience_s is None else time.monotonic() + patience_s

@@ -199,7 +199,7 @@ class Connection:
         the caches as an advanced subscriber does, but it knows when all have replied. It waits for
         those that do not reply until nothing has arrived for 1 s.
         """
-        replies: queue.SimpleQueue[zenoh.Reply | None] = queue.SimpleQueue()
+        replies: queue.Queue[zenoh.Reply | None] = queue.Queue()
         self._query_caches(key, replies.put, lambda: replies.put(None), _CACHE_LIMIT_S)
         samples: list[zenoh.Sample] = []
         size, complete = 0, True

@@ -3,21 +3,22 @@
 import faulthandler
 import logging
 import os
-import queue
 import resource
 import signal
 import socket
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from cairn.bell import Bell
 from cairn.bus.session import open_peer, peer_socket
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.errors import CairnError
@@ -34,7 +35,6 @@ _SWITCH_INTERVAL_S = 0.0005
 _ALLOCATED = 2
 """Not all that is allocated is used: of the shipped components at most 210 MiB are not, mostly the
 stacks of about 25 threads, of 8 MiB each."""
-_WAKE_UP = 0  # not the number of any signal
 
 
 def main(argument: dict[str, Any], end: socket.socket) -> None:
@@ -135,9 +135,8 @@ class MainLoop:
 
     def __init__(self, host: ComponentHost) -> None:
         self._host = host
-        # Signal numbers, or `_WAKE_UP`. Unlike an Event it may be used by a signal handler at any
-        # moment.
-        self._inbox: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._bell = Bell()
+        self._signals: deque[int] = deque()  # received and not handled yet
         self._stopping = False
         host.on_exit = self.wake_up
 
@@ -170,7 +169,7 @@ class MainLoop:
 
     def wake_up(self) -> None:
         """Have the next turn made at once; from any thread."""
-        self._inbox.put(_WAKE_UP)
+        self._bell.ring()
 
     def stop(self) -> None:
         """Have the component shut down; starts in progress below it are cut short."""
@@ -189,9 +188,13 @@ class MainLoop:
                 signal.signal(number, handler)
 
     def _on_signal(self, number: int, _: FrameType | None) -> None:
-        self._inbox.put(number)
+        self._signals.append(number)
+        self._bell.ring()
 
     def _received_signal(self, timeout_s: float) -> bool:
-        with suppress(queue.Empty):
-            return self._inbox.get(timeout=max(0.0, timeout_s)) != _WAKE_UP
-        return False
+        if not self._signals:
+            self._bell.wait(max(0.0, timeout_s))
+        if not self._signals:
+            return False
+        self._signals.popleft()
+        return True

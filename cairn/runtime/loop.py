@@ -1,13 +1,13 @@
 """The loop of a component: makes its calls one at a time, in order of arrival, and on time."""
 
 import math
-import queue
 import threading
 import time as monotonic
 from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
+from cairn.bell import Bell
 from cairn.clock import SECOND, SystemClock
 
 _LONGEST_WAIT_S = 3600.0
@@ -53,7 +53,7 @@ class ThreadLoop:
     def __init__(self) -> None:
         self._calls: deque[Callable[[], None]] = deque()
         self._turn = threading.Lock()  # held by the thread that makes calls
-        self._bell: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._bell = Bell()
         self._clock = SystemClock()
         self._wake_at: int | None = None
         self._asleep_until = -math.inf  # of the loop's own thread
@@ -65,7 +65,7 @@ class ThreadLoop:
     def post(self, call: Callable[[], None]) -> None:
         """Queue `call`; another thread than the calling one makes it."""
         self._calls.append(call)
-        self._bell.put(None)
+        self._bell.ring()
         self._discard_if_finished()
 
     def deliver(self, call: Callable[[], None]) -> None:
@@ -73,7 +73,7 @@ class ThreadLoop:
         self._calls.append(call)
         self._make_calls(len(self._calls))
         if self._calls:
-            self._bell.put(None)
+            self._bell.ring()
         self._discard_if_finished()
 
     def wake_at(self, time: int) -> None:
@@ -82,7 +82,7 @@ class ThreadLoop:
         due = monotonic.monotonic_ns() + time - self._clock.now()
         self._wake_at = due
         if due < self._asleep_until:
-            self._bell.put(None)
+            self._bell.ring()
 
     def bind(self, on_time: Callable[[], None]) -> None:
         """Set the function that runs due timers."""
@@ -91,7 +91,7 @@ class ThreadLoop:
     def stop(self) -> None:
         """Leave `run` after the current call."""
         self._running = False
-        self._bell.put(None)
+        self._bell.ring()
 
     def run(self) -> None:
         """Make calls until `stop`; raises an exception that a call has let through."""
@@ -116,12 +116,8 @@ class ThreadLoop:
         if due is not None:
             self._asleep_until = due
             wait = min(wait, max(0.0, (due - monotonic.monotonic_ns()) / SECOND))
-        try:
-            self._bell.get(timeout=wait)
-        except queue.Empty:
-            pass
-        finally:
-            self._asleep_until = -math.inf
+        self._bell.wait(wait)
+        self._asleep_until = -math.inf
 
     def _make_calls(self, most: int) -> bool:
         """Make up to `most` calls unless another thread makes some; return whether any are left."""

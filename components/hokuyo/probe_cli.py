@@ -33,7 +33,7 @@ from cairn.runtime.parameters import error_reason
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
-_Scans = queue.SimpleQueue[StampedScan | Exception]
+_Scans = queue.Queue[StampedScan | Exception]
 """Scans as they arrive, or the error that ended them."""
 
 _PICTURES_PER_S = 8
@@ -75,7 +75,7 @@ def probe(
         _list(as_json=json)
         return
     config = _config(device, baud, intensity)
-    scans: _Scans = queue.SimpleQueue()
+    scans: _Scans = queue.Queue()
     with _measuring(config, scans) as measurement:
         first = _first(scans, measurement)
         live = sys.stdout.isatty() and not json

@@ -164,7 +164,7 @@ def try_cameras(
     cameras: Sequence[CameraSettings], seconds: float
 ) -> tuple[list[CameraTrial], PairTrial]:
     """Read one or two cameras for a time [s]; raises `DeviceError` if one cannot be opened."""
-    images: queue.SimpleQueue[tuple[int, StampedImage]] = queue.SimpleQueue()
+    images: queue.Queue[tuple[int, StampedImage]] = queue.Queue()
     log = logging.getLogger(__name__)
     with ExitStack() as stack:
         trials = []
@@ -275,14 +275,12 @@ def _accept_any(_: CaptureFormat) -> None:
     """Accept any format: the trial reports it."""
 
 
-def _put(
-    images: queue.SimpleQueue[tuple[int, StampedImage]], side: int, image: StampedImage
-) -> None:
+def _put(images: queue.Queue[tuple[int, StampedImage]], side: int, image: StampedImage) -> None:
     images.put((side, image))
 
 
 def _collect(
-    images: queue.SimpleQueue[tuple[int, StampedImage]],
+    images: queue.Queue[tuple[int, StampedImage]],
     trials: Sequence[CameraTrial],
     seconds: float,
 ) -> PairTrial:

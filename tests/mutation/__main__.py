@@ -20,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Queue
 from uuid import uuid4
 
 import psutil
@@ -170,7 +170,7 @@ def _judge_all(faults: Sequence[Fault], jobs: int, limit_s: float) -> Iterator[R
         tempfile.TemporaryDirectory(prefix="mutation-") as folder,
         ThreadPoolExecutor(jobs) as pool,
     ):
-        free: SimpleQueue[Scratch] = SimpleQueue()
+        free: Queue[Scratch] = Queue()
         for number in range(jobs):
             (root := Path(folder).resolve() / str(number)).mkdir()
             free.put(Scratch(root, limit_s))

@@ -30,7 +30,7 @@ class Client:
         self._session = sdk.ZenohSession.get_instance(**self._where)
         sdk.get_registry().messages_dir = definitions
         self._publishers: dict[str, Any] = {}
-        self._received: dict[str, queue.SimpleQueue[Any]] = {}
+        self._received: dict[str, queue.Queue[Any]] = {}
         self._subscribers: list[Any] = []
 
     def advertise(self, topic: str, type: str, node: str) -> None:  # noqa: A002
@@ -39,7 +39,7 @@ class Client:
         )
 
     def subscribe(self, topic: str, type: str, node: str) -> None:  # noqa: A002
-        received = self._received[topic] = queue.SimpleQueue()
+        received = self._received[topic] = queue.Queue()
         subscriber = self._sdk.ROS2Subscriber(
             topic, type, received.put, node_name=node, namespace="/ros", **self._where
         )

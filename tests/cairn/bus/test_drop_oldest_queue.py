@@ -56,7 +56,7 @@ def test_messages_that_are_together_too_long_displace_the_oldest() -> None:
 def test_subscriber_that_takes_one_message_per_wake_up_gets_the_last(depth: int) -> None:
     """Before, a clock topic of depth 1 stalled for good when a wake-up was lost."""
     pending: DropOldestQueue[int] = DropOldestQueue(depth, 100)
-    wake_ups: queue.SimpleQueue[bool] = queue.SimpleQueue()
+    wake_ups: queue.Queue[bool] = queue.Queue()
     taken = [-1]
 
     def read() -> None:

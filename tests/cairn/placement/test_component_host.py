@@ -136,7 +136,7 @@ def test_component_declares_which_requests_may_be_long_and_which_are_urgent(
 ) -> None:
     Wordy.entered, Wordy.allowed = threading.Event(), threading.Event()
     host = hosted(bus, endpoint, Wordy)
-    replies: queue.SimpleQueue[str] = queue.SimpleQueue()
+    replies: queue.Queue[str] = queue.Queue()
 
     def send(verb: str, text: str = "") -> None:
         def note(reply: zenoh.Reply) -> None:

@@ -62,7 +62,7 @@ def test_time_in_which_a_computation_lets_no_other_thread_run_counts_as_a_pause(
 
 
 def test_clock_thread_runs_until_the_clock_is_closed() -> None:
-    observations: queue.SimpleQueue[None] = queue.SimpleQueue()
+    observations: queue.Queue[None] = queue.Queue()
 
     def monotonic() -> float:
         observations.put(None)

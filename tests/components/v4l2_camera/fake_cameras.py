@@ -41,9 +41,7 @@ class FakeCamera:
         self.damages_all = False
         self.opened = 0
         self.streams: list[str] = []
-        self.events: queue.SimpleQueue[FilledBuffer | Exception | Callable[[], None]] = (
-            queue.SimpleQueue()
-        )
+        self.events: queue.Queue[FilledBuffer | Exception | Callable[[], None]] = queue.Queue()
         self._sequence = 0
 
     def send(
