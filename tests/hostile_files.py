@@ -688,6 +688,8 @@ _ENDLESS: Final = (
     "SELECT k AS id, 1 AS topic_id, k AS timestamp, zeroblob(10000000) AS data FROM n"
 )
 
+_SCAN_OF_ZEROS: Final = b"FLASER 1000 " + b"0 " * 1006 + b"1 r 1\n"
+
 RECORDINGS: Final[Mapping[str, HostileFile]] = {
     "carmen_line": HostileFile(_bytes("line.log.gz", _gzipped_line), "longer than"),
     "carmen_line_bz2": HostileFile(
@@ -699,6 +701,9 @@ RECORDINGS: Final[Mapping[str, HostileFile]] = {
         "longer than",
     ),
     "carmen_lines": HostileFile(_bytes("lines.log.gz", _gzipped_lines), "lines, the limit"),
+    "carmen_scans": HostileFile(
+        _bytes("scans.log.gz", lambda: gzip.compress(_SCAN_OF_ZEROS * 8_200)), "16 MB"
+    ),
     "carmen_sparse": HostileFile(sparse("s.log", 5_000 * MB, b"ODOM 0 0 0 0 0 0 1 r 1\n"), "MB"),
     "carmen_zeros": HostileFile(device("/dev/zero", "zeros.log"), "device"),
     "carmen_fifo": HostileFile(fifo("pipe.log"), "FIFO"),

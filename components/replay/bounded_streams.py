@@ -36,21 +36,23 @@ RECORD_BYTES: Final = 128_000_000
 """Longest record or decompressed chunk of a bag [bytes]."""
 
 _SMALL_BYTES: Final = 64_000_000
+# Of text every number is parsed and kept: 16 MB of scans take 180 MB of memory.
+_SMALL_TEXT_BYTES: Final = 16_000_000
 _RATIO: Final = 20  # recordings of robots compress 3 to 12 times
-_FEW_LINES: Final = 150_000
+_FEW_LINES: Final = 40_000
 _BYTES_OF_LINE: Final = 20  # least room of a line in a genuine compressed file
 
 
-def most_unpacked(size: int) -> int:
-    """Return how many bytes may come out of a compressed file of `size` bytes."""
-    return max(_SMALL_BYTES, _RATIO * size)
+def most_unpacked(size: int, small: int = _SMALL_BYTES) -> int:
+    """Return how many bytes may come out of a compressed file of `size` bytes, `small` of any."""
+    return max(small, _RATIO * size)
 
 
-def too_much_unpacked(path: Path, most: int) -> RecordingError:
+def too_much_unpacked(path: Path, most: int, small: int = _SMALL_BYTES) -> RecordingError:
     """Return the error for a file that unpacks to more than `most` bytes."""
     return RecordingError(
         f"{path} unpacks to more than {megabytes(most)} MB, the limit for a file of its size "
-        f"({megabytes(_SMALL_BYTES)} MB, or {_RATIO} times the size). If it is genuine, decompress "
+        f"({megabytes(small)} MB, or {_RATIO} times the size). If it is genuine, decompress "
         "it, and replay the decompressed file."
     )
 
@@ -178,7 +180,11 @@ def _raw_lines(path: Path, at: _Position) -> Iterator[bytes]:
     with open_regular(path) as packed:
         size = os.fstat(packed.fileno()).st_size
         stream = _unpacking(packed)
-        most = TEXT_BYTES if stream is packed else min(TEXT_BYTES, most_unpacked(size))
+        most = (
+            TEXT_BYTES
+            if stream is packed
+            else min(TEXT_BYTES, most_unpacked(size, _SMALL_TEXT_BYTES))
+        )
         most_lines = max(_FEW_LINES, size // _BYTES_OF_LINE)
         if stream is packed and size > most:
             raise too_large(path, size, most)
@@ -190,7 +196,7 @@ def _raw_lines(path: Path, at: _Position) -> Iterator[bytes]:
                 fault = f"it is longer than {LINE_BYTES:,} bytes, which is the limit"
                 raise damaged_line(path, at.line, fault)
             if total > most:
-                raise too_much_unpacked(path, most)
+                raise too_much_unpacked(path, most, _SMALL_TEXT_BYTES)
             if at.line > most_lines:
                 raise RecordingError(
                     f"{path} has more than {most_lines:,} lines, the limit for a file of its size. "

@@ -107,7 +107,8 @@ class BusyProcess(ChildProcess):
 
 @pytest.fixture
 def busy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[BusyProcess, ProcessHandle]:
-    monkeypatch.setattr("cairn.placement.launcher._KILL_LIMIT_S", 0.0)  # it does not end
+    monkeypatch.setattr("cairn.placement.launcher._LEAVING_LIMIT_S", 0.0)
+    monkeypatch.setattr("cairn.placement.launcher._KILL_LIMIT_S", 0.0)
     launch = LaunchRequest(
         name="base",
         spec=ChildSpec(plugin=f"{__name__}:Unused", interpreter="fresh", start_timeout_s=0.05),
