@@ -194,7 +194,8 @@ def token_key(entity: NodeEntity | EndpointEntity) -> str:
 def parse_token(key: str) -> NodeEntity | EndpointEntity:
     """Return what a liveliness token announces; `WireFormatError` if it is not rmw_zenoh's."""
     chunks = key.split("/")
-    if chunks[0] != TOKENS or len(chunks) not in (9, 13) or not all(chunks):
+    # Names of ROS 2 are ASCII; others could control the terminal on which they are shown.
+    if chunks[0] != TOKENS or len(chunks) not in (9, 13) or not all(chunks) or not _is_plain(key):
         raise WireFormatError(f"{_short(key)} is not a liveliness token of rmw_zenoh")
     _, domain, zid, node_id, endpoint_id, kind, enclave, namespace, name = chunks[:9]
     if not all(_NUMBER.fullmatch(number) for number in (domain, node_id, endpoint_id)):
@@ -249,6 +250,10 @@ def _mangle(name: str) -> str:
 
 def _demangle(name: str) -> str:
     return name.replace("%", "/")
+
+
+def _is_plain(key: str) -> bool:
+    return key.isascii() and key.isprintable()
 
 
 def _short(text: str) -> str:

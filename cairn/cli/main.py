@@ -170,8 +170,10 @@ def _open_missing_streams() -> None:
 def _print_error(text: str) -> None:
     from rich.console import Console  # takes 30 ms
 
+    from cairn.runtime.log_output import printable
+
     console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
-    console.print(f"cairn: {text}", style="red", markup=False)
+    console.print(f"cairn: {printable(text)}", style="red", markup=False)
 
 
 if __name__ == "__main__":

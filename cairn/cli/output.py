@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import Any
 
 from cairn.errors import CairnError
+from cairn.runtime.log_output import printable
 
 _NOT_WRITTEN = "the output could not be written"
 _WIDE = 10_000  # columns, if the output is not a terminal but perhaps `grep`
@@ -61,12 +62,12 @@ def print_json(value: Any) -> None:
 
 
 def line(text: str) -> None:
-    """Print one line as it is.
+    """Print one line, or several, without characters that control a terminal.
 
     Raises `BrokenPipeError` if the reader has ended, `OutputLost` if the disk is full.
     """
     try:
-        print(text, flush=True)  # noqa: T201 - a command's output
+        print(printable(text), flush=True)  # noqa: T201 - a command's output
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -76,7 +77,7 @@ def line(text: str) -> None:
 def note(text: str) -> None:
     """Print a remark on stderr, if that can be written."""
     with suppress(OSError):
-        print(text, file=sys.stderr, flush=True)  # noqa: T201 - a command's remark
+        print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - a command's remark
 
 
 class RunOutput:
@@ -125,4 +126,4 @@ def _text(value: Any) -> str:
         case list() | tuple():
             return ", ".join(_text(item) for item in value)
         case _:
-            return str(value)
+            return printable(str(value))

@@ -22,7 +22,7 @@ from cairn.bus.qos import LATCHED, Qos
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.deployment.model import ROOT, VIEW
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.runtime.log_output import LONGEST_RECORD, TokenBucket
+from cairn.runtime.log_output import LONGEST_RECORD, TokenBucket, printable
 from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS, render
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
@@ -104,7 +104,9 @@ class LiveView:
     def log(self, entry: Log) -> None:
         """Keep the message among the last ones."""
         style = {Log.WARN: "yellow", Log.ERROR: "red", Log.FATAL: "red"}.get(entry.level, "")
-        self._lines.append(Text(render(entry), style=style, no_wrap=True, overflow="ellipsis"))
+        self._lines.append(
+            Text(printable(render(entry)), style=style, no_wrap=True, overflow="ellipsis")
+        )
 
     def status(self, status: ComponentStatus) -> None:
         """Keep the status for the table."""
@@ -164,9 +166,9 @@ class LiveView:
             outputs = [port for port in status.ports if port.direction == port.OUT]
             dropped = sum(port.dropped for port in inputs)
             table.add_row(
-                Text("  " * depth + name),
+                Text("  " * depth + printable(name)),
                 Text(status.state, style=_STYLES.get(status.state, "")),
-                Text(status.handler),
+                Text(printable(status.handler)),
                 f"{sum(port.messages for port in inputs):,}",
                 f"{sum(port.messages for port in outputs):,}",
                 Text(f"{dropped:,}", style="red" if dropped else ""),

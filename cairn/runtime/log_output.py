@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import stat
 import sys
 import threading
@@ -25,6 +26,16 @@ LONGEST_RECORD: Final = 10_000
 _REPORT_S: Final = 10.0
 """Suppressed records are reported after this [s]."""
 _LONGEST_EXAMPLE: Final = 200
+
+
+_CONTROLS: Final = re.compile(
+    "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u200e\\u200f\\u202a-\\u202e\\u2066-\\u2069]"
+)
+
+
+def printable(text: str) -> str:
+    """Return a text, perhaps of a peer, without what controls a terminal, but with line breaks."""
+    return _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 class TokenBucket:
@@ -75,7 +86,7 @@ class LogLimit(logging.Filter):
         log.addFilter(self)
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether a record may be logged; cut one that is too long."""
+        """Return whether a record may be logged; cut one that is too long; make it printable."""
         key, now = (record.pathname, record.lineno), self._monotonic()
         with self._lock:
             source = self._sources.get(key)
@@ -181,9 +192,11 @@ class OutputFile:
 def _cut(record: logging.LogRecord, longest: int) -> None:
     with suppress(TypeError, ValueError):  # wrong arguments, which `logging` itself reports
         text = record.getMessage()
+        shown = printable(text[:longest])
         if len(text) > longest:
-            record.msg = f"{text[:longest]} ... ({len(text):,} characters in all)"
-            record.args = None
+            shown += f" ... ({len(text):,} characters in all)"
+        if shown != text:
+            record.msg, record.args = shown, None
 
 
 def rotate(file: Path, old_files: int) -> None:

@@ -177,6 +177,9 @@ def test_tokens_of_humble_without_type_hash_are_parsed() -> None:
         TOKENS[1][0].replace("std_msgs::", "::"),
         TOKENS[1][0] + "/",
         TOKENS[1][0] + "x",
+        "@ros2_lv/2/aa/0/0/NN/%/%/listener\x1b[2J",
+        "@ros2_lv/2/aa/0/0/NN/%/%/listener\n2026-11-23 INFO",
+        "@ros2_lv/2/aa/0/0/NN/%/%/list\u0435ner",
     ],
 )
 def test_malformed_token_is_rejected(key: str) -> None:

@@ -73,6 +73,16 @@ def test_long_record_is_cut(log: logging.Logger, caplog: pytest.LogCaptureFixtur
     assert (len(text) < LONGEST_RECORD + 100, "1,000,020 characters" in text) == (True, True)
 
 
+def test_control_characters_in_a_record_are_replaced(
+    log: logging.Logger, caplog: pytest.LogCaptureFixture
+) -> None:
+    limit = LogLimit(log)
+    log.info("pose of %s rejected", "map\x1b[2J\x9b1m")
+    limit.close()
+
+    assert caplog.records[0].getMessage() == "pose of map\ufffd[2J\ufffd1m rejected"
+
+
 def test_warnings_about_invented_names_are_limited_as_one_statement(
     log: logging.Logger, caplog: pytest.LogCaptureFixture
 ) -> None:
