@@ -71,11 +71,19 @@ class Node(Protocol):
     """One component on the bus; its name and ports are visible in the graph."""
 
     def advertise(
-        self, topic: str, message: type[Any], qos: Qos, exclusive: Exclusive | None = None
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        exclusive: Exclusive | None = None,
+        *,
+        shared: bool = False,
     ) -> Publisher:
         """Return a publisher of class `message` on `topic` (a full name: `/robot/odom`).
 
-        With `exclusive` it proves to the topic's readers that this node is the entitled writer.
+        With `exclusive` it proves to the topic's readers that this node is the entitled writer. On
+        a topic that is `shared`, on which every component publishes, it does not report nodes that
+        use another type: a program that announces thousands there would burden all of them.
         """
         ...
 

@@ -5,6 +5,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -12,24 +13,29 @@ import zenoh
 from cairn.bus import keys
 from cairn.errors import CairnError
 
-_MAX_PENDING = 10_000
-"""Changes of the graph that wait to be processed."""
-
 _MAX_TOKENS = 20_000
 """A graph that is larger is not read completely: a robot has some hundreds of tokens."""
 
-_MAX_ENDPOINTS = 10_000
-"""So many endpoints a process remembers: the newest."""
+_MAX_ENDPOINTS = 1000
+"""A topic with so many endpoints is not followed any further: a robot's topic has some ten."""
+
+_POLL_S = 0.1
+"""Interval for reading what has changed: one thread for all topics, at any rate of changes."""
 
 _log = logging.getLogger("cairn.graph")
 
 
 def read_graph(
-    session: zenoh.Session, domain: int, timeout_s: float = 10.0, *, patience_s: float | None = None
+    session: zenoh.Session,
+    pattern: str,
+    timeout_s: float = 10.0,
+    *,
+    patience_s: float | None = None,
 ) -> list[keys.NodeEntity | keys.EndpointEntity]:
-    """Return all nodes and endpoints alive in a domain, sorted by their tokens.
+    """Return the nodes and endpoints alive whose tokens match a pattern, sorted by their tokens.
 
-    After `patience_s` [s] it returns what has arrived, perhaps nothing.
+    The router sends all tokens that match, and no others, so the narrowest pattern is the fastest:
+    see `cairn.bus.keys`. After `patience_s` [s] it returns what has arrived, perhaps nothing.
 
     For the session of a client (`open_client`): to a peer, zenoh 1.10 may declare the reply
     complete before all of it has arrived. Peers follow the graph with `GraphWatcher`. Raises
@@ -38,7 +44,7 @@ def read_graph(
     tokens: list[str] = []
     replies: queue.Queue[zenoh.Reply | None] = queue.Queue()
     handler: Any = zenoh.handlers.Callback(replies.put, lambda: replies.put(None), indirect=False)
-    session.liveliness().get(keys.tokens_pattern(domain), handler, timeout=timeout_s)
+    session.liveliness().get(pattern, handler, timeout=timeout_s)
     deadline = None if patience_s is None else time.monotonic() + patience_s
     while True:
         try:
@@ -62,86 +68,163 @@ def read_graph(
 
 
 class GraphWatcher:
-    """Reports each endpoint of the domain, those that exist already and those that appear."""
+    """Reports the endpoints of topics, those that exist already and those that appear.
+
+    It subscribes to the tokens of these topics alone, because each token that another program
+    declares is sent to every process that subscribes to it.
+    """
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
         """Follow nothing yet: `start` does."""
         self._session = session
         self._domain = domain
-        self._subscriber: zenoh.Subscriber[Any] | None = None
         self._lock = threading.Lock()
-        self._endpoints: dict[str, keys.EndpointEntity] = {}
+        self._reading = threading.Lock()  # the changes of a token are read in their order
+        self._topics: dict[str, _Topic] = {}
         self._by_gid: dict[bytes, keys.EndpointEntity] = {}
-        self._callbacks: list[Callable[[keys.EndpointEntity], None]] = []
+        self._closed = threading.Event()
+        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Follow the graph from now on.
+        """Follow the watched topics from now on.
 
-        Zenoh then sends this process all tokens, which takes seconds if another process has
-        declared thousands: after the start of a component they delay nothing.
+        Zenoh then sends this process the tokens of these topics, which takes seconds if another
+        process has declared thousands: after the start of a component they delay nothing.
         """
-        if self._subscriber is not None:
-            return
-        self._subscriber = self._session.liveliness().declare_subscriber(
-            keys.tokens_pattern(self._domain),
-            zenoh.handlers.RingChannel(_MAX_PENDING),
-            history=True,
-        )
-        self._thread = threading.Thread(
-            target=self._follow, args=(self._subscriber.handler,), name="cairn graph", daemon=True
-        )
+        with self._lock:
+            if self._thread is not None:
+                return
+            self._thread = threading.Thread(target=self._follow, name="cairn graph", daemon=True)
+            for name, topic in self._topics.items():
+                self._subscribe(name, topic)
         self._thread.start()
 
-    def watch(self, on_endpoint: Callable[[keys.EndpointEntity], None]) -> Callable[[], None]:
-        """Call `on_endpoint` for every endpoint, now and later; return a function that stops it."""
+    def watch(
+        self, topic: str, on_endpoint: Callable[[keys.EndpointEntity], None]
+    ) -> Callable[[], None]:
+        """Call `on_endpoint` for every endpoint of a topic (full name), now and later.
+
+        Returns a function that stops it.
+        """
         with self._lock:
-            self._callbacks.append(on_endpoint)
-            present = list(self._endpoints.values())
+            followed = self._topics.get(topic)
+            if followed is None:
+                followed = self._topics[topic] = _Topic()
+                if self._thread is not None:
+                    self._subscribe(topic, followed)
+            followed.callbacks.append(on_endpoint)
+            present = list(followed.endpoints.values())
         for endpoint in present:
             on_endpoint(endpoint)
 
         def stop() -> None:
             with self._lock:
-                if on_endpoint in self._callbacks:
-                    self._callbacks.remove(on_endpoint)
+                if on_endpoint not in followed.callbacks:
+                    return
+                followed.callbacks.remove(on_endpoint)
+                if followed.callbacks:
+                    return
+                del self._topics[topic]
+                for token in followed.endpoints:
+                    self._by_gid.pop(keys.gid(token), None)
+                subscriber, followed.subscriber = followed.subscriber, None
+            if subscriber is not None:
+                subscriber.undeclare()
 
         return stop
 
     def endpoint(self, gid: bytes) -> keys.EndpointEntity | None:
-        """Return the endpoint that has this identity; None if the graph does not contain it."""
+        """Return the endpoint that has this identity; None if no watched topic has it."""
+        if gid not in self._by_gid:
+            self._read_changes()
         return self._by_gid.get(gid)
 
     def close(self) -> None:
         """Stop following the graph."""
-        if self._subscriber is not None:
-            self._subscriber.undeclare()
+        self._closed.set()
+        if self._thread is not None:
             self._thread.join(timeout=2.0)
+        with self._lock:
+            subscribers = [topic.subscriber for topic in self._topics.values() if topic.subscriber]
+            for topic in self._topics.values():
+                topic.subscriber = None
+        for subscriber in subscribers:
+            subscriber.undeclare()
 
-    def _follow(self, channel: Any) -> None:
-        while True:
-            try:
-                sample = channel.recv()
-            except zenoh.ZError:  # the subscriber was undeclared
-                return
-            token = str(sample.key_expr)
-            for entity in _parsed([token]):
-                if not isinstance(entity, keys.EndpointEntity):
-                    continue
-                with self._lock:
-                    if sample.kind == zenoh.SampleKind.DELETE:
-                        self._endpoints.pop(token, None)
-                        self._by_gid.pop(keys.gid(token), None)
-                        continue
-                    known = token in self._endpoints
-                    self._endpoints[token] = entity
-                    self._by_gid[keys.gid(token)] = entity
-                    if len(self._endpoints) > _MAX_ENDPOINTS:
-                        oldest = next(iter(self._endpoints))
-                        del self._endpoints[oldest]
-                        self._by_gid.pop(keys.gid(oldest), None)
-                    callbacks = [] if known else list(self._callbacks)
-                for on_endpoint in callbacks:
-                    on_endpoint(entity)
+    def _subscribe(self, name: str, topic: "_Topic") -> None:
+        topic.subscriber = self._session.liveliness().declare_subscriber(
+            keys.endpoints_pattern(self._domain, name),
+            zenoh.handlers.RingChannel(_MAX_ENDPOINTS),
+            history=True,
+        )
+
+    def _follow(self) -> None:
+        while not self._closed.wait(_POLL_S):
+            self._read_changes()
+
+    def _read_changes(self) -> None:
+        with self._lock:
+            topics = list(self._topics.items())
+        for name, topic in topics:
+            calls: list[Callable[[], None]] = []
+            with self._reading:
+                for _ in range(_MAX_ENDPOINTS):
+                    sample = topic.next_change()
+                    if sample is None:
+                        break
+                    calls += self._changed(name, topic, sample)
+            for call in calls:
+                call()
+
+    def _changed(
+        self, name: str, topic: "_Topic", sample: zenoh.Sample
+    ) -> list[Callable[[], None]]:
+        """Remember a change; return the calls to make."""
+        token = str(sample.key_expr)
+        entity = next(iter(_parsed([token])), None)
+        if not isinstance(entity, keys.EndpointEntity):
+            return []
+        with self._lock:
+            if self._topics.get(name) is not topic:  # no longer watched
+                return []
+            if sample.kind == zenoh.SampleKind.DELETE:
+                topic.endpoints.pop(token, None)
+                self._by_gid.pop(keys.gid(token), None)
+                return []
+            known = token in topic.endpoints
+            topic.endpoints[token] = entity
+            self._by_gid[keys.gid(token)] = entity
+            callbacks = [] if known else list(topic.callbacks)
+            crowded = None
+            if len(topic.endpoints) >= _MAX_ENDPOINTS:
+                crowded, topic.subscriber = topic.subscriber, None
+        if crowded is not None:
+            crowded.undeclare()
+            _log.warning(
+                "stopped following the endpoints of %s: it has %d or more, so further ones with "
+                "another type are not reported; end the program that announces them, then "
+                "restart this component",
+                name,
+                _MAX_ENDPOINTS,
+            )
+        return [partial(callback, entity) for callback in callbacks]
+
+
+class _Topic:
+    """What is known of a watched topic."""
+
+    def __init__(self) -> None:
+        self.endpoints: dict[str, keys.EndpointEntity] = {}
+        self.callbacks: list[Callable[[keys.EndpointEntity], None]] = []
+        self.subscriber: zenoh.Subscriber[Any] | None = None
+
+    def next_change(self) -> zenoh.Sample | None:
+        """Return the next change that has arrived, if any."""
+        subscriber = self.subscriber
+        try:
+            return None if subscriber is None else subscriber.handler.try_recv()
+        except zenoh.ZError:  # another thread has just undeclared it
+            return None
 
 
 def _parsed(tokens: Iterable[str]) -> Iterable[keys.NodeEntity | keys.EndpointEntity]:

@@ -136,6 +136,22 @@ def tokens_pattern(domain: int) -> str:
     return f"{TOKENS}/{domain}/**"
 
 
+def nodes_pattern(domain: int, name: str = "") -> str:
+    """Return the key expression that matches the tokens of the node of a full name, or of all."""
+    namespace, _, last = name.rpartition("/")
+    path = f"{_mangle(namespace) or _ROOT}/{last}" if name else "*/*"
+    return f"{TOKENS}/{domain}/*/*/*/NN/*/{path}"
+
+
+def endpoints_pattern(domain: int, topic: str = "", kind: EndpointKind | Literal["*"] = "*") -> str:
+    """Return the key expression that matches the tokens of a topic's endpoints, or of all topics.
+
+    `*` in a topic (full name) stands for any characters.
+    """
+    chunk = _mangle(topic).replace("*", "$*") if topic else "*"
+    return f"{TOKENS}/{domain}/*/*/*/{kind}/*/*/*/{chunk}/*/*/*"
+
+
 def control_key(domain: int, component: str, verb: str = "*") -> str:
     """Return the key of a control request to a component (full name `/robot/localizer`).
 

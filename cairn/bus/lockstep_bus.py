@@ -56,6 +56,8 @@ class LockstepNode:
         message: type[Any],
         qos: Qos,
         exclusive: Exclusive | None = None,  # noqa: ARG002 - readers know the publisher's name
+        *,
+        shared: bool = False,  # noqa: ARG002 - there are no other programs
     ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
         end = LockstepPublisher(self, self._bus.topic(topic), message, qos)

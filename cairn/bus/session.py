@@ -7,6 +7,7 @@ import secrets
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -210,6 +211,21 @@ class Gateway:
             session.close()
             raise CairnError(f"the gateway on {endpoints} does not reach the router at {router}")
         return session
+
+
+def close_session(session: zenoh.Session, limit_s: float) -> None:
+    """Close a session; one that takes longer [s] closes while its process goes on or ends.
+
+    Zenoh waits up to 10 s for a stopped process or a busy router, and then raises `ZError`.
+    """
+
+    def close() -> None:
+        with suppress(zenoh.ZError):
+            session.close()
+
+    closing = threading.Thread(target=close, name="cairn close", daemon=True)
+    closing.start()
+    closing.join(limit_s)
 
 
 def process_of(zid: str) -> str:

@@ -7,6 +7,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import zenoh
@@ -36,6 +37,7 @@ from cairn.bus.message_limits import (
     too_long,
 )
 from cairn.bus.qos import Qos
+from cairn.bus.session import close_session
 from cairn.bus.type_hash import type_hash
 from cairn.schemas.message import InvalidMessage, type_name
 
@@ -93,10 +95,7 @@ class ZenohBus:
         self._closed = True
         self.graph.close()
         self._barrier.close()
-        # Zenoh waits for seconds for each linked process that is stopped; this process need not.
-        closing = threading.Thread(target=self.session.close, name="cairn close", daemon=True)
-        closing.start()
-        closing.join(_CLOSE_LIMIT_S)
+        close_session(self.session, _CLOSE_LIMIT_S)
 
 
 class ZenohNode:
@@ -119,10 +118,16 @@ class ZenohNode:
         return self._report
 
     def advertise(
-        self, topic: str, message: type[Any], qos: Qos, exclusive: Exclusive | None = None
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        exclusive: Exclusive | None = None,
+        *,
+        shared: bool = False,
     ) -> "ZenohPublisher":
         """Return a publisher of class `message` on `topic`, which signs if it is exclusive."""
-        publisher = ZenohPublisher(self, topic, message, qos, exclusive)
+        publisher = ZenohPublisher(self, topic, message, qos, exclusive, shared=shared)
         self._ends.append(publisher)
         return publisher
 
@@ -142,16 +147,25 @@ class ZenohNode:
         return subscription
 
     def announce(
-        self, kind: keys.EndpointKind, topic: str, message: type[Any], qos: Qos
+        self,
+        kind: keys.EndpointKind,
+        topic: str,
+        message: type[Any],
+        qos: Qos,
+        *,
+        shared: bool = False,
     ) -> "Announcement":
-        """Announce an endpoint of this node in the graph."""
+        """Announce an endpoint of this node in the graph, and watch those of others.
+
+        The others are not watched if the topic is `shared` by all components.
+        """
         bus = self.bus
         bus.codec.register(message)
         entity = keys.EndpointEntity(
             self._entity, bus.next_id(), kind, topic, type_name(message),
             type_hash(message), qos,
         )  # fmt: skip
-        return Announcement(bus, entity, self._conflicts)
+        return Announcement(bus, entity, None if shared else self._conflicts)
 
     def close(self) -> None:
         """Leave the bus and close all publishers and subscriptions."""
@@ -165,23 +179,31 @@ class ZenohNode:
 
 
 class Announcement:
-    """An endpoint's liveliness token; reports endpoints that use its topic with another type."""
+    """An endpoint's liveliness token; reports endpoints that use its topic with another type.
 
-    def __init__(self, bus: ZenohBus, entity: keys.EndpointEntity, conflicts: PublisherLog) -> None:
+    Without `conflicts` it reports none.
+    """
+
+    def __init__(
+        self, bus: ZenohBus, entity: keys.EndpointEntity, conflicts: PublisherLog | None
+    ) -> None:
         token = keys.token_key(entity)
         self.key = entity.data_key
         self.gid = keys.gid(token)
         self._entity = entity
-        self._conflicts = conflicts
         self._token = bus.session.liveliness().declare_token(token)
-        self._stop_watching = bus.graph.watch(self._on_endpoint)
+        self._stop_watching: Callable[[], None] | None = None
+        if conflicts is not None:
+            on_endpoint = partial(self._on_endpoint, conflicts)
+            self._stop_watching = bus.graph.watch(entity.topic, on_endpoint)
 
     def close(self) -> None:
         """Withdraw the endpoint from the graph."""
-        self._stop_watching()
+        if self._stop_watching is not None:
+            self._stop_watching()
         self._token.undeclare()
 
-    def _on_endpoint(self, other: keys.EndpointEntity) -> None:
+    def _on_endpoint(self, conflicts: PublisherLog, other: keys.EndpointEntity) -> None:
         own = self._entity
         if other.topic != own.topic or other.kind not in ("MP", "MS"):
             return
@@ -190,7 +212,7 @@ class Announcement:
         theirs = other.type_name
         if theirs == own.type_name:
             theirs = f"another definition of it ({other.type_hash})"
-        self._conflicts.add(
+        conflicts.add(
             other.node.name,
             lambda named: type_conflict(own.topic, own.type_name, named, theirs),
         )
@@ -206,6 +228,8 @@ class ZenohPublisher:
         message: type[Any],
         qos: Qos,
         exclusive: Exclusive | None,
+        *,
+        shared: bool = False,
     ) -> None:
         self.published = 0
         self._sent = 0
@@ -215,7 +239,7 @@ class ZenohPublisher:
         self._topic = topic
         self._max_bytes = node.bus.limits.of(topic)
         self._too_long = PublisherLog(node.report)
-        self._announcement = node.announce("MP", topic, message, qos)
+        self._announcement = node.announce("MP", topic, message, qos, shared=shared)
         self._gid = self._announcement.gid
         self._signer: Signer | None = None
         if exclusive is not None and exclusive.writer == node.name and exclusive.key:

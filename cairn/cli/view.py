@@ -257,7 +257,7 @@ class LogWatch(Watch):
         self._allowed = TokenBucket(_MOST_AT_ONCE, _MOST_HZ, time.monotonic())
         self._suppressed = 0
         self._reported = 0.0
-        self._marker = self._node.advertise(ROSOUT, Log, ROSOUT_QOS)
+        self._marker = self._node.advertise(ROSOUT, Log, ROSOUT_QOS, shared=True)
         self._add(ROSOUT, Log, ROSOUT_QOS, self._log, self._wake)
 
     def refresh(self) -> None:

@@ -20,18 +20,21 @@ from cairn.bus.codec import Codec
 from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.endpoints import endpoint_for, socket_path
 from cairn.bus.graph import read_graph
-from cairn.bus.session import is_connected, open_client, process_id
+from cairn.bus.session import close_session, is_connected, open_client, process_id
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
 
 STATUS_TOPIC = "component_status"
 
+_CLOSE_LIMIT_S = 1.0  # a link closes in milliseconds, unless the router is busy or stopped
 _MATCH_LIMIT_S = 2.0
 _CACHE_LIMIT_S = 5.0  # for all caches together
 _CACHE_PAUSE_S = 1.0  # caches that have sent nothing for so long do not answer
 
 _STATUS_LIMIT_S = 1.0  # four times the period of statuses
+_CACHES_FIRST_S = 0.3  # before the graph is read
+_GRAPH_LIMIT_S = 0.5  # a robot's is read in some ms
 _STATUS_PAUSE_S = 0.5  # if no further component has answered for so long, the others do not
 _STATUS_BYTES = 64 << 10  # a longer status is forged: one port takes about 100 bytes
 _MAX_ROBOTS = 50  # whose statuses are read at once
@@ -98,7 +101,7 @@ class Connection:
 
     def close(self) -> None:
         """Close the session."""
-        self.session.close()
+        close_session(self.session, _CLOSE_LIMIT_S)
 
     def is_alive(self) -> bool:
         """Return whether the deployment's router still answers."""
@@ -106,17 +109,22 @@ class Connection:
 
     def graph(self) -> list[keys.NodeEntity | keys.EndpointEntity]:
         """Return all nodes and endpoints that exist."""
-        return read_graph(self.session, self.domain)
+        return read_graph(self.session, keys.tokens_pattern(self.domain))
 
     def nodes(self) -> list[str]:
         """Return the full names of all nodes (`/robot/localizer`)."""
-        return [entity.name for entity in self.graph() if isinstance(entity, keys.NodeEntity)]
+        graph = read_graph(self.session, keys.nodes_pattern(self.domain))
+        return [entity.name for entity in graph if isinstance(entity, keys.NodeEntity)]
 
-    def endpoints(self) -> list[keys.EndpointEntity]:
-        """Return all publishers and subscriptions of topics."""
+    def endpoints(self, topic: str = "") -> list[keys.EndpointEntity]:
+        """Return the publishers and subscriptions of a topic (full name), or of all topics.
+
+        `*` in the topic stands for any characters.
+        """
+        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, topic))
         return [
             entity
-            for entity in self.graph()
+            for entity in graph
             if isinstance(entity, keys.EndpointEntity) and entity.kind in ("MP", "MS")
         ]
 
@@ -132,10 +140,13 @@ class Connection:
         answered_at = time.monotonic()
         limit = answered_at + _STATUS_LIMIT_S
         with ExitStack() as stack:
-            # Of all robots, and whatever the graph contains: reading that may take too long.
+            # Of all robots, and whatever the graph contains: reading that may take too long, and
+            # what is sent after it arrives after it.
             everywhere = keys.message_key(self.domain, f"/*/{STATUS_TOPIC}", ComponentStatus)
-            stack.enter_context(self.listen(everywhere, latched=True, samples=samples))
-            graph = read_graph(self.session, self.domain, patience_s=_STATUS_LIMIT_S)
+            stack.enter_context(self.listen(everywhere, samples=samples))
+            self._ask_caches(everywhere, samples).wait(_CACHES_FIRST_S)
+            pattern = keys.endpoints_pattern(self.domain, f"*/{STATUS_TOPIC}", "MP")
+            graph = read_graph(self.session, pattern, patience_s=_GRAPH_LIMIT_S)
             announced = [one for one in graph if _is_status_publisher(one)]
             # Tokens may be forged: those of processes that exist here come first.
             announced.sort(key=lambda one: (not _runs_here(one.node.zid), one.topic, one.node.name))
@@ -218,14 +229,19 @@ class Connection:
                 return samples, False
             samples.append(reply.ok)
 
-    def _ask_caches(self, key: str, samples: SampleQueue) -> None:
-        """Add the samples that the latched publishers of a key keep, each when it arrives."""
+    def _ask_caches(self, key: str, samples: SampleQueue) -> threading.Event:
+        """Add the samples that the latched publishers of a key keep, each when it arrives.
+
+        Returns an event that is set when all have replied, or after 1 s.
+        """
 
         def add(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 samples.put(reply.ok)
 
-        self._query_caches(key, add, lambda: None, _STATUS_LIMIT_S)
+        ended = threading.Event()
+        self._query_caches(key, add, ended.set, _STATUS_LIMIT_S)
+        return ended
 
     def _query_caches(
         self,

@@ -19,6 +19,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.client.connection import (
     KEPT_BYTES,
+    STATUS_TOPIC,
     Connection,
     attachment_of,
     check_robot,
@@ -140,7 +141,7 @@ class Robot:
         status_type = type_name(ComponentStatus)
         robots = {
             end.node.name.split("/")[1]
-            for end in self.connection.endpoints()
+            for end in self.connection.endpoints(f"*/{STATUS_TOPIC}")
             if end.kind == "MP" and end.type_name == status_type
         }
         check_robot(self._robot, robots)
@@ -402,11 +403,7 @@ class Robot:
         return known[full], full.rpartition("/")[2]
 
     def _check_logger(self, component: str) -> None:
-        writers = {
-            end.node.name
-            for end in self.connection.endpoints()
-            if end.kind == "MP" and end.topic == ROSOUT
-        }
+        writers = {end.node.name for end in self.connection.endpoints(ROSOUT) if end.kind == "MP"}
         check_robot(self._robot, (name.split("/")[1] for name in writers))
         if component:
             resolve(writers, component, self._robot)
@@ -420,8 +417,8 @@ class Robot:
 
     def _check_type(self, topic: str, message: type[Any]) -> None:
         ours = type_name(message)
-        for end in self.connection.endpoints():
-            if end.topic == topic and end.type_name != ours:
+        for end in self.connection.endpoints(topic):
+            if end.type_name != ours:
                 raise CairnError(
                     f"{topic}: {end.node.name} uses it with {end.type_name}, not with {ours}; "
                     "subscribe with that message type"

@@ -16,9 +16,10 @@ from cairn.bus.credentials import NO_CREDENTIALS
 from cairn.bus.endpoints import domain_socket, parse_endpoint
 from cairn.bus.exclusive import KEY_BYTES
 from cairn.bus.graph import read_graph
-from cairn.bus.keys import NodeEntity
+from cairn.bus.keys import nodes_pattern
 from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import (
+    close_session,
     Gateway,
     open_client,
     open_peer,
@@ -47,6 +48,8 @@ _log = logging.getLogger("cairn.root")
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
 _ANSWER_LIMIT_S = 0.5  # of the components of a running robot, whatever their loops do
 _IMPORTS_LIMIT_S = COMPILATION_LIMIT_S + 60.0
+_GRAPH_LIMIT_S = 1.0  # for the tokens of one name
+_CLOSE_LIMIT_S = 1.0
 _FORCE_S = 1.0  # for the zygote to end, with all processes
 
 
@@ -222,12 +225,16 @@ def gateway_of(deployment: Deployment) -> Gateway | None:
 def _check_robot_name_is_free(deployment: Deployment) -> None:
     """Two robots of one name would execute each other's commands, and share their topics."""
     name = full_name(deployment.robot, ROOT)
-    with open_client(deployment.bus.connect, deployment.bus.credentials) as session:
-        nodes = read_graph(session, deployment.domain)
-        if not any(isinstance(node, NodeEntity) and node.name == name for node in nodes):
+    session = open_client(deployment.bus.connect, deployment.bus.credentials)
+    try:
+        if not read_graph(
+            session, nodes_pattern(deployment.domain, name), patience_s=_GRAPH_LIMIT_S
+        ):
             return
         answers = answering(session, deployment.domain, deployment.robot, _ANSWER_LIMIT_S)
         runs = next(answers, None) is not None
+    finally:
+        close_session(session, _CLOSE_LIMIT_S)
     if runs:
         raise CairnError(
             f"a robot {deployment.robot} runs already on the bus of "

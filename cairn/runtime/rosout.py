@@ -28,7 +28,7 @@ class RosoutHandler(logging.Handler):
 
     def __init__(self, node: Node) -> None:
         super().__init__()
-        self._publisher = node.advertise(ROSOUT, Log, ROSOUT_QOS)
+        self._publisher = node.advertise(ROSOUT, Log, ROSOUT_QOS, shared=True)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Publish one record; `logging` calls this with the handler's lock held."""

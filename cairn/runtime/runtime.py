@@ -393,7 +393,8 @@ class StatusPublisher:
     """Publishes a component's status, latched; from the component's thread and its host's."""
 
     def __init__(self, node: Node, robot: str, status: Callable[[], ComponentStatus]) -> None:
-        self._publisher = node.advertise(full_name(robot, STATUS_TOPIC), ComponentStatus, LATCHED)
+        topic = full_name(robot, STATUS_TOPIC)
+        self._publisher = node.advertise(topic, ComponentStatus, LATCHED, shared=True)
         self._status = status
         self._lock = threading.Lock()
         self._open = True

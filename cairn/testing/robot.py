@@ -19,8 +19,9 @@ import zenoh
 from cairn.bus import keys
 from cairn.bus.bus import Node, Subscription, full_name
 from cairn.bus.control import ControlError, request
+from cairn.bus.graph import read_graph
 from cairn.bus.qos import LATCHED, RELIABLE, Qos
-from cairn.bus.session import open_peer
+from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.clock import to_ns
 from cairn.runtime.lifecycle import STATE_AFTER
@@ -325,10 +326,9 @@ class RunningDeployment:
 
     def _endpoints(self) -> list[keys.EndpointEntity]:
         """Return the publishers of the deployment."""
-        found: list[keys.EndpointEntity] = []
-        end = self._bus.graph.watch(found.append)
-        end()
-        return [endpoint for endpoint in found if endpoint.kind == "MP"]
+        with open_client([self.run.endpoint]) as session:
+            found = read_graph(session, keys.endpoints_pattern(self._bus.domain, kind="MP"))
+        return [endpoint for endpoint in found if isinstance(endpoint, keys.EndpointEntity)]
 
     def _on_status(self) -> None:
         with self._changed:

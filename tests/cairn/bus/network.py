@@ -17,7 +17,7 @@ from cairn.bus.bus import Bus, Node
 from cairn.bus.endpoints import socket_path
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.graph import read_graph
-from cairn.bus.keys import EndpointEntity, NodeEntity
+from cairn.bus.keys import EndpointEntity, NodeEntity, tokens_pattern
 from cairn.bus.session import open_client, open_peer, open_router
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.testing.launching import new_endpoint
@@ -53,7 +53,7 @@ class Network:
         """Return the graph as a command sees it."""
         session = open_client([self.endpoint])
         try:
-            return read_graph(session, domain, LIMIT_S)
+            return read_graph(session, tokens_pattern(domain), LIMIT_S)
         finally:
             session.close()
 

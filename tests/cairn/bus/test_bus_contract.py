@@ -53,7 +53,7 @@ def await_publisher(bus: Bus, name: str) -> None:
     """Wait until the bus knows from the graph which node publishes."""
     if isinstance(bus, ZenohBus):
         known: list[str] = []
-        stop = bus.graph.watch(lambda endpoint: known.append(endpoint.node.name))
+        stop = bus.graph.watch(TOPIC, lambda endpoint: known.append(endpoint.node.name))
         assert eventually(lambda: name in known)
         stop()
 

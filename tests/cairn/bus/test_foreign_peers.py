@@ -169,3 +169,51 @@ def test_forged_tokens_with_another_type_do_not_fill_the_log(network: Network) -
     assert len(reported) < 30
     for token in tokens:
         token.undeclare()
+
+
+def ghosts_of(foreign: ZenohBus, topic: str, count: int) -> list[str]:
+    """Return the tokens of publishers that do not exist."""
+    zid = str(foreign.session.info.zid())
+    return [
+        token_key(EndpointEntity(
+            NodeEntity(0, zid, number, f"/robot/ghost_{number}"), number, "MP", topic,
+            type_name(Twist), type_hash(Twist), RELIABLE,
+        ))
+        for number in range(count)
+    ]  # fmt: skip
+
+
+def test_process_receives_only_the_tokens_of_its_own_topics(network: Network) -> None:
+    own, foreign = network.bus(), network.bus()
+    base = node(own, "/robot/base")
+    base.advertise("/robot/cmd_vel", Twist, RELIABLE)
+    base.advertise("/rosout", Twist, RELIABLE, shared=True)
+    others = [*ghosts_of(foreign, "/robot/odom", 5), *ghosts_of(foreign, "/rosout", 5)]
+    ghosts = [*others, *ghosts_of(foreign, "/robot/cmd_vel", 5)]
+    tokens = [foreign.session.liveliness().declare_token(ghost) for ghost in ghosts]
+
+    # They arrive in the order in which they were declared.
+    assert eventually(lambda: own.graph.endpoint(gid(ghosts[-1])) is not None)
+    assert [ghost for ghost in others if own.graph.endpoint(gid(ghost))] == []
+    for token in tokens:
+        token.undeclare()
+
+
+def test_topic_that_others_crowd_is_not_followed_further(
+    network: Network, caplog: pytest.LogCaptureFixture
+) -> None:
+    own, foreign = network.bus(), network.bus()
+    reader = Reader(node(own, "/robot/base"), "/robot/cmd_vel", Twist, RELIABLE)
+    ghosts = ghosts_of(foreign, "/robot/cmd_vel", 1100)
+    tokens = [foreign.session.liveliness().declare_token(ghost) for ghost in ghosts]
+
+    assert eventually(lambda: "stopped following the endpoints of /robot/cmd_vel" in caplog.text)
+    writer = node(foreign, "/robot/other").advertise("/robot/cmd_vel", Twist, RELIABLE)
+    foreign.wait_for_peers(LIMIT_S)
+    writer.publish(Twist())
+    assert reader.next() == Twist()
+    [late] = [end for end in network.graph() if isinstance(end, EndpointEntity) and end.kind == "MP"
+              and end.node.name == "/robot/other"]  # fmt: skip
+    assert own.graph.endpoint(gid(token_key(late))) is None
+    for token in tokens:
+        token.undeclare()

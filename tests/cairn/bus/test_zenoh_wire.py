@@ -10,7 +10,7 @@ import zenoh
 from cairn import LATCHED, SENSOR, CairnError, Qos
 from cairn.bus.codec import Codec
 from cairn.bus.graph import read_graph
-from cairn.bus.keys import Attachment, EndpointEntity, NodeEntity, gid, token_key
+from cairn.bus.keys import Attachment, EndpointEntity, NodeEntity, gid, token_key, tokens_pattern
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
@@ -119,11 +119,11 @@ def _names(network: Network) -> list[str]:
 
 def test_router_that_does_not_list_the_graph_in_time_is_an_error() -> None:
     with router_process() as (endpoint, router), open_client([endpoint]) as command:
-        assert read_graph(command, 0, LIMIT_S) == []
+        assert read_graph(command, tokens_pattern(0), LIMIT_S) == []
         stop(router)
 
         with pytest.raises(CairnError, match="the router did not list the components within"):
-            read_graph(command, 0, 0.2)
+            read_graph(command, tokens_pattern(0), 0.2)
 
 
 def test_domains_are_isolated(network: Network) -> None:
@@ -150,23 +150,22 @@ def test_each_endpoint_is_reported_once_in_any_race(network: Network, watched_fi
     reported: list[EndpointEntity] = []
     ends: list[Callable[[], None]] = []
     if watched_first:
-        ends.append(bus.graph.watch(reported.append))
-    part = node(other, "/robot/part")
-    topics = [f"/robot/topic{number}" for number in range(50)]
-    for number, topic in enumerate(topics):
-        part.advertise(topic, String, SENSOR)
+        ends.append(bus.graph.watch("/robot/word", reported.append))
+    names = [f"/robot/part{number}" for number in range(50)]
+    for number, name in enumerate(names):
+        node(other, name).advertise("/robot/word", String, SENSOR)
         if number == 25 and not watched_first:
-            ends.append(bus.graph.watch(reported.append))
+            ends.append(bus.graph.watch("/robot/word", reported.append))
 
-    assert eventually(lambda: len(reported) >= len(topics))
-    assert sorted(one.topic for one in reported) == sorted(topics)
+    assert eventually(lambda: len(reported) >= len(names))
+    assert sorted(one.node.name for one in reported) == sorted(names)
 
     for end in ends:
         end()
         end()
-    last = Reader(node(bus, "/robot/ear"), "/robot/more", String, SENSOR)
-    more = part.advertise("/robot/more", String, SENSOR)
+    last = Reader(node(bus, "/robot/ear"), "/robot/word", String, SENSOR)
+    more = node(other, "/robot/more").advertise("/robot/word", String, SENSOR)
     other.wait_for_peers(LIMIT_S)
     more.publish(String(data="more"))
     last.next()
-    assert len(reported) == len(topics)
+    assert len(reported) == len(names)

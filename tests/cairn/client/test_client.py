@@ -130,7 +130,7 @@ class OneMessage:
 
     domain = 0
 
-    def endpoints(self) -> list[Any]:
+    def endpoints(self, _topic: str) -> list[Any]:
         return []
 
     def subscriber(self, _key: str, handler: Any, *, latched: bool) -> Any:
