@@ -37,8 +37,8 @@ from cairn.testing.launching import Launching, Run, launching, new_socket
 
 PEERS = 40
 """Silent sessions, a fifth of them in processes that are stopped."""
-GHOSTS = 100
-"""Liveliness tokens of nodes and publishers that do not exist; see SECURITY.md for thousands."""
+GHOSTS = 10_000
+"""Liveliness tokens of nodes and publishers that do not exist; see SECURITY.md for worse ones."""
 LIMIT_S = 1.0
 """Nothing may be delayed by more."""
 

@@ -19,8 +19,8 @@ from cairn.bus.graph import read_graph
 from cairn.bus.keys import nodes_pattern
 from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import (
-    close_session,
     Gateway,
+    close_session,
     open_client,
     open_peer,
     open_router,
@@ -48,8 +48,7 @@ _log = logging.getLogger("cairn.root")
 _ZYGOTE_STOPPED_LIMIT_S = 2.0
 _ANSWER_LIMIT_S = 0.5  # of the components of a running robot, whatever their loops do
 _IMPORTS_LIMIT_S = COMPILATION_LIMIT_S + 60.0
-_GRAPH_LIMIT_S = 1.0  # for the tokens of one name
-_CLOSE_LIMIT_S = 1.0
+_CLOSE_LIMIT_S = 1.0  # of a link to a router
 _FORCE_S = 1.0  # for the zygote to end, with all processes
 
 
@@ -227,9 +226,7 @@ def _check_robot_name_is_free(deployment: Deployment) -> None:
     name = full_name(deployment.robot, ROOT)
     session = open_client(deployment.bus.connect, deployment.bus.credentials)
     try:
-        if not read_graph(
-            session, nodes_pattern(deployment.domain, name), patience_s=_GRAPH_LIMIT_S
-        ):
+        if not read_graph(session, nodes_pattern(deployment.domain, name)):
             return
         answers = answering(session, deployment.domain, deployment.robot, _ANSWER_LIMIT_S)
         runs = next(answers, None) is not None
