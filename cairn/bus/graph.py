@@ -182,21 +182,22 @@ class GraphWatcher:
         """Remember a change; return the calls to make."""
         token = str(sample.key_expr)
         entity = next(iter(_parsed([token])), None)
-        if not isinstance(entity, keys.EndpointEntity):
-            return []
+        calls: list[Callable[[], None]] = []
+        crowded = None
         with self._lock:
             if self._topics.get(name) is not topic:  # no longer watched
                 return []
-            if sample.kind == zenoh.SampleKind.DELETE:
+            if not isinstance(entity, keys.EndpointEntity):
+                topic.malformed += 1
+            elif sample.kind == zenoh.SampleKind.DELETE:
                 topic.endpoints.pop(token, None)
                 self._by_gid.pop(keys.gid(token), None)
-                return []
-            known = token in topic.endpoints
-            topic.endpoints[token] = entity
-            self._by_gid[keys.gid(token)] = entity
-            callbacks = [] if known else list(topic.callbacks)
-            crowded = None
-            if len(topic.endpoints) >= _MAX_ENDPOINTS:
+            else:
+                if token not in topic.endpoints:
+                    calls = [partial(callback, entity) for callback in topic.callbacks]
+                topic.endpoints[token] = entity
+                self._by_gid[keys.gid(token)] = entity
+            if len(topic.endpoints) + topic.malformed >= _MAX_ENDPOINTS:
                 crowded, topic.subscriber = topic.subscriber, None
         if crowded is not None:
             crowded.undeclare()
@@ -207,7 +208,7 @@ class GraphWatcher:
                 name,
                 _MAX_ENDPOINTS,
             )
-        return [partial(callback, entity) for callback in callbacks]
+        return calls
 
 
 class _Topic:
@@ -216,6 +217,7 @@ class _Topic:
     def __init__(self) -> None:
         self.endpoints: dict[str, keys.EndpointEntity] = {}
         self.callbacks: list[Callable[[keys.EndpointEntity], None]] = []
+        self.malformed = 0  # tokens that have appeared or disappeared
         self.subscriber: zenoh.Subscriber[Any] | None = None
 
     def next_change(self) -> zenoh.Sample | None:
