@@ -395,7 +395,6 @@ class SensorsAndNavigator(Component):
         self._shown: list[int] = []
         self._pose: Pose = (0.0, 0.0, 0.0)
         self._number = self._scans = 0
-        self._begun = self.clock.now()
         self._command()
 
     @every(hz=50)

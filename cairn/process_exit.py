@@ -81,13 +81,13 @@ class ExitLog:
                     status = os.fstat(file.fileno())
                     # Older files are older. A new file may get the number of a removed one.
                     is_same = status.st_ino == position.inode
-                    is_begun = is_same and status.st_size >= position.size
-                    begin = position.size if is_begun else 0
+                    is_continued = is_same and status.st_size >= position.size
+                    begin = position.size if is_continued else 0
                     file.seek(max(begin, status.st_size - (most - len(read))))
                     read = file.read(most - len(read)) + read
             except OSError:
                 continue
-            if is_begun or len(read) >= most:
+            if is_continued or len(read) >= most:
                 break
         return read
 

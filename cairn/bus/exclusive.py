@@ -94,11 +94,11 @@ class _Tag:
 
     def __init__(self, exclusive: Exclusive, key_expression: str) -> None:
         topic = key_expression.encode()
-        self._begun = blake2b(key=exclusive.key, digest_size=_TAG_BYTES, person=b"cairn exclusive")
-        self._begun.update(_SENT.pack(len(topic)) + topic)
+        self._keyed = blake2b(key=exclusive.key, digest_size=_TAG_BYTES, person=b"cairn exclusive")
+        self._keyed.update(_SENT.pack(len(topic)) + topic)
 
     def of(self, sent_ns: int, head: bytes, payload: bytes) -> bytes:
-        digest = self._begun.copy()
+        digest = self._keyed.copy()
         digest.update(_SENT.pack(sent_ns) + head)
         digest.update(payload)
         return digest.digest()

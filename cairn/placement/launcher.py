@@ -152,7 +152,7 @@ class ProcessHandle:
         if self._process is not None:
             before, end = _threads_of(self._process.pid), self._log.end()
             deadline = time.monotonic()
-            if before.handling:  # otherwise it has just begun, or is about to end
+            if before.handling:  # otherwise it has just started, or is about to end
                 self._process.signal(TRACEBACK_SIGNAL)
                 deadline += log_limit_s
             while self._process.wait(_TRACEBACK_POLL_S) is None and time.monotonic() < deadline:

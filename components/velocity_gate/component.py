@@ -180,8 +180,9 @@ class VelocityGate(Component):
         self.cmd_vel.publish(Twist())
 
     def on_parameters(self, new: Config) -> None:
-        """Continue from rest with the new parameters."""
+        """Stop the robot, and continue from rest with the new parameters."""
         assert isinstance(new, VelocityGateConfig)
+        self.cmd_vel.publish(Twist())
         self._apply(new)
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from cairn import CairnError
+from cairn.bounded_files import read_bounded
 from cairn.files import explain_os_error, replace_file
 
 _MOST_REASON = 200  # characters of the reason that are kept
@@ -60,8 +61,7 @@ class EmergencyStop:
         if self._file is None:
             return f"{unknown} (no state_file)" if restarted else ""
         try:
-            with self._file.open("rb") as file:
-                state = json.loads(file.read(_MOST_BYTES))
+            state = json.loads(read_bounded(self._file, _MOST_BYTES))
             if state["engaged"] is False:
                 return ""
             return str(state["reason"])[:_MOST_REASON] or unknown

@@ -142,7 +142,7 @@ def test_hung_process_is_killed_when_its_stacks_are_logged(
     assert "in tick" in process.killed_with
 
 
-def test_process_that_has_just_begun_or_ends_is_killed_by_no_other_signal(
+def test_process_that_has_just_started_or_ends_is_killed_by_no_other_signal(
     busy: tuple[BusyProcess, ProcessHandle],
 ) -> None:
     process, handle = busy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -185,6 +186,23 @@ def test_unknown_state_of_the_emergency_stop_counts_as_engaged(
     robot.step(("navigator_cmd_vel", AHEAD), seconds=0.5)
     assert robot.command == (0.0, 0.0)
     assert robot.status.emergency_stop
+
+
+def test_pipe_in_place_of_the_file_counts_as_engaged_without_waiting(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "gate.json")
+
+    robot = GatedRobot(state_file=str(tmp_path / "gate.json"))
+
+    assert "cannot be read" in robot.gate.request("status")["reason"]
+
+
+def test_changed_parameters_stop_the_robot_at_once() -> None:
+    robot = GatedRobot()
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+
+    robot.gate.set_parameters({"speed": 0.5})
+
+    assert robot.gate.take("cmd_vel")[-1] == Twist()
 
 
 def test_status_for_people_names_source_operator_and_what_holds_the_robot() -> None:
