@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -74,8 +74,9 @@ def drive(run: Run, ended: threading.Event, reached: list[str]) -> None:
             for goal in GOALS:
                 try:
                     with robot.go(*goal) as mission:
-                        state = mission.result(_GOAL_LIMIT_S).state
-                        reached.append(NAVIGATION_STATES[state])
+                        result = mission.result(_GOAL_LIMIT_S)
+                    state = NAVIGATION_STATES[result.state]
+                    reached.append(f"{state}: {result.reason}" if result.reason else state)
                 except CairnError as error:
                     reached.append(str(error))
                 if ended.is_set():
@@ -115,7 +116,8 @@ def main() -> int:
         last = samples[name, quantity][-1][1]
         table.add_row(name, quantity, f"{last:.1f}", f"{percent:+.2f}", verdict)
     Console(width=120).print(table)
-    print(f"{len(reached)} goals: {sorted(set(reached))}")
+    for result, times in Counter(reached).most_common():
+        print(f"{times} goals {result}")
     return int(any(percent > LIMIT_PERCENT for percent in growth.values()))
 
 
