@@ -36,10 +36,10 @@ RECORD_BYTES: Final = 128_000_000
 """Longest record or decompressed chunk of a bag [bytes]."""
 
 _SMALL_BYTES: Final = 64_000_000
-# Of text every number is parsed and kept: 16 MB of scans take 180 MB of memory.
+# Of text every number is parsed and kept: 16 MB of scans take 180 to 380 MB of memory.
 _SMALL_TEXT_BYTES: Final = 16_000_000
 _RATIO: Final = 20  # recordings of robots compress 3 to 12 times
-_FEW_LINES: Final = 40_000
+_FEW_LINES: Final = 150_000  # odometry of 67 Hz over half an hour, with two numbers a line
 _BYTES_OF_LINE: Final = 20  # least room of a line in a genuine compressed file
 
 
