@@ -52,6 +52,7 @@ class AttackedRobot:
         self.client = client
         self._observed = observed
         self._goals = 0
+        self._waited_s = 0.0
         self._changed = threading.Condition(threading.RLock())
         self._statuses: dict[str, ComponentStatus] = {}
         self._received: dict[str, int] = dict.fromkeys(components(), 0)
@@ -90,7 +91,8 @@ class AttackedRobot:
             assert in_time, f"not rejected within {MOST_SECONDS:g} s: {late()}"
 
     def next_statuses(self) -> None:
-        """Wait until every component has published its status once more."""
+        """Wait until every component has published its status once more, or fail after 5 s."""
+        begin = time.monotonic()
         with self._changed:
             before = dict(self._received)
         # Twice: the first one may have been made before this call.
@@ -98,6 +100,12 @@ class AttackedRobot:
             lambda: all(self._received[name] >= count + 2 for name, count in before.items()),
             MOST_SECONDS,
         )
+        self._waited_s += time.monotonic() - begin
+
+    def take_waited_s(self) -> float:
+        """Return how long `next_statuses` has waited since the last call of this function [s]."""
+        waited_s, self._waited_s = self._waited_s, 0.0
+        return waited_s
 
     def await_log(self, component: str, pattern: str) -> None:
         """Wait until a component has logged a line with this pattern, or fail after 5 s."""
