@@ -20,7 +20,7 @@ from cairn.bus.session import open_client
 from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.testing.launching import free_port
-from tests.attack.inputs import Topic, components
+from tests.attack.inputs import Topic, components, invalid, topics
 from tests.navigation.processes import ObservedRobot, robot_in
 
 MOST_SECONDS: Final = 5.0
@@ -159,6 +159,8 @@ class AttackedRobot:
 def attacked_robot(folder: Path, bus: str) -> Iterator[AttackedRobot]:
     """Start the simulated robot with an endpoint for attackers; `bus` are further settings."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
+    for topic in topics().values():
+        invalid(topic)  # computed once, and not within the time of a case
     with (
         robot_in(folder, f"bus.listen=[{endpoint}]", *bus.split(";")) as observed,
         closing(cairn.client.connect(observed.run.endpoint)) as client,
