@@ -12,7 +12,8 @@ from tests.navigation.processes import ObservedRobot, RunningGo, robot_in
 
 pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
 
-# Most of the way around the room, without turning back: x, y [m], heading [deg].
+# Half of the way around the room, without turning back: x, y [m], heading [deg]. 12 m, of which
+# the robot drives about 9 m while processes are killed.
 TOUR = [
     (3.0, 1.2, 0),
     (4.8, 1.4, 0),
@@ -21,8 +22,6 @@ TOUR = [
     (6.6, 4.7, 150),
     (5.2, 5.5, 180),
     (3.4, 5.4, 180),
-    (1.6, 5.2, -120),
-    (1.2, 3.2, -90),
 ]
 AUTOMOVE = "components.mobile_supervisor.children.automove"
 # No two of one supervisor in sequence: it fails when too many of its children die at a time.
@@ -106,7 +105,7 @@ def test_mission_ends_at_its_last_goal(robot: ObservedRobot, tour: Tour) -> None
 
 def test_robot_stands_without_commands_and_continues(robot: ObservedRobot) -> None:
     lines = len(robot.run.lines)
-    going = robot.go("1.2", "1.4", "-90deg")
+    going = robot.go("1.6", "5.2", "-120deg")
     going.await_output("driving")
     robot.await_moved(0.3)
 

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 
 TOUR = DEPLOY / "demo_tour.yaml"
-MISSION = "mission=[[6.5, 1.8, 0.8], [3.4, 5.4, 3.1]]"
+MISSION = "mission=[[6.5, 1.8, 0.8], [7.1, 3.5, 1.6]]"  # until a person walks, after 20 s
 
 
 def test_two_processes_give_bitwise_equal_runs(tmp_path: Path) -> None:

@@ -2,9 +2,8 @@
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +16,7 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.robot import RunningDeployment
 from tests.commands import cairn as run_cairn
 from tests.navigation.driving import SIM, STOPS_S, LockstepRobot
-from tests.navigation.processes import robot_in
+from tests.navigation.processes import ObservedRobot, robot_in
 
 RobotFactory = Callable[..., LockstepRobot]
 
@@ -26,13 +25,13 @@ def test_goal_waits_during_an_emergency_stop_and_goes_on_after_release(
     drive: RobotFactory,
 ) -> None:
     robot = drive()
-    robot.go(7.5, 5.0)
+    robot.go(4.0, 1.4)
     robot.await_state(NavigationStatus.DRIVING)
     robot.run_for(4.0)
 
     robot.request("velocity_gate", "stop", reason="test")
     assert robot.time_to_stand() <= STOPS_S
-    robot.run_for(40.0)
+    robot.run_for(25.0)  # after 20 s without progress it would recover
     waiting = robot.statuses[-1]
     assert waiting.state == NavigationStatus.DRIVING
     assert waiting.reason_code == ReasonCode.EMERGENCY_STOP
@@ -40,12 +39,12 @@ def test_goal_waits_during_an_emergency_stop_and_goes_on_after_release(
     assert robot.stands()
 
     robot.request("velocity_gate", "release_stop")
-    robot.assert_arrives((7.5, 5.0))
+    robot.assert_arrives((4.0, 1.4))
 
 
 def test_navigator_waits_while_an_operator_has_the_lease(drive: RobotFactory) -> None:
     robot = drive()
-    robot.go(7.5, 5.0)
+    robot.go(4.0, 1.4)
     robot.await_state(NavigationStatus.DRIVING)
     robot.run_for(4.0)
 
@@ -55,7 +54,7 @@ def test_navigator_waits_while_an_operator_has_the_lease(drive: RobotFactory) ->
     assert robot.stands()
     assert robot.statuses[-1].reason_code == ReasonCode.OPERATOR_DRIVES
 
-    robot.assert_arrives((7.5, 5.0))  # once the lease has ended by itself
+    robot.assert_arrives((4.0, 1.4))  # once the lease has ended by itself
 
 
 @pytest.mark.parametrize(
@@ -81,39 +80,19 @@ def test_check_reports_limits_that_do_not_fit_navigator_or_base(
     assert other in problem.remedy
 
 
-@pytest.mark.processes
-def test_stop_command_works_while_the_supervisor_is_stopped(tmp_path: Path) -> None:
-    with robot_in(tmp_path) as robot:
-        endpoint = robot.run.endpoint
-        with cairn.client.connect(endpoint) as client, client.teleoperation("anna") as drive:
-            assert isinstance(drive, cairn.client.Teleoperation)
-            begin = robot.pose
-            drive(0.3, 0.0, seconds=2.0)
-            assert distance(begin, robot.pose) > 0.2
-        supervisor = robot.run.pid_of("mobile_supervisor")
-        os.kill(supervisor, signal.SIGSTOP)
-        try:
-            stopped = run_cairn("stop", connect=endpoint)
-        finally:
-            os.kill(supervisor, signal.SIGCONT)
-        assert stopped.code == 0, stopped.err
-        assert "emergency stop" in stopped.out
-
-        gate = robot.run.pid_of("velocity_gate")
-        os.kill(gate, signal.SIGSTOP)
-        try:
-            failed = run_cairn("stop", connect=endpoint)
-        finally:
-            os.kill(gate, signal.SIGCONT)
-        assert failed.code == 1
-        assert "press the robot's own emergency stop" in failed.err
-        assert run_cairn("stop", "--release", connect=endpoint).code == 0
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
+    """A robot in real processes; the last test engages its emergency stop."""
+    with robot_in(tmp_path_factory.mktemp("robot")) as robot:
+        yield robot
 
 
 @pytest.mark.processes
-def test_forged_commands_do_not_move_the_robot_and_their_publisher_is_named(tmp_path: Path) -> None:
+def test_forged_commands_do_not_move_the_robot_and_their_publisher_is_named(
+    robot: ObservedRobot,
+) -> None:
     ahead = Twist(linear=Vector3(x=0.4))
-    with robot_in(tmp_path) as robot, closing(RunningDeployment(robot.run)) as intruder:
+    with closing(RunningDeployment(robot.run)) as intruder:
         begin = robot.pose
         with intruder.publishing("cmd_vel", ahead), intruder.publishing("navigator_cmd_vel", ahead):
             for component in ("base", "velocity_gate"):  # 2 s of commands at 20 Hz
@@ -126,3 +105,31 @@ def test_forged_commands_do_not_move_the_robot_and_their_publisher_is_named(tmp_
         for component in ("base", "velocity_gate"):
             assert "refused message on" in robot.run.log_of(component)
             assert "/conformance" in robot.run.log_of(component)
+
+
+@pytest.mark.processes
+def test_stop_command_works_while_the_supervisor_is_stopped(robot: ObservedRobot) -> None:
+    endpoint = robot.run.endpoint
+    with cairn.client.connect(endpoint) as client, client.teleoperation("anna") as drive:
+        assert isinstance(drive, cairn.client.Teleoperation)
+        begin = robot.pose
+        drive(0.3, 0.0, seconds=2.0)
+        assert distance(begin, robot.pose) > 0.2
+    supervisor = robot.run.pid_of("mobile_supervisor")
+    os.kill(supervisor, signal.SIGSTOP)
+    try:
+        stopped = run_cairn("stop", connect=endpoint)
+    finally:
+        os.kill(supervisor, signal.SIGCONT)
+    assert stopped.code == 0, stopped.err
+    assert "emergency stop" in stopped.out
+
+    gate = robot.run.pid_of("velocity_gate")
+    os.kill(gate, signal.SIGSTOP)
+    try:
+        failed = run_cairn("stop", connect=endpoint)
+    finally:
+        os.kill(gate, signal.SIGCONT)
+    assert failed.code == 1
+    assert "press the robot's own emergency stop" in failed.err
+    assert run_cairn("stop", "--release", connect=endpoint).code == 0
