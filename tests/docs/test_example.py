@@ -61,7 +61,6 @@ def test_package_is_found_by_its_entry_points(user: Any) -> None:
     assert "4 components, no problem" in user.cairn("check", TURTLE)
     schema = json.loads(user.cairn("schema", "show", "turtle_msgs/msg/BaseState", "--json"))
     assert "float32 charge" in schema["definition"]
-    assert "turtle_msgs/msg/BaseState" in user.cairn("schema", "list")
 
 
 def test_class_is_found_without_an_entry_point(

@@ -30,7 +30,7 @@ def test_object_moved_in_view_is_moved_in_the_map(tmp_path: Path) -> None:
             *(CAIRN, "up", str(SIM), "--overlay", str(DEPLOY / "pixels.yaml")),
             *("--set", MISSION, "--set", f"start={START}", "--set", "finish=true"),
             *("--set", f"world={world}", "--set", f"components.world.parameters.events={MOVED}"),
-            *("--set", "components.stereo_camera.parameters.rate=4"),
+            *("--set", "components.stereo_camera.parameters.rate=3"),
             # In lockstep computing takes no time; on a robot observations have this delay.
             *("--set", "components.stereo_camera.parameters.delay_s=0.2"),
             *("--lockstep", "--seed", "1", "--report", str(tmp_path / "out")),
