@@ -163,6 +163,7 @@ def search(
     if not drawn:
         return None
     poses = np.concatenate(drawn, axis=1)
+    del drawn  # as large as `poses`
     if not poses.shape[1]:
         return None
     if recent.scanned:
@@ -225,9 +226,11 @@ def _thinned(
     poses: Array, log_weights: Array, count: int, jitter: float, random: np.random.Generator
 ) -> Array:
     poses = poses[:, systematic_choice(normalized(log_weights), count, random)]
-    noise = jitter * random.standard_normal((3, count))
-    noise[2] *= _TURN_NOISE
-    return poses + noise
+    noisy = random.standard_normal((3, count))
+    noisy *= jitter
+    noisy[2] *= _TURN_NOISE
+    noisy += poses
+    return noisy
 
 
 def _best_mode(poses: Array, recent: RecentMeasurements) -> GlobalSearchResult:

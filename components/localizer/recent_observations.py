@@ -37,9 +37,9 @@ _NEAR_M = 0.3
 # [rad/sqrt(s)]: a little more than those of the parameter `base`.
 _HORIZON_S, _PER_OBJECT, _DRIFT, _TURN_DRIFT = 30.0, 4, 0.03, 0.05
 # So many poses are compared with the observations at a time. The intermediate results, about ten
-# numbers for each pose and observation, then take some MB; for all poses of a global search
+# numbers for each pose and observation, then take about 1 MB; for all poses of a global search
 # together (up to 200,000) they took hundreds. No result depends on it.
-_BLOCK = 1024
+_BLOCK = 512
 
 
 @dataclass(frozen=True)

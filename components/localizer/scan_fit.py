@@ -34,6 +34,9 @@ _NEWEST = 0.2
 _USUAL_NEWEST, _USUAL_NEWEST_OF_BAD, _USUAL_BAD = 0.02, 0.001, 0.8
 # About so many rays that hit nothing are traced through the map: as many as the parameter `beams`.
 _TRACED_RAYS = 60
+# So many poses are compared with a scan at a time, so that intermediate results take 0.5 MB and not
+# several for all poses of a global search. No result depends on it.
+_BLOCK = 8192
 # So many scans, so far apart [m], [rad], are kept for the search: they cover 2.4 m of the way, or
 # nearly half a turn. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
 _KEPT, _APART_M, _TURNED_RAD = 8, 0.3, 0.35
@@ -114,8 +117,10 @@ class RecentScans:
         """
         total = np.zeros(poses.shape[1])
         scans = list(self._scans)[-newest:] if newest else self._scans
-        for points, at in scans:
-            total += each(carry(poses, relative(now, at)), points)
+        for begin in range(0, poses.shape[1], _BLOCK):
+            block = slice(begin, begin + _BLOCK)
+            for points, at in scans:
+                total[block] += each(carry(poses[:, block], relative(now, at)), points)
         return total
 
     def fit(self, pose: Pose, now: Pose, field: LikelihoodField) -> float:

@@ -53,6 +53,11 @@ def test_process_inherits_no_files_signal_handlers_or_threads_of_the_zygote(
     assert facts["path"] == sys.path
 
 
+def test_threads_of_a_process_use_the_same_free_memory(owner: Owner) -> None:
+    owner.spawn("use_memory_in_each_thread")
+    assert owner.reports.of("driver").facts["grown"] < 8.0
+
+
 @FRESH
 def test_process_gets_its_end_of_a_channel_and_its_helpers_do_not(
     owner: Owner, fresh: bool
