@@ -1,5 +1,6 @@
 """The graph: which nodes are on the bus and what they publish and subscribe, from their tokens."""
 
+import itertools
 import logging
 import queue
 import threading
@@ -21,6 +22,13 @@ _MAX_ENDPOINTS = 1000
 
 _POLL_S = 0.1
 """Interval for reading what has changed: one thread for all topics, at any rate of changes."""
+
+_POLLS_PER_TOPIC = 5
+"""Every so many intervals one more topic is followed, of those that can wait.
+
+A subscription costs the router 24 ms if other programs have announced 10,000 endpoints: those of a
+whole robot at once would delay its start.
+"""
 
 _log = logging.getLogger("cairn.graph")
 
@@ -96,22 +104,27 @@ class GraphWatcher:
                 return
             self._thread = threading.Thread(target=self._follow, name="cairn graph", daemon=True)
             for name, topic in self._topics.items():
-                self._subscribe(name, topic)
+                if topic.is_urgent:
+                    self._subscribe(name, topic)
         self._thread.start()
 
     def watch(
-        self, topic: str, on_endpoint: Callable[[keys.EndpointEntity], None]
+        self,
+        topic: str,
+        on_endpoint: Callable[[keys.EndpointEntity], None],
+        *,
+        is_urgent: bool = True,
     ) -> Callable[[], None]:
         """Call `on_endpoint` for every endpoint of a topic (full name), now and later.
 
-        Returns a function that stops it.
+        If it is not urgent, this may begin some seconds after the start. Returns a function that
+        stops it.
         """
         with self._lock:
-            followed = self._topics.get(topic)
-            if followed is None:
-                followed = self._topics[topic] = _Topic()
-                if self._thread is not None:
-                    self._subscribe(topic, followed)
+            followed = self._topics.setdefault(topic, _Topic())
+            followed.is_urgent |= is_urgent
+            if followed.is_urgent and not followed.is_followed and self._thread is not None:
+                self._subscribe(topic, followed)
             followed.callbacks.append(on_endpoint)
             present = list(followed.endpoints.values())
         for endpoint in present:
@@ -152,6 +165,7 @@ class GraphWatcher:
             subscriber.undeclare()
 
     def _subscribe(self, name: str, topic: "_Topic") -> None:
+        topic.is_followed = True
         topic.subscriber = self._session.liveliness().declare_subscriber(
             keys.endpoints_pattern(self._domain, name),
             zenoh.handlers.RingChannel(_MAX_ENDPOINTS),
@@ -159,8 +173,19 @@ class GraphWatcher:
         )
 
     def _follow(self) -> None:
-        while not self._closed.wait(_POLL_S):
+        for number in itertools.count():
+            if self._closed.wait(_POLL_S):
+                return
+            if number % _POLLS_PER_TOPIC == 0:
+                self._follow_one_more()
             self._read_changes()
+
+    def _follow_one_more(self) -> None:
+        with self._lock:
+            for name, topic in self._topics.items():
+                if not topic.is_followed:
+                    self._subscribe(name, topic)
+                    return
 
     def _read_changes(self) -> None:
         with self._lock:
@@ -217,6 +242,8 @@ class _Topic:
     def __init__(self) -> None:
         self.endpoints: dict[str, keys.EndpointEntity] = {}
         self.callbacks: list[Callable[[keys.EndpointEntity], None]] = []
+        self.is_urgent = False
+        self.is_followed = False  # or it was, until it was crowded
         self.malformed = 0  # tokens that have appeared or disappeared
         self.subscriber: zenoh.Subscriber[Any] | None = None
 

@@ -195,7 +195,10 @@ class Announcement:
         self._stop_watching: Callable[[], None] | None = None
         if conflicts is not None:
             on_endpoint = partial(self._on_endpoint, conflicts)
-            self._stop_watching = bus.graph.watch(entity.topic, on_endpoint)
+            # A publisher needs no names: only readers report who sends them what.
+            self._stop_watching = bus.graph.watch(
+                entity.topic, on_endpoint, is_urgent=entity.kind == "MS"
+            )
 
     def close(self) -> None:
         """Withdraw the endpoint from the graph."""

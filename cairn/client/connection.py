@@ -34,7 +34,8 @@ _CACHE_PAUSE_S = 1.0  # caches that have sent nothing for so long do not answer
 
 _STATUS_LIMIT_S = 1.0  # four times the period of statuses
 _CACHES_FIRST_S = 0.3  # before the graph is read
-_GRAPH_LIMIT_S = 0.5  # a robot's is read in some ms
+_BUSY_LIMIT_S = 3.0
+_GRAPH_LIMIT_S = 0.3  # a robot's is read in some ms
 _STATUS_PAUSE_S = 0.5  # if no further component has answered for so long, the others do not
 _STATUS_BYTES = 64 << 10  # a longer status is forged: one port takes about 100 bytes
 _MAX_ROBOTS = 50  # whose statuses are read at once
@@ -133,12 +134,14 @@ class Connection:
         return self.read_statuses().answered
 
     def read_statuses(self) -> Statuses:
-        """Return the last status of every component, and which have not answered within 1 s."""
+        """Return the last status of every component, and which have not answered within 1 s.
+
+        If the router is too busy to list them, it waits for the first answer for up to 3 s.
+        """
         codec = Codec()
         samples = SampleQueue()
         answered: dict[str, ComponentStatus] = {}
         answered_at = time.monotonic()
-        limit = answered_at + _STATUS_LIMIT_S
         with ExitStack() as stack:
             # Of all robots, and whatever the graph contains: reading that may take too long, and
             # what is sent after it arrives after it.
@@ -146,7 +149,10 @@ class Connection:
             stack.enter_context(self.listen(everywhere, samples=samples))
             self._ask_caches(everywhere, samples).wait(_CACHES_FIRST_S)
             pattern = keys.endpoints_pattern(self.domain, f"*/{STATUS_TOPIC}", "MP")
+            asked_at = time.monotonic()
             graph = read_graph(self.session, pattern, patience_s=_GRAPH_LIMIT_S)
+            is_busy = time.monotonic() - asked_at >= _GRAPH_LIMIT_S
+            limit = answered_at + (_BUSY_LIMIT_S if is_busy else _STATUS_LIMIT_S)
             announced = [one for one in graph if _is_status_publisher(one)]
             # Tokens may be forged: those of processes that exist here come first.
             announced.sort(key=lambda one: (not _runs_here(one.node.zid), one.topic, one.node.name))
@@ -159,7 +165,9 @@ class Connection:
                 stack.enter_context(self.listen(key, latched=True, samples=samples))
             missing = dict(publishers)
             deadline = limit
-            while (missing or not samples.empty()) and time.monotonic() < limit + _STATUS_PAUSE_S:
+            while missing or (is_busy and not answered) or not samples.empty():
+                if time.monotonic() > limit + _STATUS_PAUSE_S:
+                    break
                 if answered:
                     deadline = min(limit, answered_at + _STATUS_PAUSE_S)
                 try:
