@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.commands import await_status
+from tests.commands import await_status, cairn
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
@@ -91,16 +91,17 @@ def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path
 def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
     user: Any, tmp_path: Path, endpoint: str
 ) -> None:
-    at = ("--connect", endpoint)
     with running(user, tmp_path, f"bus.socket={endpoint}") as turtle:
         wait_for(turtle, "child active: wanderer")
         # The wanderer is the first of them to be active, the root the last one.
         await_status("/turtle/root", lambda row: row["state"] == "active", endpoint)
-        rows = {row["component"]: row for row in json.loads(user.cairn("ps", "--json", *at))}
-        state = json.loads(user.cairn("topic", "echo", "base_state", "--count=1", "--json", *at))
-        refusal = user.cairn("param", "set", "wanderer", "distance=1000000", *at, status=1)
-        user.cairn("param", "set", "wanderer", "speed=0.8", "turn_speed=3", *at)
-        speed = user.cairn("param", "get", "wanderer", "speed", *at)
+        rows = {row["component"]: row for row in cairn("ps", "--json", connect=endpoint).json}
+        # Only a program that finds the package knows the message type.
+        echo = ("topic", "echo", "base_state", "--count=1", "--json", "--connect", endpoint)
+        state = json.loads(user.cairn(*echo))
+        refused = cairn("param", "set", "wanderer", "distance=1000000", connect=endpoint)
+        tuned = cairn("param", "set", "wanderer", "speed=0.8", "turn_speed=3", connect=endpoint)
+        speed = cairn("param", "get", "wanderer", "speed", connect=endpoint)
         turtle.send_signal(signal.SIGINT)
         assert turtle.wait(timeout=LIMIT_S) == 0
 
@@ -108,8 +109,10 @@ def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
     assert {rows[f"/turtle/{name}"]["state"] for name in names} == {"active"}
     assert len({rows[f"/turtle/{name}"]["pid"] for name in names}) == len(names)
     assert 0.0 <= state["charge"] <= 1.0
-    assert "distance = 1000000" in refusal
-    assert json.loads(speed) == 0.8
+    assert refused.code == 1
+    assert "distance = 1000000" in refused.err
+    assert tuned.code == 0
+    assert speed.json == 0.8
 
 
 def test_component_runs_unchanged_in_its_parents_process(
