@@ -57,6 +57,11 @@ _MAX_OTHERS = 1000
 _DESCRIPTION_BYTES = 4 << 20
 """Longest description of a router's links that is read."""
 
+_UNREAD_BYTES = 16 << 20
+"""So much of the replies to one query is kept until it is read; a false queryable may send more."""
+
+_REPLY_OVERHEAD_BYTES = 1000
+
 _MAX_THREADS = 32
 
 _TAG_BYTES = 16
@@ -140,7 +145,7 @@ class DiscoveryBarrier:
                 queries.append(_Query(self._session, key, _remaining(deadline), nonce, changed))
                 due, wait_s = time.monotonic() + wait_s, 2.0 * wait_s
             ended = all(query.ended.is_set() for query in queries)
-            if any(self._is_proved(zid, nonce, query.new_payloads()) for query in queries):
+            if any(self._is_proved(zid, nonce, query.take()) for query in queries):
                 return True
             if ended or self._has_left(zid, deadline):
                 return self._has_left(zid, deadline)
@@ -149,9 +154,9 @@ class DiscoveryBarrier:
             changed.wait(_ANSWER_POLL_S)
             changed.clear()
 
-    def _is_proved(self, zid: str, nonce: bytes, replies: Sequence[bytes]) -> bool:
+    def _is_proved(self, zid: str, nonce: bytes, replies: Sequence[tuple[str, bytes]]) -> bool:
         """Return whether one of the replies comes from the process; others may reply, too."""
-        for payload in replies:
+        for _, payload in replies:
             silent = payload[_TAG_BYTES:]
             if not self._secret:  # a program outside the run cannot check the reply
                 return True
@@ -169,7 +174,7 @@ class DiscoveryBarrier:
             if linked.intersection(left):  # processes of another run
                 query = _Query(self._session, session_key("*"), _remaining(deadline), b"")
                 query.ended.wait(_remaining(deadline))
-                answered = query.keys()
+                answered = {key for key, _ in query.take()}
                 left = [zid for zid in left if session_key(zid) not in answered]
             remaining = deadline - time.monotonic()
             if left and remaining <= 0:
@@ -251,8 +256,9 @@ class _Query:
         """`changed` is set with each reply, and at the end."""
         self.ended = threading.Event()
         self._changed = changed or threading.Event()
-        self._replies: list[zenoh.Reply] = []
-        self._read = 0
+        self._lock = threading.Lock()
+        self._replies: list[tuple[str, bytes]] = []
+        self._size = 0
         handler = zenoh.handlers.Callback(self._on_reply, self._on_end, indirect=False)
         session.get(
             key,
@@ -263,22 +269,21 @@ class _Query:
             timeout=timeout_s,
         )
 
-    def payloads(self) -> list[bytes]:
-        """Return the payloads of the replies so far."""
-        return [reply.ok.payload.to_bytes() for reply in list(self._replies) if reply.ok]
-
-    def new_payloads(self) -> list[bytes]:
-        """Return the payloads of the replies since the last call."""
-        replies = self._replies[self._read :]
-        self._read += len(replies)
-        return [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
-
-    def keys(self) -> set[str]:
-        """Return the keys of the replies so far."""
-        return {str(reply.ok.key_expr) for reply in list(self._replies) if reply.ok}
+    def take(self) -> list[tuple[str, bytes]]:
+        """Return key and payload of each reply since the last call."""
+        with self._lock:
+            replies, self._replies, self._size = self._replies, [], 0
+        return replies
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
-        self._replies.append(reply)
+        if reply.ok is None:
+            return
+        size = len(reply.ok.payload) + _REPLY_OVERHEAD_BYTES
+        with self._lock:
+            if self._size + size > _UNREAD_BYTES:
+                return
+            self._size += size
+            self._replies.append((str(reply.ok.key_expr), reply.ok.payload.to_bytes()))
         self._changed.set()
 
     def _on_end(self) -> None:
@@ -378,7 +383,7 @@ class PeerLinks:
         queries = [_Query(self._session, router_key(router), timeout_s) for router in routers]
         for query in queries:
             query.ended.wait(_remaining(deadline))
-            payloads = query.payloads()
+            payloads = [payload for _, payload in query.take()]
             complete &= bool(payloads)
             lists = [_peers_of_router(payload) for payload in payloads]
             described &= any(known is not None for known in lists)

@@ -16,7 +16,7 @@ import zenoh
 from zenoh.handlers import FifoChannel
 
 from cairn import LATCHED, RELIABLE
-from cairn.bus.discovery import PeerLinks, QueryableWatcher, _peers_of_router
+from cairn.bus.discovery import PeerLinks, QueryableWatcher, _peers_of_router, _Query
 from cairn.bus.keys import session_key
 from cairn.bus.session import open_peer, session_id
 from cairn.bus.zenoh_bus import ZenohBus
@@ -257,6 +257,22 @@ def test_reply_of_another_session_does_not_pass_for_that_of_a_process_of_the_run
         assert eventually(lambda: any(reply.ok for reply in joiner.session.get(key)))
 
         assert f"process {os.getpid()}" in joiner.wait_for_peers(0.5)
+
+
+def test_replies_that_nobody_reads_are_kept_up_to_a_limit(network: Network) -> None:
+    joiner = network.bus()
+    with open_peer([network.endpoint]) as liar, QueryableWatcher(joiner.session, KEY) as watcher:
+
+        def reply(query: zenoh.Query) -> None:
+            for _ in range(60):
+                query.reply(KEY, bytes(900_000))
+
+        liar.declare_queryable(KEY, reply)
+        assert watcher.wait(LIMIT_S)
+        query = _Query(joiner.session, KEY, LIMIT_S)
+        assert query.ended.wait(LIMIT_S)
+
+    assert 1 << 20 < sum(len(payload) for _, payload in query.take()) <= 16 << 20
 
 
 def test_false_queryables_for_all_sessions_do_not_delay_discovery(network: Network) -> None:
