@@ -131,12 +131,14 @@ class Connection:
 
     def statuses(self) -> dict[str, ComponentStatus]:
         """Return the last status of every component that answers within 1 s, by full name."""
-        return self.read_statuses().answered
+        return self.read_statuses(find_silent=False).answered
 
-    def read_statuses(self) -> Statuses:
+    def read_statuses(self, *, find_silent: bool = True) -> Statuses:
         """Return the last status of every component, and which have not answered within 1 s.
 
-        If the router is too busy to list them, it waits for the first answer for up to 3 s.
+        If the router is too busy to list them, it waits for up to 3 s for the first answer, and for
+        0.5 s for each further one. Without `find_silent`, it does not read the graph, which
+        may be crowded, once all that keep a status have sent it.
         """
         codec = Codec()
         samples = SampleQueue()
@@ -147,10 +149,12 @@ class Connection:
             # what is sent after it arrives after it.
             everywhere = keys.message_key(self.domain, f"/*/{STATUS_TOPIC}", ComponentStatus)
             stack.enter_context(self.listen(everywhere, samples=samples))
-            self._ask_caches(everywhere, samples).wait(_CACHES_FIRST_S)
-            pattern = keys.endpoints_pattern(self.domain, f"*/{STATUS_TOPIC}", "MP")
+            have_all_replied = self._ask_caches(everywhere, samples).wait(_CACHES_FIRST_S)
+            graph: list[keys.NodeEntity | keys.EndpointEntity] = []
             asked_at = time.monotonic()
-            graph = read_graph(self.session, pattern, patience_s=_GRAPH_LIMIT_S)
+            if find_silent or not have_all_replied or samples.empty():
+                pattern = keys.endpoints_pattern(self.domain, f"*/{STATUS_TOPIC}", "MP")
+                graph = read_graph(self.session, pattern, patience_s=_GRAPH_LIMIT_S)
             is_busy = time.monotonic() - asked_at >= _GRAPH_LIMIT_S
             limit = answered_at + (_BUSY_LIMIT_S if is_busy else _STATUS_LIMIT_S)
             announced = [one for one in graph if _is_status_publisher(one)]
@@ -165,7 +169,7 @@ class Connection:
                 stack.enter_context(self.listen(key, latched=True, samples=samples))
             missing = dict(publishers)
             deadline = limit
-            while missing or (is_busy and not answered) or not samples.empty():
+            while missing or is_busy or not samples.empty():
                 if time.monotonic() > limit + _STATUS_PAUSE_S:
                     break
                 if answered:

@@ -18,7 +18,7 @@ from cairn.bus import keys
 from cairn.bus.discovery import QueryableWatcher
 from cairn.bus.session import CAIRN_ID_PREFIX, open_client, open_peer
 from cairn.bus.type_hash import type_hash
-from cairn.client import connect
+from cairn.client import connect, connection
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import type_name
@@ -77,6 +77,22 @@ def test_ps_lists_what_does_not_answer_without_waiting_for_it(command: Command, 
     assert sum(row["state"] == "no answer" for row in rows.values()) == 100
     assert "200 more announced components do not answer" in answer.err
     assert took_s < 4.0  # 5 s and more, if it waited for each robot's
+
+
+def test_statuses_do_not_wait_for_announced_publishers_that_do_not_exist(
+    rover: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    topic, kind = "/rover/component_status", type_name(ComponentStatus)
+    node = keys.NodeEntity(0, "ab", 0, "/rover/ghost")
+    ghost = keys.EndpointEntity(node, 1, "MP", topic, kind, type_hash(ComponentStatus), LATCHED)
+    with open_peer([rover.endpoint]) as session, connect(rover.endpoint) as robot:
+        token = session.liveliness().declare_token(keys.token_key(ghost))
+        await_all(lambda: ghost in robot.connection.endpoints(topic))
+        assert "/rover/ghost" in robot.connection.read_statuses().silent
+        monkeypatch.setattr(connection, "_CACHES_FIRST_S", LIMIT_S)  # on a busy computer, too
+        monkeypatch.setattr(connection, "read_graph", _fail)
+        assert "/rover/talker" in robot.connection.statuses()
+        token.undeclare()
 
 
 def test_ps_shows_the_other_components_beside_a_stopped_one(command: Command, rover: Run) -> None:
@@ -235,3 +251,7 @@ def count_in(line: str) -> int:
     received = re.search(r"received (\d+),", line)
     assert received is not None, line
     return int(received[1])
+
+
+def _fail(*_: object, **__: object) -> None:
+    raise AssertionError("the graph is read")
