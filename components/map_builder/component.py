@@ -79,7 +79,7 @@ class MapBuilder(Component):
     relocalized: In[Relocalization] = In(optional=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
-    localization: In[LocalizationEstimate] = In(optional=True)
+    localization: In[LocalizationEstimate] = In(qos=RELIABLE.with_depth(200), optional=True)
     visual_map: Out[VisualMap] = Out(qos=LATCHED)
     visual_map_changes: Out[VisualMapChange] = Out(qos=RELIABLE.with_depth(100))
     map: Out[OccupancyGrid] = Out(qos=LATCHED)

@@ -17,6 +17,7 @@ from cairn import (
     Config,
     In,
     Out,
+    ParameterRejected,
     RateLimitedLog,
     every,
     from_ns,
@@ -160,7 +161,26 @@ class VelocityGate(Component):
         self._refused = dict.fromkeys(("lease", "late", "invalid", "disabled"), 0)
         self._clamped = 0
         self._pressed, self._pressed_at = False, None
-        self._apply(self.config)
+        config = self.config
+        self._sources = SourceSelector(config.sources())
+        self._pipeline = CommandPipeline(config)
+        self._speeds = config.speed_limits()
+        self._tracker = PoseTracker(
+            _HORIZON_S,
+            _JUMP_FACTOR * max(config.speed, config.reverse_speed),
+            _JUMP_FACTOR * config.turn_speed,
+            _EXTRAPOLATION_S,
+        )
+        self._scans = RecentScans(
+            round(config.memory * SECOND), config.outline().reach, config.reach()
+        )
+        self._scan_at = self._odometry_at = None
+        self._teleoperated_at = 0
+        self._source = ""
+        self._limits: set[str] = set()
+        self._stepped_at = self._published_at = self.clock.now()
+        self._status = VelocityGateStatus()
+        self._status_at: int | None = None
 
     def on_activate(self) -> None:
         """Publish the first status."""
@@ -179,11 +199,12 @@ class VelocityGate(Component):
         """Stop the robot."""
         self.cmd_vel.publish(Twist())
 
-    def on_parameters(self, new: Config) -> None:
-        """Stop the robot, and continue from rest with the new parameters."""
-        assert isinstance(new, VelocityGateConfig)
-        self.cmd_vel.publish(Twist())
-        self._apply(new)
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """Reject changes: by `scanner: false`, whoever may set parameters could drive blindly."""
+        raise ParameterRejected(
+            f"{self.name}: the limits of the velocity gate cannot change while it runs; set them "
+            "in the deployment, and restart it"
+        )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer the requests that the class names."""
@@ -312,27 +333,6 @@ class VelocityGate(Component):
         if limit is not None and heard_at is not None and abs(now - heard_at) > limit * SECOND:
             self._engage(f"{self.hardware_stop.topic} has been silent for {limit:g} s")
         self._step()
-
-    def _apply(self, config: VelocityGateConfig) -> None:
-        self._sources = SourceSelector(config.sources())
-        self._pipeline = CommandPipeline(config)
-        self._speeds = config.speed_limits()
-        self._tracker = PoseTracker(
-            _HORIZON_S,
-            _JUMP_FACTOR * max(config.speed, config.reverse_speed),
-            _JUMP_FACTOR * config.turn_speed,
-            _EXTRAPOLATION_S,
-        )
-        self._scans = RecentScans(
-            round(config.memory * SECOND), config.outline().reach, config.reach()
-        )
-        self._scan_at = self._odometry_at = None
-        self._teleoperated_at = 0
-        self._source = ""
-        self._limits: set[str] = set()
-        self._stepped_at = self._published_at = self.clock.now()
-        self._status = VelocityGateStatus()
-        self._status_at: int | None = None
 
     def _take(self, source: str, message: Twist) -> None:
         """Take a command of a source, unless the base cannot execute it."""

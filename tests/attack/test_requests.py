@@ -171,6 +171,8 @@ REQUESTS: Final = [
     ("base", "set_parameters", {"nothing": 1}, "no parameter nothing"),
     ("base", "set_parameters", {"n" * 10_000: 1}, "no parameter n"),
     ("velocity_gate", "set_parameters", {"mount": {"x": 0}}, "group of parameters"),
+    ("velocity_gate", "set_parameters", {"scanner": False}, "cannot change while it runs"),
+    ("velocity_gate", "set_parameters", {"external.enabled": True}, "cannot change while it runs"),
     ("world", "set_parameters", {"radius": 0.23}, "cannot change while it runs"),
     ("localizer", "set_parameters", {"particles": 300}, "when it is configured"),
 ]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cairn import CairnError, from_ns
+from cairn import CairnError, ParameterRejected, from_ns
 from cairn.components.velocity_gate.component import VelocityGate
 from cairn.planar.messages import pose_message
 from cairn.planar.poses import Pose, compose
@@ -196,13 +196,17 @@ def test_pipe_in_place_of_the_file_counts_as_engaged_without_waiting(tmp_path: P
     assert "cannot be read" in robot.gate.request("status")["reason"]
 
 
-def test_changed_parameters_stop_the_robot_at_once() -> None:
+@pytest.mark.parametrize(
+    "changes", [{"scanner": False}, {"external.enabled": True}, {"speed": 3.0}, {"braking": 10.0}]
+)
+def test_limits_cannot_be_changed_by_a_request(changes: dict[str, Any]) -> None:
     robot = GatedRobot()
-    robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)
+    before = robot.gate.component.config
 
-    robot.gate.set_parameters({"speed": 0.5})
+    with pytest.raises(ParameterRejected, match="cannot change while it runs"):
+        robot.gate.set_parameters(changes)
 
-    assert robot.gate.take("cmd_vel")[-1] == Twist()
+    assert robot.gate.component.config == before
 
 
 def test_status_for_people_names_source_operator_and_what_holds_the_robot() -> None:
