@@ -43,7 +43,9 @@ class LaunchRequest(BaseModel):
     name: str
     spec: ChildSpec
     parent: str = ""
-    incarnation: int = 1  # how many times it has been started, this start included
+    # How many times it has been started, this start included; the restarts of the supervisors above
+    # it count, too.
+    incarnation: int = 1
     previous_exit: str = ""  # the reason for which the incarnation before ended
     context: RunContext = RunContext()
     topic_keys: Mapping[str, str] = Field({}, repr=False)

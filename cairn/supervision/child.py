@@ -421,7 +421,8 @@ class Child:
             name=self.name,
             spec=self.spec,
             parent=self._parent.name,
-            incarnation=self.incarnation,
+            # A supervisor that was restarted counts anew, but the child has run before.
+            incarnation=self.incarnation + self._parent.restarts,
             previous_exit=self.reason,
             context=self._parent.context,
             topic_keys=self._parent.keys_for(self.name),

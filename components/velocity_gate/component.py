@@ -84,7 +84,7 @@ class VelocityGate(Component):
     )
     urgent_requests = frozenset({"stop"})
     operator_inputs = frozenset({"teleoperation", "emergency_stop"})
-    # Whoever reads the lease in an operator's commands could drive by it.
+    # Another operator could drive by the lease in these commands.
     confidential_inputs = frozenset({"teleoperation"})
 
     navigator_cmd_vel: In[Twist] = In(qos=SENSOR, optional=True, exclusive=True)
@@ -200,7 +200,7 @@ class VelocityGate(Component):
         self.cmd_vel.publish(Twist())
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes: by `scanner: false`, whoever may set parameters could drive blindly."""
+        """Reject changes: with `scanner: false`, any program that may make them could drive."""
         raise ParameterRejected(
             f"{self.name}: the limits of the velocity gate cannot change while it runs; set them "
             "in the deployment, and restart it"

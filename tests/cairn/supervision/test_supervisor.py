@@ -8,6 +8,7 @@ from cairn import CairnError
 from cairn.deployment.model import ChildSpec, Supervision
 from cairn.errors import Escalate
 from cairn.process_exit import ExitReport
+from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.supervision.child import ZygoteLost, stop_share
 from cairn.supervision.supervisor import ChildGroup, StartFailed, UnknownChild
@@ -60,6 +61,15 @@ def test_stopped_children_can_all_start_again(world: World) -> None:
     supervisor.stop_all()
     supervisor.start_all()
     assert world.steps == START_BASE + STOP_BASE + START_BASE
+
+
+def test_child_of_a_restarted_supervisor_learns_that_it_has_run_before(world: World) -> None:
+    spec = ChildSpec(plugin="supervisor", children={"base": ChildSpec(plugin="test")})
+    launch = LaunchRequest(name="mobile_supervisor", spec=spec, incarnation=2)
+
+    ChildGroup(launch, world, world.log.logger, on_exit=lambda: None).start_all()
+
+    assert world.children["base"].incarnation == 2
 
 
 def test_ended_child_is_restarted_and_the_reason_is_kept(world: World) -> None:
