@@ -421,7 +421,7 @@ class Child:
             name=self.name,
             spec=self.spec,
             parent=self._parent.name,
-            # A supervisor that was restarted counts anew, but the child has run before.
+            # A restarted supervisor counts from zero, but the child has run before.
             incarnation=self.incarnation + self._parent.restarts,
             previous_exit=self.reason,
             context=self._parent.context,
