@@ -140,5 +140,15 @@ def yaml_fault(error: yaml.YAMLError) -> tuple[str, str]:
     return position, str(error.problem or error.context)
 
 
+def no_boolean(value: object) -> object:
+    """Return a value of a field that holds numbers; raise `ValueError` for true and false.
+
+    For `pydantic.BeforeValidator`: pydantic takes them for 1 and 0.
+    """
+    if isinstance(value, bool):
+        raise ValueError("must be a number, not a boolean")
+    return value
+
+
 def _refused(reason: str, mark: yaml.Mark) -> YamlLimitError:
     return YamlLimitError(None, None, reason, mark)

@@ -27,7 +27,13 @@ from cairn.placement.launcher import TRACEBACK_SIGNAL
 from cairn.process_exit import ExitReport, end_process, log_reason
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.log_output import OutputFile, OutputHandler
-from cairn.supervision.child_channel import Answer, ChildChannel, Request, StopAhead, sendable
+from cairn.supervision.child_channel import (
+    ChildChannel,
+    Request,
+    StopAhead,
+    TransitionAnswer,
+    sendable,
+)
 
 HEARTBEAT_S = 0.25
 _SWITCH_INTERVAL_S = 0.0005
@@ -109,7 +115,9 @@ def _answering(host: ComponentHost, channel: ChildChannel) -> Iterator[None]:
     def answer(request: Request, made: "Future[Any]") -> None:
         error = made.exception()
         channel.send_heartbeat(host.heartbeat())  # with the new state, before the answer
-        channel.send_answer(Answer(request.number, "" if error is None else sendable(str(error))))
+        channel.send_answer(
+            TransitionAnswer(request.number, "" if error is None else sendable(str(error)))
+        )
 
     def serve() -> None:
         while (message := channel.receive()) is not None:

@@ -14,7 +14,7 @@ from PIL import Image
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from cairn.bounded_images import decode_image, look_up, read_image_file
-from cairn.bounded_yaml import read_yaml, yaml_fault
+from cairn.bounded_yaml import no_boolean, read_yaml, yaml_fault
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import (
@@ -36,15 +36,9 @@ def _as_bool(value: object) -> object:
     return {0: False, 1: True}.get(value, value) if isinstance(value, int) else value
 
 
-def _no_boolean(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("must be a number, not a boolean")
-    return value
-
-
-Number = Annotated[float, BeforeValidator(_no_boolean)]
+Number = Annotated[float, BeforeValidator(no_boolean)]
 Coordinate = Annotated[
-    float, Field(ge=-LARGEST_ORIGIN, le=LARGEST_ORIGIN), BeforeValidator(_no_boolean)
+    float, Field(ge=-LARGEST_ORIGIN, le=LARGEST_ORIGIN), BeforeValidator(no_boolean)
 ]
 
 

@@ -47,7 +47,7 @@ class StopAhead:
 
 
 @dataclass(frozen=True, config=_STRICT)
-class Answer:
+class TransitionAnswer:
     """Child: the requested transition was made, or with `error` the component's own reason why not.
 
     A heartbeat with the state after the transition precedes it.
@@ -71,8 +71,8 @@ class Heartbeat:
 _TO_CHILD: TypeAdapter[Request | StopAhead] = TypeAdapter(
     Annotated[Request | StopAhead, Field(discriminator="kind")]
 )
-_FROM_CHILD: TypeAdapter[Answer | Heartbeat] = TypeAdapter(
-    Annotated[Answer | Heartbeat, Field(discriminator="kind")]
+_FROM_CHILD: TypeAdapter[TransitionAnswer | Heartbeat] = TypeAdapter(
+    Annotated[TransitionAnswer | Heartbeat, Field(discriminator="kind")]
 )
 _M = TypeVar("_M")
 
@@ -102,7 +102,7 @@ class SupervisorChannel:
         self._end = end
         self._lock = threading.Lock()  # while another thread sends, this end stays open
         self._number = 0
-        self._answer: Answer | None = None
+        self._answer: TransitionAnswer | None = None
 
     def announce_stop(self, limit_s: float) -> None:
         """Tell the child that all below it must stop within `limit_s` [s]; from any thread."""
@@ -120,7 +120,7 @@ class SupervisorChannel:
         return not self.closed and _send(self._end, Request(self._number, verb), 0.0)
 
     @property
-    def answer(self) -> Answer | None:
+    def answer(self) -> TransitionAnswer | None:
         """The answer to the last request, None as long as there is none."""
         return self._answer
 
@@ -180,7 +180,7 @@ class ChildChannel:
         """Send a heartbeat; it is dropped if the supervisor does not read now."""
         _send(self._end, heartbeat, 0.0)
 
-    def send_answer(self, answer: Answer) -> None:
+    def send_answer(self, answer: TransitionAnswer) -> None:
         """Send an answer; it is dropped if the supervisor has not read for long."""
         _send(self._end, answer, _SEND_LIMIT_S)
 
@@ -197,7 +197,7 @@ def sendable(text: str) -> str:
 
 
 def _send(
-    end: socket.socket, message: Request | StopAhead | Answer | Heartbeat, limit_s: float
+    end: socket.socket, message: Request | StopAhead | TransitionAnswer | Heartbeat, limit_s: float
 ) -> bool:
     """Send a message; wait at most `limit_s` [s] while the other side does not read."""
     packet = json.dumps(asdict(message)).encode()

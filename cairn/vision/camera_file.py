@@ -18,22 +18,15 @@ from pydantic import (
     model_validator,
 )
 
-from cairn.bounded_yaml import read_yaml, yaml_fault
+from cairn.bounded_yaml import no_boolean, read_yaml, yaml_fault
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replace_file
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
 from cairn.vision.rectification import CameraModel
 
-
-def _no_boolean(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("must be a number, not a boolean")
-    return value
-
-
-Finite = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(_no_boolean)]
-Count = Annotated[int, BeforeValidator(_no_boolean)]
+Finite = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(no_boolean)]
+Count = Annotated[int, BeforeValidator(no_boolean)]
 
 
 class _Matrix(BaseModel):

@@ -28,7 +28,7 @@ from cairn.components.velocity_gate.config import VelocityGateConfig
 from cairn.components.velocity_gate.emergency_stop import EmergencyStop
 from cairn.components.velocity_gate.limiter import STILL, Velocity, clamp
 from cairn.components.velocity_gate.pipeline import CommandPipeline, GateOutput, Surroundings
-from cairn.components.velocity_gate.recent_scans import RecentScans
+from cairn.components.velocity_gate.recent_sweeps import RecentSweeps
 from cairn.components.velocity_gate.sources import (
     EXTERNAL,
     NAVIGATOR,
@@ -171,7 +171,7 @@ class VelocityGate(Component):
             _JUMP_FACTOR * config.turn_speed,
             _EXTRAPOLATION_S,
         )
-        self._scans = RecentScans(
+        self._scans = RecentSweeps(
             round(config.memory * SECOND), config.outline().reach, config.reach()
         )
         self._scan_at = self._odometry_at = None

@@ -13,7 +13,7 @@ import numpy as np
 from cairn.components.velocity_gate.collision_monitor import Array, Footprint, allowed_share
 from cairn.components.velocity_gate.config import VelocityGateConfig
 from cairn.components.velocity_gate.limiter import STILL, AxisState, Velocity, brake, clamp, ramp
-from cairn.components.velocity_gate.recent_scans import RecentScans
+from cairn.components.velocity_gate.recent_sweeps import RecentSweeps
 from cairn.planar.poses import Pose
 
 # The measured motion counts above this speed [m/s]; wheels report noise below it.
@@ -34,7 +34,7 @@ class Surroundings:
     `scan_age_s` [s] is that of the newest scan; `measured` the velocity by odometry.
     """
 
-    scans: RecentScans
+    scans: RecentSweeps
     robot: Pose
     scan_age_s: float
     measured: Velocity

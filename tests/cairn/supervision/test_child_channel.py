@@ -10,12 +10,12 @@ import pytest
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.supervision.child_channel import (
     LONGEST_PACKET,
-    Answer,
     ChildChannel,
     Heartbeat,
     InvalidPacket,
     Request,
     SupervisorChannel,
+    TransitionAnswer,
     channel_pair,
     sendable,
 )
@@ -41,12 +41,12 @@ def test_request_is_answered_and_the_newest_heartbeat_kept(
     child.send_heartbeat(ACTIVE)
     busy = Heartbeat(LifecycleState.INACTIVE, sendable("on_request \ud800" + "x" * 9000), 2.5)
     child.send_heartbeat(busy)
-    child.send_answer(Answer(0, "of an earlier request"))
+    child.send_answer(TransitionAnswer(0, "of an earlier request"))
     supervisor.receive(LIMIT_S)
     assert (supervisor.heartbeat, supervisor.heartbeats, supervisor.answer) == (busy, 2, None)
-    child.send_answer(Answer(1, "no device"))
+    child.send_answer(TransitionAnswer(1, "no device"))
     supervisor.receive(LIMIT_S)
-    assert supervisor.answer == Answer(1, "no device")
+    assert supervisor.answer == TransitionAnswer(1, "no device")
 
 
 @pytest.mark.parametrize(

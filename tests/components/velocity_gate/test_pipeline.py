@@ -9,13 +9,13 @@ from cairn.components.velocity_gate.collision_monitor import Array
 from cairn.components.velocity_gate.config import VelocityGateConfig
 from cairn.components.velocity_gate.limiter import Velocity
 from cairn.components.velocity_gate.pipeline import CommandPipeline, Surroundings
-from cairn.components.velocity_gate.recent_scans import RecentScans
+from cairn.components.velocity_gate.recent_sweeps import RecentSweeps
 from cairn.planar.poses import Pose
 
 SQUARE = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2))
 
 
-class KnownPoints(RecentScans):
+class KnownPoints(RecentSweeps):
     """Points in the robot's frame; all of them, or as many as are asked for."""
 
     def __init__(self, points: Array, *, all_of_them: bool) -> None:

@@ -57,7 +57,7 @@ class _Sweep:
         return np.hypot(x, y), toward
 
 
-class RecentScans:
+class RecentSweeps:
     """Scans of the last `memory_ns`, in the odometry frame, for a robot of `radius` [m].
 
     Points farther than `reach` [m] from the robot are dropped.
