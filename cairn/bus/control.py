@@ -170,7 +170,7 @@ class ControlServer:
             answer: `answer(verb, arguments)` returns the reply's value; it is called through
                 `post`, and a `CairnError` from it rejects the request.
             max_bytes: longest request [bytes] of the verbs whose limit is not 64 KiB.
-            urgent: verbs that are accepted however many requests of others wait.
+            urgent: verbs that are received and accepted however many requests of others wait.
         """
         self._max_bytes = max_bytes
         self._urgent = frozenset(urgent)
@@ -179,26 +179,44 @@ class ControlServer:
         self._key = control_key(domain, component)
         self._post = post
         self._answer = answer
-        self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
-            self._key, zenoh.handlers.RingChannel(_RING)
-        )
-        self._thread = threading.Thread(target=self._serve, name="cairn control", daemon=True)
-        self._thread.start()
+        # Each urgent verb has a ring of its own, which a flood of other requests does not fill.
+        self._queryables: list[zenoh.Queryable[Any]] = []
+        self._threads: list[threading.Thread] = []
+        for verb in ("", *sorted(self._urgent)):
+            queryable: zenoh.Queryable[Any] = session.declare_queryable(
+                control_key(domain, component, verb) if verb else self._key,
+                zenoh.handlers.RingChannel(_RING),
+            )
+            thread = threading.Thread(
+                target=self._serve,
+                args=(queryable.handler, verb),
+                name="cairn control",
+                daemon=True,
+            )
+            thread.start()
+            self._queryables.append(queryable)
+            self._threads.append(thread)
 
     def close(self) -> None:
         """Stop receiving requests."""
-        self._queryable.undeclare()
-        self._thread.join(timeout=2.0)
+        for queryable in self._queryables:
+            queryable.undeclare()
+        for thread in self._threads:
+            thread.join(timeout=2.0)
 
-    def _serve(self) -> None:
-        channel = self._queryable.handler
+    def _serve(self, channel: Any, urgent: str) -> None:
+        """Receive the requests with an urgent verb; "": all others."""
         while True:
             try:
                 query = channel.recv()
             except zenoh.ZError:  # the queryable was undeclared
                 return
-            self._receive(query)
+            if self._kind(_verb(query)) == urgent:
+                self._receive(query)
             del query  # the requester learns of this process's end when nothing holds its query
+
+    def _kind(self, verb: str) -> str:
+        return verb if verb in self._urgent else ""
 
     def _receive(self, query: zenoh.Query) -> None:
         verb = _verb(query)
@@ -213,7 +231,7 @@ class ControlServer:
         except ValueError as error:
             self._reply(query, ControlReply(error=f"invalid control request {verb}: {error}"))
             return
-        kind = verb if verb in self._urgent else ""
+        kind = self._kind(verb)
         with self._lock:
             busy = self._pending[kind] >= _MAX_PENDING
             if not busy:

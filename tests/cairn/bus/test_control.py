@@ -198,6 +198,34 @@ def test_flood_of_requests_is_refused_and_an_urgent_one_is_answered(
     stopping.join(LIMIT_S)
 
 
+def test_urgent_request_is_received_while_no_other_is_read(
+    client: ZenohBus, network: Network
+) -> None:
+    """Before, a flood of requests displaced it from the ring that all of them shared."""
+    reading, go_on = threading.Event(), threading.Event()
+
+    def post(call: Callable[[], None]) -> None:
+        if threading.current_thread() is not urgent_thread:
+            reading.set()
+            assert go_on.wait(LIMIT_S)
+        call()
+
+    bus = network.bus()
+    server = ControlServer(bus.session, 0, NAME, post, lambda verb, _: verb, {}, {"urgent"})
+    urgent_thread = server._threads[1]
+    try:
+        client.wait_for_peers(LIMIT_S)
+        flood: Any = zenoh.handlers.RingChannel(1)
+        for _ in range(300):
+            client.session.get(control_key(0, NAME, "echo"), flood, payload=b"{}", timeout=LIMIT_S)
+        assert reading.wait(LIMIT_S)
+
+        assert send_request(client, "urgent") == "urgent"
+    finally:
+        go_on.set()
+        server.close()
+
+
 def test_request_to_a_missing_component_raises_no_reply(network: Network) -> None:
     bus = network.bus()
 
