@@ -373,13 +373,12 @@ class Robot:
         Raises `CairnError` if another operator has it, unless it is taken over, which needs the
         role administer.
         """
-        gate, _ = find_gate(self, self._robot)
-        topic = f"{gate.rpartition('/')[0]}/teleoperation"
+        gate = find_gate(self, self._robot)
         return Teleoperation(
             lambda verb, arguments: self.connection.request(
-                gate, verb, arguments, timeout_s=_REPLY_LIMIT_S
+                gate.name, verb, arguments, timeout_s=_REPLY_LIMIT_S
             ),
-            lambda command: self.publish(topic, command),
+            lambda command: self.publish(gate.topics["teleoperation"], command),
             operator,
             take_over=take_over,
         )

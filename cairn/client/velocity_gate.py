@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 from cairn.bus import keys
@@ -34,25 +35,31 @@ _REMEDY = (
 )
 
 
-def find_gate(robot: Robot, name: str) -> tuple[str, str]:
-    """Return the full names of the robot's velocity gate and of its status topic.
+@dataclass(frozen=True)
+class Gate:
+    """A running velocity gate: its full name, and the topics of its ports by name."""
+
+    name: str
+    topics: Mapping[str, str]
+
+
+def find_gate(robot: Robot, name: str) -> Gate:
+    """Return the velocity gate of the robot of that name, "" if it is the only one.
 
     Raises `CairnError` if it runs no gate.
     """
-    writers = {
-        full: port.topic
+    gates = {
+        full: Gate(full, {port.port: port.topic for port in status.ports})
         for full, status in robot.connection.statuses().items()
-        for port in status.ports
-        if (port.port, port.direction) == (_STATUS_PORT, port.OUT)
+        if any((port.port, port.direction) == (_STATUS_PORT, port.OUT) for port in status.ports)
     }
-    if not writers:
+    if not gates:
         raise CairnError(f"no velocity gate runs on the bus; {_REMEDY}")
-    if len(writers) > 1:  # of several robots, or announced by tokens that are forged
+    if len(gates) > 1:  # of several robots, or announced by tokens that are forged
         connection = robot.connection
         alive = set(answering(connection.session, connection.domain, name or "*", _ANSWER_S))
-        writers = {gate: topic for gate, topic in writers.items() if gate in alive} or writers
-    gate = resolve(writers, next(iter(writers)).rpartition("/")[2], name)
-    return gate, writers[gate]
+        gates = {full: gate for full, gate in gates.items() if full in alive} or gates
+    return gates[resolve(gates, next(iter(gates)).rpartition("/")[2], name)]
 
 
 def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityGateStatus:
@@ -61,7 +68,8 @@ def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityG
     The request goes to the gate itself, not to its supervisor. Raises `CairnError` if the gate
     does not confirm it within `CONFIRM_S`.
     """
-    gate, topic = find_gate(robot, name)
+    gate = find_gate(robot, name)
+    topic = gate.topics[_STATUS_PORT]
     engage = reason is not None
     verb, arguments = ("stop", {"reason": reason}) if engage else ("release_stop", {})
     deadline = time.monotonic() + CONFIRM_S
@@ -69,7 +77,7 @@ def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityG
     key = keys.message_key(connection.domain, topic, VelocityGateStatus)
     with connection.listen(key, latched=True) as samples:
         try:
-            connection.request(gate, verb, arguments, timeout_s=CONFIRM_S)
+            connection.request(gate.name, verb, arguments, timeout_s=CONFIRM_S)
             while True:
                 with suppress(InvalidMessage):
                     sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
@@ -79,10 +87,10 @@ def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityG
         except (CairnError, queue.Empty) as error:
             cause = str(error) or f"no status on {topic}"
             if not engage:
-                raise CairnError(f"{gate} has not confirmed the release: {cause}") from error
+                raise CairnError(f"{gate.name} has not confirmed the release: {cause}") from error
             raise CairnError(
-                f"{gate} has not confirmed the emergency stop within {CONFIRM_S:g} s ({cause}); "
-                f"{_REMEDY}"
+                f"{gate.name} has not confirmed the emergency stop within {CONFIRM_S:g} s "
+                f"({cause}); {_REMEDY}"
             ) from error
 
 

@@ -83,7 +83,8 @@ def test_check_reports_limits_that_do_not_fit_navigator_or_base(
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
     """A robot in real processes; the last test engages its emergency stop."""
-    with robot_in(tmp_path_factory.mktemp("robot")) as robot:
+    renamed = "components.velocity_gate.topics.teleoperation=joystick"
+    with robot_in(tmp_path_factory.mktemp("robot"), renamed) as robot:
         yield robot
 
 
