@@ -22,8 +22,8 @@ from cairn.testing.robot import Arrival, Reading
 _SECOND = 1_000_000_000
 _NAP_S = 0.005
 _TRIES = 3
-_MOST = 0.1
-"""Maximum share of a sample's time in which the computer may pause."""
+BUSY_SHARE = 0.1
+"""A computer that pauses for a larger share of the time is too busy for tests in real time."""
 IN_TRANSIT_S = 0.2
 """Messages in transit arrive within this time of each other, unless the computer pauses [s]."""
 _TRANSIT_LIMIT_S = 2.0
@@ -141,7 +141,7 @@ def undisturbed(take: Callable[[], T]) -> T:
     for _ in range(_TRIES):
         with Pauses() as pauses:
             taken = take()
-        if pauses.share <= _MOST:
+        if pauses.share <= BUSY_SHARE:
             return taken
     pytest.skip(_too_busy(pauses, f"each of {_TRIES} samples, in the last one"))
 
@@ -154,7 +154,7 @@ def in_time(check: Callable[[], bool]) -> bool:
     """
     with Pauses() as pauses:
         holds = check()
-    if not holds and pauses.share > _MOST:
+    if not holds and pauses.share > BUSY_SHARE:
         pytest.skip(_too_busy(pauses, "the wait for an event"))
     return holds
 

@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 from rich.table import Table
 
+from cairn.testing.timing import BUSY_SHARE, Pauses
 from tests.attack.robot import (
     MOST_MEMORY_MB,
     MOST_SECONDS,
@@ -20,6 +21,7 @@ from tests.attack.robot import (
 )
 
 _AFTERWARD = "test_afterward"
+_PAUSES = pytest.StashKey[Pauses]()
 
 Cases = Callable[[Iterable[object]], None]
 """Counts the cases that one test makes at the same time; without a call it is one."""
@@ -58,10 +60,18 @@ def unharmed(record_property: Callable[[str, object], None]) -> Callable[[Attack
 
 
 @pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """Measure the pauses of this computer during a case."""
+    item.stash[_PAUSES] = Pauses()
+    with item.stash[_PAUSES]:
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Record how long a case takes, and fail it after 5 s.
+    """Record how long a case takes, and fail it after 5 s, unless this computer was too busy.
 
     The time that the test waits for periodic statuses, to read their counters, is not counted.
     """
@@ -72,6 +82,10 @@ def pytest_runtest_makereport(
     report.user_properties.append(("seconds", seconds))
     is_case = report.when == "call" and not item.name.startswith(_AFTERWARD)
     if is_case and report.passed and seconds > MOST_SECONDS:
+        share = item.stash[_PAUSES].share
+        if share > BUSY_SHARE:
+            report.user_properties.append(("busy", f"{item.name}: {seconds:.1f} s"))
+            return report
         report.outcome = "failed"
         report.longrepr = f"refused after {seconds:.1f} s, later than {MOST_SECONDS:g} s"
     return report
@@ -113,3 +127,6 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     table.add_row("all", *map(str, total), "", "", "", "", style="bold")
     terminalreporter.write_line("")
     Console(file=terminalreporter._tw._file, width=100).print(table)
+    for report in (one for reports in groups.values() for one in reports):
+        if busy := dict(report.user_properties).get("busy"):
+            terminalreporter.write_line(f"slow, as this computer was busy: {busy}")

@@ -22,9 +22,10 @@ from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.testing.launching import free_port
 from tests.attack.inputs import Topic, components, invalid, topics
 from tests.navigation.processes import ObservedRobot, robot_in
+from tests.patience import LIMIT_S
 
 MOST_SECONDS: Final = 5.0
-"""Within this time [s] each attack must have been refused."""
+"""Within this time [s] each attack must have been refused: `conftest.py` judges it."""
 
 MOST_MEMORY_MB: Final = 500.0
 """No process may use more memory [MB]."""
@@ -73,7 +74,7 @@ class AttackedRobot:
     def await_counts(
         self, topics: Iterable[Topic], holds: Callable[[PortStatus, PortStatus], bool]
     ) -> None:
-        """Wait until `holds(before, now)` for every input of the topics, or fail after 5 s."""
+        """Wait until `holds(before, now)` for every input of the topics."""
         before = {topic: self.ports(topic) for topic in topics}
 
         def late() -> list[str]:
@@ -87,18 +88,18 @@ class AttackedRobot:
             ]
 
         with self._changed:
-            in_time = self._changed.wait_for(lambda: not late(), MOST_SECONDS)
-            assert in_time, f"not rejected within {MOST_SECONDS:g} s: {late()}"
+            in_time = self._changed.wait_for(lambda: not late(), LIMIT_S)
+            assert in_time, f"not rejected within {LIMIT_S:g} s: {late()}"
 
     def next_statuses(self) -> None:
-        """Wait until every component has published its status once more, or fail after 5 s."""
+        """Wait until every component has published its status once more."""
         begin = time.monotonic()
         with self._changed:
             before = dict(self._received)
         # Twice: the first one may have been made before this call.
         self._wait(
             lambda: all(self._received[name] >= count + 2 for name, count in before.items()),
-            MOST_SECONDS,
+            LIMIT_S,
         )
         self._waited_s += time.monotonic() - begin
 
@@ -108,8 +109,8 @@ class AttackedRobot:
         return waited_s
 
     def await_log(self, component: str, pattern: str) -> None:
-        """Wait until a component has logged a line with this pattern, or fail after 5 s."""
-        deadline = time.monotonic() + MOST_SECONDS
+        """Wait until a component has logged a line with this pattern."""
+        deadline = time.monotonic() + LIMIT_S
         while not re.search(pattern, self.run.log_of(component)):
             assert time.monotonic() < deadline, f"{component} has not logged {pattern!r}"
             threading.Event().wait(0.02)

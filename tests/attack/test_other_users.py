@@ -13,10 +13,11 @@ import pytest
 
 import cairn.client
 from tests.attack.conftest import Cases
-from tests.attack.robot import MOST_SECONDS, AttackedRobot
+from tests.attack.robot import AttackedRobot
 from tests.cairn.cli.test_access import sockets_of, tcp_listeners
 from tests.disk import open_to_others
 from tests.navigation.processes import robot_in
+from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.skipif(
     os.geteuid() != 0, reason="only root may run a program as another user"
@@ -57,7 +58,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AttackedRobot]:
 def attempts(user: int, kind: str, paths: list[Path]) -> dict[str, str]:
     """Return what a program of a user gets when it opens each path."""
     words = [sys.executable, "-c", AS_ANOTHER_USER, str(user), kind, *map(str, paths)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=MOST_SECONDS, check=True)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=True)
     found = (line.rsplit(" ", 1) for line in done.stdout.splitlines())
     return {path: result for result, path in found}
 

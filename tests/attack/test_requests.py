@@ -15,7 +15,8 @@ from cairn.deployment.plugins import load_plugin
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.parameters import describe_parameters
 from tests.attack.inputs import components, deployment
-from tests.attack.robot import MOST_MEMORY_MB, MOST_SECONDS, AttackedRobot
+from tests.attack.robot import MOST_MEMORY_MB, AttackedRobot
+from tests.patience import LIMIT_S
 
 LONGEST_ANSWER: Final = 4100
 """A refusal is for people: an attacker does not make it longer [characters]."""
@@ -56,7 +57,7 @@ def refusal(peer: zenoh.Session, component: str, verb: str, payload: bytes) -> s
     key = keys.control_key(0, f"/robot/{component}", verb)
     answers = [
         json.loads(reply.ok.payload.to_bytes())
-        for reply in peer.get(key, payload=payload, timeout=MOST_SECONDS)
+        for reply in peer.get(key, payload=payload, timeout=LIMIT_S)
         if reply.ok is not None
     ]
     assert len(answers) == 1, f"{component} has not answered {verb}"

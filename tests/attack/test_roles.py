@@ -22,8 +22,9 @@ from cairn.runtime.lifecycle import Transition
 from cairn.schemas.message import type_name
 from tests.attack.conftest import Cases
 from tests.attack.inputs import Topic, components, deployment, invalid, topics
-from tests.attack.robot import MOST_SECONDS, AttackedRobot, attacked_robot
+from tests.attack.robot import AttackedRobot, attacked_robot
 from tests.attack.test_requests import ROOT, SUPERVISORS
+from tests.patience import LIMIT_S
 
 ROLES: Final = ("view", "operate")
 _MANAGING: Final = ("load", "unload", "restart", "hold")
@@ -102,7 +103,7 @@ def test_request_that_the_role_does_not_allow_gets_no_reply(
     sessions: dict[str, zenoh.Session], role: str, component: str, verb: str
 ) -> None:
     with pytest.raises(NoReplyError, match="your role does not allow"):
-        control.request(sessions[role], 0, f"/robot/{component}", verb, {}, timeout_s=MOST_SECONDS)
+        control.request(sessions[role], 0, f"/robot/{component}", verb, {}, timeout_s=LIMIT_S)
 
 
 @pytest.mark.parametrize("role", ROLES)
@@ -110,7 +111,7 @@ def test_request_that_the_role_does_not_allow_gets_no_reply(
 def test_request_to_all_components_gets_no_reply(
     sessions: dict[str, zenoh.Session], role: str, key: str
 ) -> None:
-    replies = sessions[role].get(key, payload=b'{"arguments": {}}', timeout=MOST_SECONDS)
+    replies = sessions[role].get(key, payload=b'{"arguments": {}}', timeout=LIMIT_S)
 
     assert [reply for reply in replies if reply.ok is not None] == []
 
@@ -153,7 +154,7 @@ def _rejected(robot: AttackedRobot, topic: Topic) -> list[int]:
 def _wait_for_all_sent(session: zenoh.Session) -> None:
     """Wait for the reply to a query, which does not overtake what was sent before."""
     key = keys.control_key(0, "/robot/base", "parameters")
-    replies = session.get(key, payload=b"{}", timeout=MOST_SECONDS)
+    replies = session.get(key, payload=b"{}", timeout=LIMIT_S)
     assert [reply for reply in replies if reply.ok is not None]
 
 
@@ -206,7 +207,7 @@ def test_operator_does_not_give_a_mission_out_of_bounds(
     with pytest.raises(ControlError, match="finite"):
         control.request(
             sessions["operate"], 0, "/robot/mobile_supervisor", "go",
-            {"goals": [[1e300, 0.0, 0.0]]}, timeout_s=MOST_SECONDS,
+            {"goals": [[1e300, 0.0, 0.0]]}, timeout_s=LIMIT_S,
         )  # fmt: skip
 
 
