@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import ssl
 import stat
 from pathlib import Path
 from typing import Any, Final
@@ -141,6 +140,8 @@ def check_readable(path: Path) -> None:
 
 def check_pair(certificate: Path, key: Path) -> None:
     """Raise `CairnError` unless a private key is secret, and belongs to a certificate."""
+    import ssl  # takes 7 ms: not for every process
+
     check_readable(certificate)
     check_secret(key)
     try:
@@ -154,6 +155,8 @@ def check_pair(certificate: Path, key: Path) -> None:
 
 def check_authorities(path: Path) -> None:
     """Raise `CairnError` unless a file contains certificates (PEM)."""
+    import ssl  # takes 7 ms: not for every process
+
     check_readable(path)
     try:
         ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT).load_verify_locations(path)

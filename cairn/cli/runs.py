@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import logging
-import os
-import signal
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from logging.handlers import RotatingFileHandler
-from multiprocessing import get_context
 from pathlib import Path
 
 from cairn.cli.output import note
@@ -19,7 +15,6 @@ from cairn.deployment.model import Storage
 from cairn.errors import CairnError
 from cairn.files import TAKES_NO_DATA
 from cairn.runtime.log_output import LOG_FORMAT
-from cairn.supervision.orphan_cleanup import set_parent_death_signal
 
 
 @contextmanager
@@ -120,22 +115,3 @@ def seeds_of(text: str) -> range:
     if not 0 <= begin <= end:
         raise CairnError(f"--seeds {text}: A must not be negative nor larger than B")
     return range(begin, end + 1)
-
-
-def worker_pool(count: int) -> ProcessPoolExecutor:
-    """Return a pool of `count` processes, which end with this one, even if it is killed.
-
-    Call it on the main thread: the kernel kills them when the thread that started them ends.
-    """
-    return ProcessPoolExecutor(
-        count,
-        mp_context=get_context("spawn"),
-        initializer=_end_with,
-        initargs=(os.getpid(),),
-    )
-
-
-def _end_with(parent: int) -> None:
-    set_parent_death_signal(signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)

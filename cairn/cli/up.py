@@ -9,21 +9,20 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import platformdirs
 import typer
-from rich.console import Console
 
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.cli.options import File, Overlay, Set
 from cairn.cli.output import RunOutput, note
 from cairn.cli.run_folders import reduce_old, used_folder
 from cairn.cli.runs import log_file, writing_report
-from cairn.cli.view import LiveView, LogWatch, PlainView, Watch
+from cairn.cli.view import LogWatch, PlainView, View, Watch
 from cairn.clock import from_ns
 from cairn.deployment.load import assemble, read_sources
 from cairn.deployment.model import Deployment
@@ -99,7 +98,7 @@ def up(
             note(f"any user and program of this computer may drive the robot through {reached}")
         if lockstep and not any(member.spec.significant for member in deployment.members()):
             note("no component is `significant`: only Ctrl-C ends this run")
-        with LiveView(Console(), title) if live else PlainView(output.line) as view:
+        with _live_view(title) if live else PlainView(output.line) as view:
             if lockstep:
                 end = _run_lockstep(deployment, seed, logs, view)
             else:
@@ -114,12 +113,20 @@ def up(
         raise CairnError(f"{file.name} failed: {end.reason.rstrip('.')}; logs: {logs}")
 
 
+def _live_view(title: str) -> AbstractContextManager[View]:
+    from rich.console import Console  # takes 50 ms: only for a terminal
+
+    from cairn.cli.live_view import LiveView
+
+    return LiveView(Console(), title)
+
+
 def _run_processes(
     deployment: Deployment,
     zygote: ZygoteProcess,
     seed: int,
     logs: Path,
-    view: LiveView | PlainView,
+    view: View,
     service: ServiceManager,
 ) -> ExitReport:
     with log_file(logs / "root.log", time.time_ns, deployment.storage):
@@ -131,9 +138,7 @@ def _run_processes(
         return run_processes(deployment, zygote, logs, seed, watch, service)
 
 
-def _run_lockstep(
-    deployment: Deployment, seed: int, logs: Path, view: LiveView | PlainView
-) -> ExitReport:
+def _run_lockstep(deployment: Deployment, seed: int, logs: Path, view: View) -> ExitReport:
     run = LockstepRun(deployment, seed)
     watch = Watch(run.bus, deployment.robot, view, clock=run.simulated)
     events = 0
@@ -215,7 +220,7 @@ def _report_setting(documents: Iterable[Any], folder: Path) -> list[str]:
 class _ViewHandler(logging.Handler):
     """Passes log records to a view, with virtual time."""
 
-    def __init__(self, view: LiveView | PlainView, now: Callable[[], int]) -> None:
+    def __init__(self, view: View, now: Callable[[], int]) -> None:
         super().__init__()
         self._view = view
         self._now = now

@@ -12,7 +12,8 @@ import typer
 from cairn import CairnError
 from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json
-from cairn.cli.runs import seeds_of, worker_pool, writing_report
+from cairn.cli.runs import seeds_of, writing_report
+from cairn.cli.worker_pool import worker_pool
 from cairn.deployment.shipped import FOLDER, deployment_file, world_file
 from cairn.planar.map_file import read_map
 from cairn.tools.evaluation.report import report_lines, write_report

@@ -12,7 +12,8 @@ from tempfile import TemporaryDirectory
 
 from cairn import CairnError
 from cairn.cli.output import note
-from cairn.cli.runs import log_file, worker_pool
+from cairn.cli.runs import log_file
+from cairn.cli.worker_pool import worker_pool
 from cairn.placement.lockstep import LockstepRun
 from cairn.tools.experiments.methods import (
     WORLD,

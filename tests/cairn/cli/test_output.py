@@ -6,9 +6,10 @@ import pytest
 from rich.console import Console
 
 from cairn import CairnError
+from cairn.cli.live_view import LiveView
 from cairn.cli.main import _print_error
 from cairn.cli.output import line, note, print_json, show
-from cairn.cli.view import LiveView, PlainView
+from cairn.cli.view import PlainView
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header

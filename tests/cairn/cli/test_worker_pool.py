@@ -15,7 +15,7 @@ pytestmark = pytest.mark.processes
 
 COMMAND = """
 import os, threading
-from cairn.cli.runs import worker_pool
+from cairn.cli.worker_pool import worker_pool
 
 def hang():
     os.write(1, f"{os.getpid()}\\n".encode())  # whole: print may write the number and its end
