@@ -29,10 +29,12 @@ quick: $(VENV)/tests
 	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
 	    -m "not processes and not images and not realtime and not slow"
 
-## All tests. One worker more than cores: many tests wait for processes that they have started.
+## All tests. One worker more than cores: many tests wait for processes that they have started. Those
+## that are judged by the clock run apart: mostly they wait, so that two at a time disturb no other.
 test: $(VENV)/tests
 	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime"
-	$(BIN)/pytest -m realtime $$(grep -rl --include="test_*.py" "mark\.realtime" tests)
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m realtime \
+	    $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)  # the longest first
 
 ## Hostile files, requests, messages and users against a simulated robot: minutes, on loopback only.
 attack: $(VENV)/tests

@@ -1,6 +1,6 @@
 """The drivers of real scanners fulfill the contract on emulated ones, all in one deployment.
 
-Scans are judged in real time, so these tests must not run beside others.
+Scans are judged in real time, so these tests must not run beside those that compute much.
 """
 
 import math

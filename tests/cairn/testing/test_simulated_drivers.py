@@ -1,6 +1,6 @@
 """The simulated drivers fulfill the contracts of messages and life cycle, all in one deployment.
 
-Messages are judged in real time, so these tests must not run beside others.
+Messages are judged in real time, so these tests must not run beside those that compute much.
 """
 
 import math
