@@ -32,6 +32,23 @@ def kill(run: Run, component: str) -> None:
     os.kill(run.pid_of(component), signal.SIGKILL)
 
 
+def assert_all_stop_in_reverse_order(run: Run, number: signal.Signals) -> None:
+    """Send the signal; assert that all components shut down in reverse order, with success."""
+    sent = len(run.lines)
+
+    run.process.send_signal(number)
+
+    assert run.await_end() == 0
+    run.await_nothing_left()
+    stopped = [
+        stop[1]
+        for line in run.lines[sent:]
+        if (stop := re.search("child stopped: (.*): shut down$", line))
+    ]
+    assert stopped == ["talker", "base", "reader", "mobile", "beacon"]
+    run.await_line("^ended.*: shut down", after=sent)
+
+
 def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_running(
     launch: Launching,
 ) -> None:
@@ -75,7 +92,7 @@ def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_run
     run.await_line("reader: the beacon stands at 4, 2", after=killed)
     assert below.isdisjoint(run.pids())
     assert [run.pid_of(name) for name in ("beacon", "talker")] == [before[1], before[4]]
-    assert run.stop() == 0
+    assert_all_stop_in_reverse_order(run, signal.SIGINT)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -111,24 +128,14 @@ def test_killing_cairn_up_leaves_no_process(launch: Launching, stopped: tuple[st
         assert list(Path(sockets).iterdir()) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_stop_signal_stops_all_components_in_reverse_order(
     launch: Launching, number: signal.Signals
 ) -> None:
     run = launch(TREE)
-    started = run.await_line("child active: talker")
+    run.await_line("child active: talker")
 
-    run.process.send_signal(number)
-
-    assert run.await_end() == 0
-    run.await_nothing_left()
-    stopped = [
-        stop[1]
-        for line in run.lines[started:]
-        if (stop := re.search("child stopped: (.*): shut down$", line))
-    ]
-    assert stopped == ["talker", "base", "reader", "mobile", "beacon"]
-    run.await_line("^ended.*: shut down")
+    assert_all_stop_in_reverse_order(run, number)
 
 
 def test_second_ctrl_c_kills_everything(launch: Launching) -> None:

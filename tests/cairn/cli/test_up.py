@@ -32,8 +32,14 @@ def lines_of(run: Run) -> list[str]:
     return [line for line in run.lines if "importing the plugins: " not in line]
 
 
-def test_up_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) -> None:
-    run = launch(TALK)
+def test_up_prints_lines_and_keeps_its_logs_without_old_ones_in_the_report_folder(
+    launch: Launching, tmp_path: Path
+) -> None:
+    logs = tmp_path / "again" / "logs"
+    logs.mkdir(parents=True)
+    (logs / "listener.log").write_text("old\n")
+
+    run = launch(TALK, report=tmp_path / "again")
 
     assert run.await_end() == 0
 
@@ -51,6 +57,7 @@ def test_up_prints_lines_and_keeps_logs_in_the_report_folder(launch: Launching) 
     # Lines of different processes come in no certain order, and a busy listener drops words.
     run.await_line("received 1, the last was ")
     assert "received 1, the last was " in run.log_of("listener")
+    assert "old" not in run.log_of("listener")
     assert "child active: talker" in run.log_of("root")
 
 
@@ -76,19 +83,6 @@ def test_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path: P
 
     assert run.await_end() == 0
     assert sum("importing the plugins" in line for line in run.lines) == 1
-
-
-def test_report_folder_is_used_again_without_the_old_logs(
-    launch: Launching, tmp_path: Path
-) -> None:
-    logs = tmp_path / "again" / "logs"
-    logs.mkdir(parents=True)
-    (logs / "listener.log").write_text("old\n")
-
-    run = launch(TALK, report=tmp_path / "again")
-
-    assert run.await_end() == 0
-    assert "old" not in run.log_of("listener")
 
 
 def test_robot_continues_while_its_output_is_on_a_full_disk_and_its_logs_are_rotated(
@@ -179,7 +173,7 @@ def test_deployment_with_problems_is_not_started(launch: Launching) -> None:
     assert not (run.report / "logs").exists()
 
 
-def test_two_robots_share_a_bus(launch: Launching) -> None:
+def test_two_robots_share_a_bus_unless_they_have_the_same_name(launch: Launching) -> None:
     first = launch(TALK.replace("words: 20", "words: 0"), robot="alpha")
     first.await_line("child active: talker")
     second = launch(ENDLESS, robot="beta", connect=first.endpoint)
@@ -202,6 +196,15 @@ def test_two_robots_share_a_bus(launch: Launching) -> None:
     assert several.code == 1
     assert_words(several.err, "/alpha/root, /beta/root", "--robot")
     assert cairn("restart", "beacon", "--robot", "beta", connect=first.endpoint).code == 0
+
+    talker = first.pid_of("talker")
+    third = launch(ENDLESS, robot="alpha", connect=first.endpoint)
+    assert third.await_end() == 1
+    third.await_line(
+        rf"a robot alpha runs already on the bus of {first.endpoint}; give this one another name"
+    )
+    assert first.pid_of("talker") == talker
+
     assert second.stop() == 0
     assert first.stop() == 0
 
@@ -234,20 +237,3 @@ def everything_from(screen: int) -> str:
             break
     os.close(screen)
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))
-
-
-def test_second_robot_of_the_same_name_is_rejected_and_the_first_continues(
-    launch: Launching,
-) -> None:
-    first = launch(ENDLESS, robot="alpha")
-    first.await_line("child active: beacon")
-    beacon = first.pid_of("beacon")
-
-    second = launch(ENDLESS, robot="alpha", connect=first.endpoint)
-
-    assert second.await_end() == 1
-    second.await_line(
-        rf"a robot alpha runs already on the bus of {first.endpoint}; give this one another name"
-    )
-    assert first.pid_of("beacon") == beacon
-    assert first.stop() == 0
