@@ -24,16 +24,15 @@ from cairn.cli.run_folders import reduce_old, used_folder
 from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LogWatch, PlainView, View, Watch
 from cairn.clock import from_ns
-from cairn.deployment.load import assemble, read_sources
+from cairn.deployment.load import read_sources
 from cairn.deployment.model import Deployment
-from cairn.deployment.plugins import load_plugin, plugin_modules
-from cairn.deployment.shipped import FOLDER
+from cairn.deployment.plugins import plugin_modules
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepRun
-from cairn.placement.process_run import run_processes, started_zygote
+from cairn.placement.process_run import checked_plan, run_processes, started_zygote
+from cairn.placement.run_plan import RunPlan, check_sources
 from cairn.placement.systemd_notify import ServiceManager, service_manager
 from cairn.process_exit import ExitReport
-from cairn.runtime.parameters import ReadPathMark, marked_parameters
 from cairn.schemas.rcl_interfaces import Log
 from cairn.supervision.zygote_client import ZygoteProcess
 
@@ -78,9 +77,13 @@ def up(
             modules = [name for document in documents for name in plugin_modules(document)]
             zygote = stack.enter_context(started_zygote(modules))
         where = _report_setting(documents, folder)
+        sets = [*where, *(set_ or ())]
         with _announced_long_import():
-            deployment = assemble(sources, [*where, *(set_ or ())])
-        _check_shipped(file, deployment)
+            if lockstep:
+                deployment = check_sources(file, sources, sets)
+            else:
+                plan = checked_plan(zygote, file, sources, sets)
+                deployment = plan.deployment
         logs = stack.enter_context(used_folder(folder))
         with writing_report(folder, "--report"):
             (folder / _CLOSING_TABLE).unlink(missing_ok=True)
@@ -102,7 +105,7 @@ def up(
             if lockstep:
                 end = _run_lockstep(deployment, seed, logs, view)
             else:
-                end = _run_processes(deployment, zygote, seed, logs, view, service)
+                end = _run_processes(plan, zygote, seed, logs, view, service)
         table = folder / _CLOSING_TABLE
         if table.exists():
             output.line(table.read_text(encoding="utf-8"))
@@ -122,20 +125,21 @@ def _live_view(title: str) -> AbstractContextManager[View]:
 
 
 def _run_processes(
-    deployment: Deployment,
+    plan: RunPlan,
     zygote: ZygoteProcess,
     seed: int,
     logs: Path,
     view: View,
     service: ServiceManager,
 ) -> ExitReport:
+    deployment = plan.deployment
     with log_file(logs / "root.log", time.time_ns, deployment.storage):
 
         def watch(bus: ZenohBus, hurry: Callable[[], None]) -> LogWatch:
             simulated = deployment.clock == "simulated"
             return LogWatch(bus, deployment.robot, view, clock=simulated, hurry=hurry)
 
-        return run_processes(deployment, zygote, logs, seed, watch, service)
+        return run_processes(plan, zygote, logs, seed, watch, service)
 
 
 def _run_lockstep(deployment: Deployment, seed: int, logs: Path, view: View) -> ExitReport:
@@ -164,22 +168,6 @@ def _run_lockstep(deployment: Deployment, seed: int, logs: Path, view: View) -> 
         for number, former in before.items():
             signal.signal(number, former)
         root_logger.removeHandler(handler)
-
-
-def _check_shipped(file: Path, deployment: Deployment) -> None:
-    """Raise `CairnError` if a shipped deployment reads a recording that is not shipped with it."""
-    if file.parent != FOLDER:
-        return
-    for member in deployment.members():
-        config = load_plugin(member.spec.plugin).config_class()
-        values = config.model_validate(member.spec.parameters)
-        for read in marked_parameters(values, ReadPathMark):
-            path = Path(read.value)
-            if not path.exists() and path.resolve().is_relative_to(FOLDER.parent):
-                raise CairnError(
-                    f"{file.name}: {member.name}.{read.name}: {path} is not part of the installed "
-                    f"package; name your own with --set, as the comment in {file} explains"
-                )
 
 
 @contextmanager

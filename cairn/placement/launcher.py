@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from cairn.deployment.plugins import load_plugin
+from cairn.deployment.plugins import find_plugin
 from cairn.errors import CairnError
 from cairn.process_exit import ExitLog, ExitReport
 from cairn.runtime.launch_request import LaunchRequest
@@ -67,7 +67,7 @@ class ProcessHandle:
                 launch.model_dump(mode="json"),
                 self._log.file,
                 fresh=fresh,
-                needs=[] if fresh else [load_plugin(launch.spec.plugin).__module__],
+                needs=[] if fresh else [find_plugin(launch.spec.plugin).partition(":")[0]],
                 channel=passed,
                 timeout_s=timeout_s,
             )

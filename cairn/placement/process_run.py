@@ -17,9 +17,7 @@ from cairn.bus.endpoints import domain_socket, parse_endpoint
 from cairn.bus.exclusive import KEY_BYTES
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import nodes_pattern
-from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import (
-    Gateway,
     close_session,
     open_client,
     open_peer,
@@ -28,19 +26,19 @@ from cairn.bus.session import (
 )
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.compilation import before_compilation
-from cairn.deployment.access_control import access_control
-from cairn.deployment.bus_settings import TlsSettings
-from cairn.deployment.exclusive_topics import exclusive_topics
-from cairn.deployment.model import ROOT, Deployment
-from cairn.deployment.topic_limits import topic_limits
+from cairn.deployment.load import SourceDocument
+from cairn.deployment.model import ROOT, ChildSpec, Deployment
+from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
+from cairn.placement.run_plan import RunPlan, check_and_plan
 from cairn.placement.systemd_notify import ServiceManager
 from cairn.process_exit import ExitLog, ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime_folder import run_folder
+from cairn.supervision.forked_call import call_in_fork
 from cairn.supervision.zygote import COMPILATION_LIMIT_S
 from cairn.supervision.zygote_client import ZygoteProcess, start_zygote
 
@@ -66,14 +64,14 @@ class RunView(Protocol):
 
 @contextmanager
 def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
-    """Start the zygote, which imports these modules while the deployment is checked.
+    """Start the zygote, which imports these modules.
 
     All processes that it has started end with the context. Raises `CairnError` if the folder for
     its socket cannot be created.
     """
     with run_folder() as path:
         zygote = start_zygote([MainLoop.__module__, *modules], path)
-        # This process imports the same modules for the check: it need not compile them as well.
+        # Components in this process may need the same kernels, which one process compiles for all.
         before_compilation(lambda: zygote.wait_for_imports(_IMPORTS_LIMIT_S))
         try:
             yield zygote
@@ -81,8 +79,20 @@ def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
             zygote.close()
 
 
+def checked_plan(
+    zygote: ZygoteProcess, file: Path, sources: Sequence[SourceDocument], sets: Sequence[str]
+) -> RunPlan:
+    """Return `check_and_plan` of a deployment, made by a fork of the zygote that runs it.
+
+    Raises `CairnError` with everything that is wrong, before anything is started.
+    """
+    return call_in_fork(
+        zygote, "check", check_and_plan, file, sources, sets, timeout_s=_IMPORTS_LIMIT_S
+    )
+
+
 def run_processes(
-    deployment: Deployment,
+    plan: RunPlan,
     zygote: ZygoteProcess,
     log_folder: Path,
     seed: int,
@@ -98,11 +108,14 @@ def run_processes(
     `CairnError` if the socket is in use, if the robot runs already on this bus, or on a second
     signal.
     """
+    deployment = plan.deployment
     bus_settings, folder = deployment.bus, zygote.socket_path.parent
     if bus_settings.connect:
         _check_robot_name_is_free(deployment)
     secret = secrets.token_hex(16)
-    topics, limits = exclusive_topics(deployment), topic_limits(deployment)
+    for spec in _in_parent_process(deployment.root()):
+        load_plugin(spec.plugin)  # before the start: importing may take long
+    topics, limits = plan.exclusive_topics, plan.topic_limits
     launch = LaunchRequest(
         name=ROOT,
         spec=deployment.root(),
@@ -125,7 +138,7 @@ def run_processes(
         topic_keys={one.topic: secrets.token_hex(KEY_BYTES) for one in topics if one.writer},
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
-    with _opened_bus(deployment, folder, secret, limits) as bus:
+    with _opened_bus(plan, folder, secret) as bus:
         root = ComponentHost(launch, bus)
         root.start()
         loop = MainLoop(root)
@@ -168,10 +181,9 @@ def run_processes(
 
 
 @contextmanager
-def _opened_bus(
-    deployment: Deployment, folder: Path, secret: str, limits: MessageLimits
-) -> Iterator[ZenohBus]:
+def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
     """Open the bus of the root: the deployment's router and gateway, or a link to a router."""
+    deployment, limits = plan.deployment, plan.topic_limits
     settings = deployment.bus
     with ExitStack() as stack:
         if settings.connect:
@@ -187,9 +199,17 @@ def _opened_bus(
             listen = settings.listen if settings.allow_any_local_user else ()
             session = open_router(socket, listen, settings.group, limits, secret)
         bus = stack.enter_context(closing(ZenohBus(session, deployment.domain, secret, limits)))
-        if (gateway := gateway_of(deployment)) is not None:
-            stack.enter_context(closing(gateway.open(router_socket(deployment), folder)))
+        if plan.gateway is not None:
+            stack.enter_context(closing(plan.gateway.open(router_socket(deployment), folder)))
         yield bus
+
+
+def _in_parent_process(spec: ChildSpec) -> Iterator[ChildSpec]:
+    """Yield the components that run in the process of their supervisor, at any depth."""
+    for child in spec.children.values():
+        if child.placement == "in_process":
+            yield child
+            yield from _in_parent_process(child)
 
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:
@@ -201,24 +221,6 @@ def router_socket(deployment: Deployment) -> Path:
     """Return the path of the socket on which the router of a deployment listens."""
     named = deployment.bus.socket
     return domain_socket(deployment.domain) if named is None else Path(named)
-
-
-def gateway_of(deployment: Deployment) -> Gateway | None:
-    """Return the gateway between the network and a deployment; None if it has no such endpoint."""
-    bus = deployment.bus
-    if bus.allow_any_local_user or not bus.listen:
-        return None
-    tls = bus.tls or TlsSettings()
-    return Gateway(
-        listen=bus.listen,
-        access_control=access_control(deployment),
-        password_files={name: user.password_file for name, user in bus.users.items()},
-        certificate=tls.certificate,
-        key=tls.key,
-        ca=tls.ca,
-        client_certificates=tls.client_certificates,
-        limits=topic_limits(deployment),
-    )
 
 
 def _check_robot_name_is_free(deployment: Deployment) -> None:

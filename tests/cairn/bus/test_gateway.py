@@ -25,7 +25,7 @@ from cairn.bus.type_hash import type_hash
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.client import Connection
 from cairn.deployment.model import Deployment
-from cairn.placement.process_run import gateway_of
+from cairn.placement.run_plan import plan_run
 from cairn.schemas.cairn_nav_msgs import TeleoperationCommand
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.message import type_name
@@ -61,7 +61,7 @@ class Robot:
         self.endpoint = f"{scheme}/127.0.0.1:{free_port()}"
         deployment = Deployment.model_validate({**ROBOT, "bus": {**bus, "listen": [self.endpoint]}})
         self.network = Network()
-        gateway = gateway_of(deployment)
+        gateway = plan_run(deployment).gateway
         assert gateway is not None
         router = socket_path(self.network.endpoint)
         assert router is not None

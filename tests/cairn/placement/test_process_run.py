@@ -27,8 +27,12 @@ def test_zygote_that_crashes_fails_the_deployment_with_the_cause_and_its_log_is_
         from cairn import Component
         from cairn.supervision.zygote import Zygote
 
-        def fail(*_):
-            raise RuntimeError("broken on purpose")
+        spawn = Zygote._spawn
+
+        def fail(self, connection, request):
+            if request.name == "idle":
+                raise RuntimeError("broken on purpose")
+            spawn(self, connection, request)
 
         Zygote._spawn = fail
 
@@ -48,6 +52,31 @@ def test_zygote_that_crashes_fails_the_deployment_with_the_cause_and_its_log_is_
         rf"on purpose \(process \d+, log {run.logs}/zygote.log\)"
     )
     assert "Traceback" in run.log_of("zygote")
+
+
+def test_root_does_not_import_the_components(launch: Launching, tmp_path: Path) -> None:
+    module = """
+        import os
+        from pathlib import Path
+        from cairn import Component
+
+        with Path(__file__).with_suffix(".pids").open("a") as pids:
+            pids.write(f"{os.getpid()}\\n")
+
+        class Idle(Component):
+            pass
+        """
+    (tmp_path / "notes_imports.py").write_text(dedent(module))
+    run = launch(
+        "components: {idle: {plugin: notes_imports:Idle}}",
+        environment={"PYTHONPATH": str(tmp_path)},
+    )
+    run.await_line("child active: idle")
+
+    importers = (tmp_path / "notes_imports.pids").read_text().split()
+
+    assert len(importers) == 1  # the zygote
+    assert importers != [str(run.process.pid)]
 
 
 def test_view_that_fails_is_logged_once_and_does_not_stop_the_robot(
