@@ -1,10 +1,10 @@
-"""A plugin whose module can be imported by commands, but not where components run."""
+"""A plugin whose module can be imported by the check of a deployment, but not by components."""
 
-import os
+from setproctitle import getproctitle
 
 from cairn import Component
 
-if "CAIRN_TREE" in os.environ:
+if getproctitle() != "cairn: check":
     raise RuntimeError("not in this environment")
 
 
