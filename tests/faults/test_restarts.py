@@ -76,42 +76,33 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
     )
 
 
-def test_transient_component_that_has_finished_is_not_restarted(
+def test_finished_component_is_not_restarted_and_a_significant_one_ends_the_deployment(
     launch: Launching,
 ) -> None:
     run = launch(
         """
     components:
-      talker: {plugin: test_talker, parameters: {words: 3}, restart: transient}
-      beacon: {plugin: test_beacon}
-    """
-    )
-    run.await_line("INFO    robot.root: child ended: talker: all words sent")
-    run.await_line("child active: beacon")
-    assert run.stop() == 0
-    assert sum("child active: talker" in line for line in run.lines) == 1
-
-
-def test_normal_end_of_a_significant_component_ends_the_deployment_normally(
-    launch: Launching,
-) -> None:
-    run = launch(
-        """
-    components:
+      brief:
+        plugin: test_talker
+        parameters: {words: 3}
+        topics: {words: brief_words}
+        restart: transient
       beacon: {plugin: test_beacon}
       mobile:
         plugin: supervisor
         children:
           talker:
             plugin: test_talker
-            parameters: {words: 3}
+            parameters: {words: 20}
             restart: transient
             significant: true
     """
     )
+    run.await_line("INFO    robot.root: child ended: brief: all words sent")
 
     assert run.await_end() == 0
 
+    assert sum("child active: brief" in line for line in run.lines) == 1
     run.await_line("child stopped: beacon: shut down")
     run.await_line(
         "^ended.*: mobile has finished: talker has finished: all words sent; logs and report"

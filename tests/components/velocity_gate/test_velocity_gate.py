@@ -292,7 +292,8 @@ def test_autonomous_sources_do_not_reverse_onto_unseen_ground() -> None:
     assert robot.command[0] == pytest.approx(-0.1, abs=0.02)
 
 
-@pytest.mark.parametrize("seed", range(8))
+# Without the check of obstacles, the commands of each of these seeds touch one.
+@pytest.mark.parametrize("seed", [1, 3, 5, 6, 7])
 def test_random_commands_among_random_obstacles_touch_nothing(seed: int) -> None:
     random = np.random.default_rng(seed)
     robot = GatedRobot()
