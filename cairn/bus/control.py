@@ -8,6 +8,7 @@ Requests and replies have limits, which both sides check before they decode them
 of one component wait at most; further ones are rejected at once, except urgent ones.
 """
 
+import os
 import re
 import threading
 import time
@@ -56,6 +57,12 @@ class ControlRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     arguments: dict[str, Any] = Field(default_factory=dict)
+
+
+def _of_user() -> str:
+    """Name the user in whose name commands connect, if the environment gives one."""
+    user = os.environ.get("CAIRN_USER")
+    return f" (user {user})" if user else ""
 
 
 class ControlReply(BaseModel):
@@ -120,7 +127,8 @@ def request(
         raise NoReplyError(
             f"{component}: no reply to {verb}, and none will arrive, after {waited_s:.1f} s: "
             "the component is not running, has just ended, the link to it was lost, or, over the "
-            "network, your role does not allow the request; `cairn ps` lists the running components"
+            f"network, your role does not allow the request{_of_user()}; `cairn ps` lists the "
+            "running components, docs/how-to/connect.md what a role allows"
         )
     raise NoReplyError(
         f"{component}: no reply to {verb} within {timeout_s:g} s: it hangs or is still busy; "

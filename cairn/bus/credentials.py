@@ -58,6 +58,14 @@ class Credentials(BaseModel):
             )
         return cls(**named)
 
+    def presented(self) -> str:
+        """Describe what a session presents, without secrets, for messages."""
+        if self.user is not None:
+            return f"user {self.user} with the password in {self.password_file}"
+        if self.certificate is not None:
+            return f"the certificate {self.certificate}"
+        return "a client without user name and certificate"
+
     def session_settings(self, own_dictionary: Path | None = None) -> dict[str, Any]:
         """Return the settings of a Zenoh session that presents them.
 

@@ -42,6 +42,14 @@ def socket_path(endpoint: str) -> Path | None:
     return Path(endpoint.removeprefix(UNIX)) if endpoint.startswith(UNIX) else None
 
 
+def tcp_address(endpoint: str) -> tuple[str, int] | None:
+    """Return the host and port of an endpoint over TCP, None for all others."""
+    match = _NETWORK.fullmatch(endpoint)
+    if match is None or not endpoint.startswith(("tcp/", "tls/", "ws/")):
+        return None
+    return match[1].strip("[]"), int(match[2])
+
+
 def is_loopback(endpoint: str) -> bool:
     """Return whether only this computer can reach an endpoint that `parse_endpoint` accepts."""
     match = _NETWORK.fullmatch(endpoint)

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import secrets
+import socket as sockets
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ from cairn.bus.credentials import (
     read_password,
     write_dictionary,
 )
-from cairn.bus.endpoints import UNIX, socket_path
+from cairn.bus.endpoints import UNIX, is_encrypted, socket_path, tcp_address
 from cairn.bus.message_limits import DEFAULT_LIMITS, MessageLimits
 from cairn.errors import CairnError
 from cairn.runtime_folder import (
@@ -64,6 +65,11 @@ _REFUSED = (
     "(CAIRN_TLS_CA, CAIRN_TLS_CERTIFICATE, CAIRN_TLS_KEY)? "
 )
 
+_TLS_NAME = "; with TLS, the robot's certificate must contain the host name that you connect to"
+
+_PORT_TIMEOUT_S = 1.0
+"""A message about a refused connection waits so long to learn whether the port is open."""
+
 _RUST_LOCATION = re.compile(r" at /\S+\.rs:\d+\.?")
 
 
@@ -92,7 +98,7 @@ def open_peer(
         dictionary.unlink(missing_ok=True)  # Zenoh has read it
     if not _has_router(session, _JOIN_TIMEOUT_S):
         session.close()
-        raise CairnError(_no_router(connect))
+        raise CairnError(_no_router(connect, credentials))
     return session
 
 
@@ -129,7 +135,7 @@ def open_client(connect: Sequence[str], credentials: Credentials = NO_CREDENTIAL
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        raise CairnError(_no_router(connect)) from error
+        raise CairnError(_no_router(connect, credentials)) from error
 
 
 def open_router(
@@ -292,20 +298,40 @@ def _has_router(session: zenoh.Session, timeout_s: float) -> bool:
         listener.undeclare()
 
 
-def _no_router(connect: Sequence[str]) -> str:
-    sockets = [path for path in map(socket_path, connect) if path is not None]
-    refused = "" if len(sockets) == len(connect) else _REFUSED
-    for path in sockets:
+def _no_router(connect: Sequence[str], credentials: Credentials) -> str:
+    """Describe why no session could be opened, as far as this process can find out."""
+    paths = [path for path in map(socket_path, connect) if path is not None]
+    for path in paths:
         if not _may_open(path):
             return (
                 f"no router answers at {path}: user {os.geteuid()} may not open it, only the user "
                 "who runs the deployment, and the group that it names (`bus.group`); join that "
                 "group, or give another endpoint by --connect or CAIRN_CONNECT"
             )
+    no_router = f"no router answers at {', '.join(connect)}"
+    if open_port := next(filter(_port_is_open, connect), None):
+        return (
+            f"{no_router}, but a program listens there: it rejected {credentials.presented()}, "
+            f"or is no Cairn router. {_REFUSED}`cairn doctor FILE` on the robot lists its "
+            f"endpoints and users{_TLS_NAME if is_encrypted(open_port) else ''}"
+        )
+    refused = "" if len(paths) == len(connect) else _REFUSED
     return (
-        f"no router answers at {', '.join(connect)}: is a deployment running (`cairn up`)? "
+        f"{no_router}: is a deployment running (`cairn up`)? "
         f"{refused}Give another endpoint by --connect or CAIRN_CONNECT"
     )
+
+
+def _port_is_open(endpoint: str) -> bool:
+    """Return whether a program accepts TCP connections at an endpoint."""
+    address = tcp_address(endpoint)
+    if address is None:
+        return False
+    try:
+        sockets.create_connection(address, _PORT_TIMEOUT_S).close()
+    except OSError:
+        return False
+    return True
 
 
 def _may_open(socket: Path) -> bool:

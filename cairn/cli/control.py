@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import json as json_module
+import os
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -40,7 +41,8 @@ def stop(
             client.release_stop()
             line("emergency stop released")
         else:
-            status = client.stop(f"requested by {getpass.getuser()} (cairn stop)")
+            user = os.environ.get("CAIRN_USER") or getpass.getuser()
+            status = client.stop(f"requested by user {user} (cairn stop)")
             line(f"{status.reason}; release it with `cairn stop --release`")
 
 

@@ -296,9 +296,10 @@ class Connection:
             listener.undeclare()
         if not matching:
             publisher.undeclare()
+            topic = key.partition("/")[2].rsplit("/", 2)[0]  # without domain, type and hash
             raise CairnError(
-                f"{key}: no subscriber can be reached: the component has just ended, or, over the "
-                "network, your role does not allow publishing on this topic"
+                f"/{topic}: no subscriber can be reached: the component has just ended, or, over "
+                "the network, your role does not allow publishing on this topic"
             )
         return publisher
 

@@ -6,6 +6,7 @@ import getpass
 import os
 import re
 import socket
+import stat
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import psutil
 
-from cairn.bus.endpoints import endpoint_for, is_encrypted, is_loopback, socket_path
+from cairn.bus.endpoints import domain_socket, endpoint_for, is_encrypted, is_loopback, socket_path
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.devices import access, connected_to
 from cairn.client import connect
@@ -77,6 +78,20 @@ def devices(file: Path, deployment: Deployment) -> Iterator[Finding]:
         yield from _devices_of(f"devices of {file.name}", member)
 
 
+def _closed_to_group(deployment: Deployment) -> Path | None:
+    """Return a folder above the router's socket that only its owner may enter, if there is one.
+
+    Cairn opens the socket's own folder to the group, but none above it, such as /run/user/1000.
+    """
+    given = deployment.bus.socket
+    socket_file = Path(given) if given is not None else domain_socket(deployment.domain)
+    for folder in socket_file.absolute().parent.parents:
+        with suppress(OSError):
+            if not folder.stat().st_mode & (stat.S_IXGRP | stat.S_IXOTH):
+                return folder
+    return None
+
+
 def who_may_connect(file: Path, deployment: Deployment) -> Iterator[Finding]:
     """Report who may connect to a deployment: on this computer, and at each network endpoint."""
     topic, bus = f"access to {file.name}", deployment.bus
@@ -87,7 +102,12 @@ def who_may_connect(file: Path, deployment: Deployment) -> Iterator[Finding]:
     local = "the user who runs it"
     if bus.group is not None:
         local += f", and the members of group {bus.group}"
-    yield Finding(topic, "Unix socket", "ok", local)
+    if bus.group is not None and (closed := _closed_to_group(deployment)):
+        found = f"{local}, but {closed} is open to its owner alone"
+        remedy = "set bus.socket to a path in a folder of yours that the group can reach"
+        yield Finding(topic, "Unix socket", "warn", found, remedy)
+    else:
+        yield Finding(topic, "Unix socket", "ok", local)
     roles = {name: user.role for name, user in bus.users.items()} or (
         bus.tls.certificate_roles if bus.tls is not None else {}
     )

@@ -305,6 +305,10 @@ def test_who_may_connect_to_a_deployment_is_reported(tmp_path: Path) -> None:
     own_group = grp.getgrgid(os.getegid()).gr_name
     group = cairn("doctor", str(file), "--json", "--set", f"bus.group={own_group}")
     listening = cairn("doctor", str(file), "--json", *remote, "bus.listen=[tcp/0.0.0.0:7]")
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o700)
+    inside = ("--set", f"bus.group={own_group}", "--set", f"bus.socket={closed}/cairn/a.sock")
+    unreachable = cairn("doctor", str(file), "--json", *inside)
     quick = ("bus.allow_any_local_user=true", "--set", "bus.listen=[tcp/127.0.0.1:7]")
     open_to_all = cairn("doctor", str(file), "--json", "--set", *quick)
 
@@ -314,6 +318,13 @@ def test_who_may_connect_to_a_deployment_is_reported(tmp_path: Path) -> None:
 
     local = "the user who runs it"
     assert access(group) == [("ok", f"{local}, and the members of group {own_group}")]
+    assert access(unreachable) == [
+        (
+            "warn",
+            f"{local}, and the members of group {own_group}, "
+            f"but {closed} is open to its owner alone",
+        )
+    ]
     assert access(listening) == [
         ("ok", local),
         ("warn", "by password: anna (operate); not encrypted"),
