@@ -61,7 +61,7 @@ class Credentials(BaseModel):
     def presented(self) -> str:
         """Describe what a session presents, without secrets, for messages."""
         if self.user is not None:
-            return f"user {self.user} with the password in {self.password_file}"
+            return f"user {self.user} with the given password"
         if self.certificate is not None:
             return f"the certificate {self.certificate}"
         return "a client without user name and certificate"
