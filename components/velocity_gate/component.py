@@ -203,7 +203,7 @@ class VelocityGate(Component):
         """Reject changes: with `scanner: false`, any program that may make them could drive."""
         raise ParameterRejected(
             f"{self.name}: the limits of the velocity gate cannot change while it runs; set them "
-            "in the deployment, and restart it"
+            "in the deployment, end `cairn up`, and start it again"
         )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
