@@ -312,7 +312,7 @@ def _no_router(connect: Sequence[str], credentials: Credentials) -> str:
     if open_port := next(filter(_port_is_open, connect), None):
         return (
             f"{no_router}, but a program listens there: it rejected {credentials.presented()}, "
-            f"or is no Cairn router. {_REFUSED}`cairn doctor FILE` on the robot lists its "
+            f"or is not a Cairn router. {_REFUSED}`cairn doctor FILE` on the robot lists its "
             f"endpoints and users{_TLS_NAME if is_encrypted(open_port) else ''}"
         )
     refused = "" if len(paths) == len(connect) else _REFUSED

@@ -13,7 +13,7 @@ A peer without rights is a program of any user on this computer: the deployment 
 loopback and Unix sockets; sizes, counts and times are bounded, so that the computer survives.
 
 Each test is a case. It passes if the attack is refused with the reason that the case names, within
-5 s; on a computer that is too busy to tell, a slow case is only named. At the end of a file the
+5 s; on a busy computer, which proves nothing, a slow case is only named. At the end of a file the
 robot still drives to a goal, without a collision, no process was restarted, and none has used more
 than 500 MB. A table of all groups follows.
 
