@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from pydantic import ValidationError
 
 from cairn.deployment.bus_settings import BusSettings
-from cairn.deployment.exclusive_topics import ONE_WRITER, two_writers
+from cairn.deployment.exclusive_topics import ONE_WRITER, only_writer, two_writers
 from cairn.deployment.model import RESERVED, Deployment
 from cairn.deployment.plugins import PluginError, find_plugin, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
@@ -252,11 +252,19 @@ def _type_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
 
 
 def _exclusive_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
-    readers = [use for use in uses if use.port.exclusive]
     writers = {use.component.name: use for use in uses if use.port.direction == "out"}
-    if readers and len(writers) > 1:
-        *_, last = writers.values()
-        yield last.problem(two_writers(topic, writers, readers[0].component.name), ONE_WRITER)
+    exclusive = sorted(
+        (use for use in uses if use.port.exclusive), key=lambda use: use.port.direction
+    )
+    if exclusive and len(writers) > 1:
+        first, last = exclusive[0], list(writers.values())[-1]
+        name = first.component.name
+        found = (
+            two_writers(topic, writers, name)
+            if first.port.direction == "in"
+            else only_writer(topic, writers, name)
+        )
+        yield last.problem(found, ONE_WRITER)
 
 
 def _neighbor_problems(

@@ -72,6 +72,14 @@ def two_writers(topic: str, writers: Iterable[str], reader: str) -> str:
     )
 
 
+def only_writer(topic: str, writers: Iterable[str], writer: str) -> str:
+    """Return the description of the problem that an exclusive writer is not the only one."""
+    return (
+        f"topic {topic} has several writers, {' and '.join(writers)}, but {writer} must be the "
+        "only one"
+    )
+
+
 def ports_of_plugin(plugin: str) -> list[PortSpec]:
     """Return the ports of a plugin; none if it cannot be loaded."""
     try:

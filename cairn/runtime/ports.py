@@ -58,11 +58,14 @@ class In(Generic[T]):
 class Out(Generic[T]):
     """An output port, declared in the body of a component: `pose: Out[PoseStamped]`.
 
-    Its quality of service is given as a default: `map: Out[OccupancyGrid] = Out(qos=LATCHED)`.
+    Its quality of service is given as a default: `map: Out[OccupancyGrid] = Out(qos=LATCHED)`. With
+    `exclusive=True` the check of a deployment rejects any other component that publishes on its
+    topic, also if what reads there is not part of the deployment.
     """
 
-    def __init__(self, qos: Qos = RELIABLE) -> None:
+    def __init__(self, qos: Qos = RELIABLE, *, exclusive: bool = False) -> None:
         self.qos = qos
+        self.exclusive = exclusive
 
     @property
     def topic(self) -> str:
@@ -122,7 +125,7 @@ class BoundOut(Out[T]):
         send: Callable[[T], None],
         has_subscribers: Callable[[], bool],
     ) -> None:
-        super().__init__(spec.qos)
+        super().__init__(spec.qos, exclusive=spec.exclusive)
         self._has_subscribers = has_subscribers
         self._component = component
         self._spec = spec
@@ -291,7 +294,7 @@ def _port(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> PortS
             declared.max_bytes,
         )
     if isinstance(declared, Out) and kind is Out:
-        return PortSpec(name, "out", message, declared.qos)
+        return PortSpec(name, "out", message, declared.qos, exclusive=declared.exclusive)
     owner = next(base for base in cls.__mro__ if name in vars(base))
     if name not in vars(owner).get("__annotations__", {}):
         raise CairnError(

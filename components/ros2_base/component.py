@@ -50,8 +50,8 @@ class Ros2Base(Component):
 
     cmd_vel: In[Twist] = In(qos=SENSOR, exclusive=True)
     base_odom: In[Odometry] = In(qos=SENSOR.with_depth(50))
-    base_cmd_vel: Out[Twist]
-    base_cmd_vel_stamped: Out[TwistStamped]
+    base_cmd_vel: Out[Twist] = Out(exclusive=True)
+    base_cmd_vel_stamped: Out[TwistStamped] = Out(exclusive=True)
     odom: Out[Odometry] = Out(qos=RELIABLE.with_depth(1000))
     tf: Out[TFMessage]
     diagnostics: Out[DiagnosticArray]

@@ -94,7 +94,7 @@ class VelocityGate(Component):
     hardware_stop: In[Bool] = In(qos=LATCHED, optional=True, exclusive=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True, exclusive=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True, exclusive=True)
-    cmd_vel: Out[Twist] = Out(qos=SENSOR)
+    cmd_vel: Out[Twist] = Out(qos=SENSOR, exclusive=True)
     velocity_gate_status: Out[VelocityGateStatus] = Out(qos=LATCHED)
 
     # Times [ns] of the newest scan, odometry and message of the button, None before them; stamp of

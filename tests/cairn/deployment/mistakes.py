@@ -195,6 +195,16 @@ CASES = {
             "give all but one of them another topic",
         ),
     ),
+    "two writers of a topic with an exclusive writer": (
+        HEAD + PARTS + "  driver: {plugin: 'acme_robot.parts:Driver'}\n"
+        "  other: {plugin: 'acme_robot.parts:Driver', topics: {wheels: wheels}}\n",
+        (
+            6,
+            "components.other.topics.wheels",
+            "topic wheels has several writers, driver and other, but driver must be the only one; "
+            "give all but one of them another topic",
+        ),
+    ),
     "name used twice": (
         HEAD + PARTS + "  boss:\n    plugin: acme_supervisor\n    children:\n"
         "      base: {plugin: acme_base}\n",

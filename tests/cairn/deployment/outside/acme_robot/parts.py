@@ -45,6 +45,12 @@ class Wheels(Component):
     command: In[Odometry] = In(exclusive=True)
 
 
+class Driver(Component):
+    """Alone drives wheels that are outside the deployment."""
+
+    wheels: Out[Odometry] = Out(exclusive=True)
+
+
 class FilterConfig(Config):
     sigma: float = Field(0.1, gt=0, le=1, description="Noise of a beam [m].")
 
