@@ -470,7 +470,7 @@ class VelocityGate(Component):
         if stopped and hold[0] != last.reason_code and requested != STILL:
             self._warnings.warn("hold", f"holding the robot: {hold[1]}")
         self._status_at = now
-        self.report_state(_state(source, operator, hold))
+        self.report_state(_state(source, operator, hold, stands=requested == command == STILL))
         self._status = VelocityGateStatus(
             header=Header(stamp=from_ns(now), frame_id="base_link"),
             source=source,
@@ -494,12 +494,16 @@ class VelocityGate(Component):
         self.velocity_gate_status.publish(self._status)
 
 
-def _state(source: str, operator: str, hold: _Hold) -> str:
+def _state(source: str, operator: str, hold: _Hold, *, stands: bool) -> str:
     """Return the state of the gate for `cairn ps`."""
     held = hold[1]
     lease = f"{operator} has the operator's lease" if operator else ""
     if not held:
-        drives = f"{source or 'no source'} drives"
+        drives = (
+            f"{source} commands standstill"
+            if source and stands
+            else f"{source or 'no source'} drives"
+        )
     elif held.startswith("emergency stop"):
         drives = held
     else:

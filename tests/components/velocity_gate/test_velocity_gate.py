@@ -217,6 +217,8 @@ def test_status_for_people_names_source_operator_and_what_holds_the_robot() -> N
 
     robot.step(("navigator_cmd_vel", AHEAD), seconds=0.6)
     assert state() == "navigator drives"
+    robot.step(("navigator_cmd_vel", Twist()), seconds=2.0)
+    assert state() == "navigator commands standstill"
     robot.points = np.array([[robot.pose[0] + 0.3, 0.0]])
     robot.step(("navigator_cmd_vel", AHEAD), seconds=1.5)
     assert state().startswith("holds navigator: an obstacle")
