@@ -32,7 +32,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
-from cairn.placement.run_plan import RunPlan, check_and_plan
+from cairn.placement.run_plan import RunPlan, argument_of_check, check_for_root, plan_of
 from cairn.placement.systemd_notify import ServiceManager
 from cairn.process_exit import ExitLog, ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
@@ -86,9 +86,9 @@ def checked_plan(
 
     Raises `CairnError` with everything that is wrong, before anything is started.
     """
-    return call_in_fork(
-        zygote, "check", check_and_plan, file, sources, sets, timeout_s=_IMPORTS_LIMIT_S
-    )
+    entry = f"{check_for_root.__module__}:{check_for_root.__name__}"
+    argument = argument_of_check(file, sources, sets)
+    return plan_of(call_in_fork(zygote, "check", entry, argument, timeout_s=_IMPORTS_LIMIT_S))
 
 
 def run_processes(

@@ -4,9 +4,12 @@ That saves the root their memory, 150 MiB for the simulated robot, and about a s
 time. The plan is made in a process forked from the zygote, which has imported them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
 
 from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import Gateway
@@ -35,6 +38,10 @@ class RunPlan:
     gateway: Gateway | None
 
 
+_PLAN = TypeAdapter(RunPlan)
+_SOURCES = TypeAdapter(list[SourceDocument])
+
+
 def plan_run(deployment: Deployment) -> RunPlan:
     """Return the plan of a deployment that `cairn check` accepts."""
     limits = topic_limits(deployment)
@@ -48,6 +55,26 @@ def check_and_plan(file: Path, sources: Sequence[SourceDocument], sets: Sequence
     Raises `CairnError` with everything that is wrong with it.
     """
     return plan_run(check_sources(file, sources, sets))
+
+
+def check_for_root(argument: Mapping[str, Any]) -> Any:
+    """Return `check_and_plan` of file, sources and sets as JSON: the root calls it in a fork."""
+    sources = _SOURCES.validate_python(argument["sources"])
+    plan = check_and_plan(Path(argument["file"]), sources, argument["sets"])
+    return _PLAN.dump_python(plan, mode="json")
+
+
+def argument_of_check(
+    file: Path, sources: Sequence[SourceDocument], sets: Sequence[str]
+) -> dict[str, Any]:
+    """Return the argument of `check_for_root`, as JSON."""
+    documents = _SOURCES.dump_python(list(sources), mode="json")
+    return {"file": str(file), "sources": documents, "sets": list(sets)}
+
+
+def plan_of(result: Any) -> RunPlan:
+    """Return the plan that `check_for_root` has made."""
+    return _PLAN.validate_python(result)
 
 
 def check_sources(file: Path, sources: Sequence[SourceDocument], sets: Sequence[str]) -> Deployment:

@@ -1,38 +1,32 @@
 """Calls a function in a process forked from the zygote, so that the caller need not import much.
 
-The zygote has imported the modules that the function uses. Call and answer are pickled: both
-processes belong to one run, and nothing else can write to the socket between them.
+The zygote has imported the modules that the function uses. Argument and result are JSON.
 """
 
-import pickle
+import importlib
+import json
 import socket
-from collections.abc import Callable
 from contextlib import closing
-from typing import Any, TypeVar
+from typing import Any, TextIO
 
 from cairn.errors import CairnError
 from cairn.process_exit import ExitLog
 from cairn.supervision.child import ZygoteLost
 from cairn.supervision.zygote_client import ZygoteClient, ZygoteProcess
 
-T = TypeVar("T")
-
 _ENTRY = f"{__name__}:answer"
 _END_LIMIT_S = 10.0  # of a process that has closed its socket
 
 
 def call_in_fork(
-    zygote: ZygoteProcess,
-    name: str,
-    function: Callable[..., T],
-    *arguments: object,
-    timeout_s: float,
-) -> T:
-    """Call a module's function in a fork of the zygote, and return its result.
+    zygote: ZygoteProcess, name: str, function: str, argument: Any, *, timeout_s: float
+) -> Any:
+    """Call a function ("package.module:function") in a fork of the zygote; return its result.
 
-    `name` is the name of the process. The zygote has `timeout_s` [s] to finish its imports; the
-    function may take any time. Raises `CairnError` with the text of the function's own, or if the
-    zygote or the process ends without an answer.
+    It takes the argument; this and its result are what JSON can carry. `name` is the name of the
+    process. The zygote has `timeout_s` [s] to finish its imports; the function may take any time.
+    Raises `CairnError` with the text of the function's own, or if the zygote or the process ends
+    without an answer.
     """
     log = ExitLog(zygote.log_file)
     own, passed = socket.socketpair()
@@ -42,11 +36,10 @@ def call_in_fork(
                 process = client.spawn(name, _ENTRY, {}, zygote.log_file, channel=passed)
                 passed.close()  # the end of the process is then the end of the stream
                 try:
-                    with own.makefile("rwb") as stream:
-                        pickle.dump((function, arguments), stream)
-                        stream.flush()
-                        result, error = pickle.load(stream)
-                except (OSError, EOFError):
+                    with own.makefile("rw", encoding="utf-8") as stream:
+                        _write(stream, [function, argument])
+                        result, error = json.loads(stream.readline())
+                except (OSError, ValueError):
                     exited = process.wait(_END_LIMIT_S)
                     code = None if exited is None else exited.code
                     raise _ended(f"process {name}", log, process.pid, code) from None
@@ -55,20 +48,26 @@ def call_in_fork(
             raise _ended("the zygote", log, zygote.process.pid, code) from None
     if error is not None:
         raise CairnError(error)
-    answered: T = result
-    return answered
+    return result
 
 
 def answer(_: dict[str, Any], end: socket.socket) -> None:
     """Answer a call that comes from `call_in_fork`: what its process runs."""
-    with end, end.makefile("rwb") as stream:
-        function, arguments = pickle.load(stream)
+    with end, end.makefile("rw", encoding="utf-8") as stream:
+        function, argument = json.loads(stream.readline())
+        module, _, name = function.partition(":")
         result, error = None, None
         try:
-            result = function(*arguments)
+            result = getattr(importlib.import_module(module), name)(argument)
         except CairnError as failure:
             error = str(failure)
-        pickle.dump((result, error), stream)
+        _write(stream, [result, error])
+
+
+def _write(stream: TextIO, line: Any) -> None:
+    json.dump(line, stream)
+    stream.write("\n")
+    stream.flush()
 
 
 def _ended(process: str, log: ExitLog, pid: int, code: int | None) -> CairnError:
