@@ -182,11 +182,6 @@ class AutoMove(Supervisor):
                 stopped_s=config.stopped,
             ),
         )
-        x, y, _ = navigator.goal
-        self.log.info(
-            "mission %d: goal %d of %d at (%.2f, %.2f)",
-            mission.mission_id, navigator.goal_index + 1, len(navigator.goals), x, y,
-        )  # fmt: skip
         self._load_plugins(navigator)
         self._log_and_publish(navigator)
         self.step()
@@ -265,7 +260,10 @@ class AutoMove(Supervisor):
             case NavigationStatus.LOCALIZING if reason:
                 self.log.warning("waiting for the robot to be localized: %s", reason)
             case NavigationStatus.DRIVING:
-                self.log.info("driving to (%.2f, %.2f)", x, y)
+                self.log.info(
+                    "mission %d: driving to goal %d of %d at (%.2f, %.2f)",
+                    navigator.mission_id, navigator.goal_index + 1, len(navigator.goals), x, y,
+                )  # fmt: skip
             case NavigationStatus.RECOVERING:
                 self.log.warning("recovering: %s", reason)
             case NavigationStatus.SUCCEEDED | NavigationStatus.CANCELED:
