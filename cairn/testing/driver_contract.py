@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -314,17 +314,23 @@ class UnplugContract(Contract):
         self.await_working(output, 0)
         before = robot.status(self.component)
         mark = len(robot.run.lines)
-        diagnosed = self.port_of(robot, "diagnostics")
-        plug.unplug()
-        try:
-            if diagnosed is None:
-                self._await_warning(robot, mark)
-            else:
-                self._await_diagnosis(robot, diagnosed.topic)
-            silent = falls_silent(output, self.silence_s())
-            now = robot.await_active(self.component)
-        finally:
-            plug.plug_in()
+        with ExitStack() as stack:
+            # All is open before the device and, with some, the deployment's router are gone.
+            diagnosed = self.port_of(robot, "diagnostics")
+            if diagnosed is not None:
+                shared = bool(self.other_writers(robot, diagnosed.topic))
+                diagnostics = stack.enter_context(robot.read(diagnosed.topic, DiagnosticArray))
+                heard = diagnostics.count
+            plug.unplug()
+            try:
+                if diagnosed is None:
+                    self._await_warning(robot, mark)
+                else:
+                    self._await_diagnosis(diagnostics, heard, shared=shared)
+                silent = falls_silent(output, self.silence_s())
+                now = robot.await_active(self.component)
+            finally:
+                plug.plug_in()
         assert now.pid == before.pid, (
             f"{self.component} was restarted ({now.reason}) when its device was unplugged; a "
             "driver waits for its device's return"
@@ -357,8 +363,10 @@ class UnplugContract(Contract):
                 "warning in its log, nor a port `diagnostics`"
             ) from None
 
-    def _await_diagnosis(self, robot: RunningDeployment, topic: str) -> None:
-        shared = bool(self.other_writers(robot, topic))  # then names distinguish its own
+    def _await_diagnosis(
+        self, diagnostics: Reading[DiagnosticArray], after: int, *, shared: bool
+    ) -> None:
+        """Wait for the report; on a topic that is shared, names distinguish the driver's own."""
 
         def is_reported(arrivals: Sequence[Arrival[DiagnosticArray]]) -> bool:
             return any(
@@ -368,9 +376,8 @@ class UnplugContract(Contract):
                 if not shared or self.component in status.name
             )
 
-        with robot.read(topic, DiagnosticArray) as diagnostics:
-            what = "a status worse than OK of the unplugged device"
-            diagnostics.await_that(is_reported, what, limit_s=self.report_limit_s)
+        what = "a status worse than OK of the unplugged device"
+        diagnostics.await_that(is_reported, what, after=after, limit_s=self.report_limit_s)
 
 
 class StopContract(Contract):

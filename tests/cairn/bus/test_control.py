@@ -198,9 +198,7 @@ def test_flood_of_requests_is_refused_and_an_urgent_one_is_answered(
     stopping.join(LIMIT_S)
 
 
-def test_urgent_request_is_received_while_no_other_is_read(
-    client: ZenohBus, network: Network
-) -> None:
+def test_urgent_request_is_received_while_no_other_is_read(network: Network) -> None:
     """Before, a flood of requests displaced it from the ring that all of them shared."""
     reading, go_on = threading.Event(), threading.Event()
 
@@ -210,7 +208,7 @@ def test_urgent_request_is_received_while_no_other_is_read(
             assert go_on.wait(LIMIT_S)
         call()
 
-    bus = network.bus()
+    bus, client = network.bus(), network.bus()
     server = ControlServer(bus.session, 0, NAME, post, lambda verb, _: verb, {}, {"urgent"})
     urgent_thread = server._threads[1]
     try:
