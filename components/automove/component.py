@@ -266,7 +266,5 @@ class AutoMove(Supervisor):
                 )  # fmt: skip
             case NavigationStatus.RECOVERING:
                 self.log.warning("recovering: %s", reason)
-            case NavigationStatus.SUCCEEDED | NavigationStatus.CANCELED:
-                self.log.info("mission %d: %s", navigator.mission_id, reason)
             case NavigationStatus.FAILED:
                 self.log.error("mission %d failed: %s", navigator.mission_id, reason)
