@@ -498,12 +498,10 @@ def _state(source: str, operator: str, hold: _Hold, *, stands: bool) -> str:
     """Return the state of the gate for `cairn ps`."""
     held = hold[1]
     lease = f"{operator} has the operator's lease" if operator else ""
-    if not held:
-        drives = (
-            f"{source} commands standstill"
-            if source and stands
-            else f"{source or 'no source'} drives"
-        )
+    if not held and source and stands:
+        drives = f"{source} commands standstill"
+    elif not held:
+        drives = f"{source or 'no source'} drives"
     elif held.startswith("emergency stop"):
         drives = held
     else:

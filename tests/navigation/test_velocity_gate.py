@@ -14,6 +14,7 @@ from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import NavigationStatus, ReasonCode
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.robot import RunningDeployment
+from tests.commands import Answer
 from tests.commands import cairn as run_cairn
 from tests.navigation.driving import SIM, STOPS_S, LockstepRobot
 from tests.navigation.processes import ObservedRobot, robot_in
@@ -116,21 +117,21 @@ def test_stop_command_works_while_the_supervisor_is_stopped(robot: ObservedRobot
         begin = robot.pose
         drive(0.3, 0.0, seconds=2.0)
         assert distance(begin, robot.pose) > 0.2
-    supervisor = robot.run.pid_of("mobile_supervisor")
-    os.kill(supervisor, signal.SIGSTOP)
-    try:
-        stopped = run_cairn("stop", connect=endpoint)
-    finally:
-        os.kill(supervisor, signal.SIGCONT)
+    stopped = _stop_while_suspended(robot, "mobile_supervisor")
     assert stopped.code == 0, stopped.err
     assert "emergency stop" in stopped.out
 
-    gate = robot.run.pid_of("velocity_gate")
-    os.kill(gate, signal.SIGSTOP)
-    try:
-        failed = run_cairn("stop", connect=endpoint)
-    finally:
-        os.kill(gate, signal.SIGCONT)
+    failed = _stop_while_suspended(robot, "velocity_gate")
     assert failed.code == 1
     assert "press the robot's own emergency stop" in failed.err
     assert run_cairn("stop", "--release", connect=endpoint).code == 0
+
+
+def _stop_while_suspended(robot: ObservedRobot, component: str) -> Answer:
+    """Run `cairn stop` while a component's process is suspended (SIGSTOP)."""
+    process = robot.run.pid_of(component)
+    os.kill(process, signal.SIGSTOP)
+    try:
+        return run_cairn("stop", connect=robot.run.endpoint)
+    finally:
+        os.kill(process, signal.SIGCONT)
