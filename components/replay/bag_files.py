@@ -20,20 +20,19 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import BinaryIO, Final
-from zlib import crc32
 
+from cairn.bounded_compression import RECORD_BYTES, unpack, unpack_message
 from cairn.bounded_files import open_regular
 from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
 from cairn.bounded_yaml import read_yaml
 from cairn.components.replay.bounded_streams import (
-    RECORD_BYTES,
     most_unpacked,
     too_much_unpacked,
-    unpack,
     unpack_file,
-    unpack_message,
 )
-from cairn.components.replay.recording import RecordingError
+from cairn.errors import RecordingError
+from cairn.recording.mcap_file import MAGIC, McapFile, RecordedChannel
+from cairn.recording.reader import RepeatedMessages, mcap_files
 
 _DEFINITION_1_2, _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(1, 8)
 _LONGEST_HEADER: Final = 1 << 16
@@ -42,7 +41,6 @@ _MOST_TOPICS: Final = 10_000
 _MOST_DAMAGES: Final = 1_000
 _MOST_FILES: Final = 10_000
 _UINT32 = struct.Struct("<I")
-_UINT64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
 
 
@@ -64,7 +62,8 @@ Message = tuple[BagTopic, int, bytes]
 class BagFile:
     """A bag at `path`, a file or the folder of a ROS 2 bag; a generator's end completes the rest.
 
-    `counts` has the number of messages of each topic, `lost` says what of a ROS 1 bag is damaged.
+    `counts` has the number of messages of each topic, `lost` says what is damaged of a ROS 1 bag or
+    an MCAP file.
     """
 
     path: Path
@@ -74,18 +73,23 @@ class BagFile:
     size: int = 0
     """Bytes that the bag takes on the disk."""
     _unpacked: int = 0
+    _repeats: RepeatedMessages = field(default_factory=RepeatedMessages)
 
     def messages(self, wanted: Wanted) -> Iterator[Message]:
         """Yield the messages of the wanted topics in the order of the file.
 
-        A damaged ROS 1 bag is read past its damages. Raises `RecordingError` for a bag that
-        exceeds a limit, `ValueError`, `OSError`, `sqlite3.Error`, `yaml.YAMLError` for others.
+        A damaged ROS 1 bag or MCAP file is read past its damages. Raises `RecordingError` for a bag
+        that exceeds a limit, `ValueError`, `OSError`, `sqlite3.Error`, `yaml.YAMLError` for others.
         """
         self.counts.clear()
         self.lost.clear()
         self.size = self._unpacked = 0
-        if self.path.is_dir():
+        self._repeats = RepeatedMessages()
+        if (self.path / "metadata.yaml").is_file():
             yield from self._folder(wanted)
+        elif self.path.is_dir():
+            for file in mcap_files(self.path):
+                yield from self._file(file, wanted)
         else:
             yield from self._file(self.path, wanted)
 
@@ -120,12 +124,34 @@ class BagFile:
             if magic.startswith(b"#ROS"):
                 self.is_ros1 = True
                 yield from _Ros1(self, wanted).records(data, magic.find(b"\n") + 1, "")
-            elif magic.startswith(_MCAP_MAGIC):
-                yield from _Mcap(self, wanted).records(data)
+            elif magic.startswith(MAGIC):
+                yield from self._mcap(path, wanted)
             elif magic == b"SQLite format 3\0":
                 yield from _sqlite_messages(self, path, wanted)
             else:
                 raise ValueError(f"{path.name} starts with {magic!r}, like no kind of bag")
+
+    def _mcap(self, path: Path, wanted: Wanted) -> Iterator[Message]:
+        topics: dict[RecordedChannel, BagTopic] = {}
+
+        def topic_of(channel: RecordedChannel) -> BagTopic:
+            if channel not in topics:
+                kind = channel.type
+                if channel.encoding != "cdr":
+                    kind = f"{kind} in {channel.encoding[:20]}"  # which is not read
+                topics[channel] = self.add_topic(BagTopic(channel.topic, kind))
+            return topics[channel]
+
+        with McapFile(path) as file:
+            try:
+                for one in file.messages(lambda channel: wanted(topic_of(channel))):
+                    if not self._repeats.contains(one):
+                        yield topic_of(one.channel), one.log_ns, one.data
+            finally:
+                for channel, count in file.counts.items():
+                    self.counts[topic_of(channel)] += count
+                for note in file.notes:
+                    self.damage(note)
 
     def _folder(self, wanted: Wanted) -> Iterator[Message]:
         described = read_yaml(self.path / "metadata.yaml")
@@ -337,103 +363,6 @@ def _ros2_type(name: str) -> str:
 
 def _text(raw: bytes) -> str:
     return raw.decode("utf-8", errors="replace")
-
-
-# --- MCAP ---------------------------------------------------------------------------------------
-
-_MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
-_SCHEMA, _CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK, _DATA_END = 3, 4, 5, 6, 15
-_MCAP_RECORD = struct.Struct("<BQ")
-_CHANNEL_IDS = struct.Struct("<HH")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-
-
-@dataclass
-class _Mcap:
-    bag: BagFile
-    wanted: Wanted
-    types: dict[int, str] = field(default_factory=dict)
-    topics: dict[int, BagTopic] = field(default_factory=dict)
-
-    def records(self, data: _FileBytes) -> Iterator[Message]:
-        end = len(data) - len(_MCAP_MAGIC)
-        if data[end : end + len(_MCAP_MAGIC)] != _MCAP_MAGIC:
-            raise ValueError("its end is missing")
-        at = len(_MCAP_MAGIC)
-        while at < end:
-            kind, begin, after = _mcap_record(data, at, end)
-            if kind == _DATA_END:
-                return
-            if kind == _MCAP_CHUNK:
-                yield from self._chunk(data[begin:after], at)
-            elif kind in (_SCHEMA, _CHANNEL, _MCAP_MESSAGE):
-                yield from self._record(kind, data[begin:after])
-            at = after
-
-    def _chunk(self, record: bytes, where: int) -> Iterator[Message]:
-        try:
-            _, _, size, checksum = _CHUNK_HEAD.unpack_from(record)
-            compression, at = _sized(record, _CHUNK_HEAD.size, _UINT32)
-            packed, _ = _sized(record, at, _UINT64)
-            data = unpack(packed, _text(compression), size)
-        except (ValueError, struct.error) as error:
-            raise ValueError(f"the chunk at byte {where}: {error}") from error
-        self.bag.unpacked(size)
-        if checksum and crc32(data) != checksum:
-            raise ValueError(f"the chunk at byte {where}: its checksum differs")
-        at = 0
-        while at < size:
-            kind, begin, after = _mcap_record(data, at, size)
-            if kind == _MCAP_CHUNK:
-                raise ValueError(f"the chunk at byte {where}: it holds a chunk")
-            if kind in (_SCHEMA, _CHANNEL, _MCAP_MESSAGE):
-                yield from self._record(kind, data[begin:after])
-            at = after
-
-    def _record(self, kind: int, record: bytes) -> Iterator[Message]:
-        if kind == _MCAP_MESSAGE:
-            channel, _, received, _ = _MESSAGE_HEAD.unpack_from(record)
-            topic = self.topics.get(channel)
-            if topic is None:
-                raise ValueError(f"a message belongs to channel {channel}, which does not exist")
-            self.bag.counts[topic] += 1
-            if self.wanted(topic):
-                yield topic, received, record[_MESSAGE_HEAD.size :]
-        elif kind == _SCHEMA:
-            name, _ = _sized(record, 2, _UINT32)
-            self.types[struct.unpack_from("<H", record)[0]] = _text(name)
-        else:
-            channel, schema = _CHANNEL_IDS.unpack_from(record)
-            name, at = _sized(record, _CHANNEL_IDS.size, _UINT32)
-            encoding, _ = _sized(record, at, _UINT32)
-            kind_of = self.types.get(schema, "")
-            if encoding != b"cdr":
-                kind_of = f"{kind_of} in {_text(encoding)}"  # which is not read
-            self.topics[channel] = self.bag.add_topic(BagTopic(_text(name), kind_of))
-
-
-def _mcap_record(data: Data, at: int, end: int) -> tuple[int, int, int]:
-    """Return kind, begin and end of the content of the record at byte `at`."""
-    head = data[at : at + _MCAP_RECORD.size]
-    if len(head) < _MCAP_RECORD.size:
-        raise ValueError(f"the record at byte {at} is cut off")
-    kind, size = _MCAP_RECORD.unpack(head)
-    begin = at + _MCAP_RECORD.size
-    if size > end - begin:
-        raise ValueError(f"the record at byte {at} claims {size:,} bytes, {end - begin:,} follow")
-    if size > RECORD_BYTES and kind in (_SCHEMA, _CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK):
-        raise ValueError(f"the record at byte {at} has {size:,} bytes, above {RECORD_BYTES:,}")
-    return kind, begin, begin + size
-
-
-def _sized(record: bytes, at: int, length: struct.Struct) -> tuple[bytes, int]:
-    """Return the bytes that follow their length at byte `at`, and their end."""
-    (size,) = length.unpack_from(record, at)
-    begin = at + length.size
-    if size > len(record) - begin:
-        raise ValueError(f"{size:,} bytes are claimed, {len(record) - begin:,} follow")
-    return record[begin : begin + size], begin + size
 
 
 # --- SQLite -------------------------------------------------------------------------------------

@@ -84,7 +84,10 @@ class ReplayCamera(ReplayComponent):
             image.publish(_image_message(pixels, header))
 
     def _calibrations(self, images: ImageStream) -> list[CameraInfo]:
-        """Return the calibration of each camera; without one only the size, as ROS does."""
+        """Return the calibration of each camera, from its file or recorded.
+
+        Without one, it has only the size, as in ROS.
+        """
         width, height = images.size
         cameras = images.cameras
         if self.config.side_by_side:
@@ -102,19 +105,22 @@ class ReplayCamera(ReplayComponent):
                 f"{files[1]}; leave it out, or set side_by_side to true"
             )
         infos = []
-        for file, frame in zip(files[:cameras], _FRAMES, strict=False):
-            info = CameraInfo(width=width, height=height)
-            if file is None:
-                self.log.warning("%s has no calibration, so no ranges can be measured", frame)
-            else:
+        recorded = () if self.config.side_by_side else images.infos
+        for number, (file, frame) in enumerate(zip(files[:cameras], _FRAMES, strict=False)):
+            info = recorded[number] if number < len(recorded) else None
+            if file is not None:
                 info = read_camera(file, frame)
+            if info is None or not info.k.any():
+                self.log.warning("%s has no calibration, so no ranges can be measured", frame)
+                info = CameraInfo(width=width, height=height)
             if (info.width, info.height) != (width, height):
+                source = file or f"the recorded calibration of {frame}"
                 raise CairnError(
-                    f"{file} is for images of {info.width} x {info.height} pixels, but those of "
+                    f"{source} is for images of {info.width} x {info.height} pixels, but those of "
                     f"{self.config.recording} are {width} x {height}; calibrate with such images"
                 )
             infos.append(info)
-        if cameras == 2 and all(files):
+        if cameras == 2 and all(info.k.any() for info in infos):
             StereoRig.of(*infos)
         return infos
 

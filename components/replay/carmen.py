@@ -25,7 +25,6 @@ from cairn.components.replay.recording import (
     ObservationStream,
     OdometryStream,
     RecordedTopic,
-    RecordingError,
     ScanStream,
     TimedPoses,
     covariances_of,
@@ -37,6 +36,7 @@ from cairn.components.replay.wheel_odometry import (
     odometry_velocities,
     velocities_agree,
 )
+from cairn.errors import RecordingError
 from cairn.planar.poses import Pose, compose, inverse, relative, wrap_all
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.message import InvalidMessage

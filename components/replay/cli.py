@@ -1,4 +1,4 @@
-"""`cairn recording`: shows what a recording holds, as a table and a drawing."""
+"""`cairn recording`: shows what a recording holds, as a table and a drawing, and tools on it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from cairn import SECOND
 from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json, show
 from cairn.components.replay.open_recording import open_recording
-from cairn.components.replay.recording import OdometryStream, Recording, RecordingError, ScanStream
+from cairn.components.replay.recording import OdometryStream, Recording, ScanStream
+from cairn.errors import RecordingError
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
+from cairn.recording import commands
+from cairn.recording.mcap_file import holds_mcap
 
-app = typer.Typer(help="Recordings: what they hold, as a table and a drawing.")
+app = typer.Typer(help="Recordings: what they hold; cut, merge and export them.")
 
 _COLUMNS = {
     "replayed_as": "replayed as",
@@ -35,7 +38,35 @@ _COLUMNS = {
 
 @app.callback(no_args_is_help=True)
 def _recording() -> None:
-    """Recordings: what they hold, as a table and a drawing."""
+    """Recordings: what they hold; cut, merge and export them."""
+
+
+@app.command("info")
+def info_of_recording(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="MCAP file, or a folder with the files of one run; or any other recording, as for "
+            "`cairn recording show`.",
+        ),
+    ],
+    json: Json = False,
+) -> None:
+    """Show the topics in a recording, its span, and its attached files.
+
+    A whole MCAP file of any size takes no time, because only its index is read. One that was not
+    closed, because the recorder was killed, is read as a whole.
+    """
+    if holds_mcap(file):
+        commands.info(file, json)
+    else:
+        show_recording(file, json=json)
+
+
+app.command("cut")(commands.cut)
+app.command("merge")(commands.merge)
+app.command("export")(commands.export)
 
 
 @app.command("show")

@@ -159,6 +159,9 @@ class ReplayRecognizer(ReplayComponent):
             self.log.info("ignored observations of unknown barcodes, by barcode: %s", self._unknown)
 
     def _publish(self, index: int) -> None:
+        if self._observations.messages is not None:
+            self.objects.publish(self._observations.messages[index])
+            return
         objects = [
             recognized
             for observation in self._observations.frames[index]

@@ -6,7 +6,8 @@ from pydantic import Field
 
 from cairn import SECOND, Config, ReadPath
 from cairn.components.replay.open_recording import open_recording
-from cairn.components.replay.recording import Recording, RecordingError
+from cairn.components.replay.recording import Recording
+from cairn.errors import RecordingError
 
 
 class BagTopics(Config):

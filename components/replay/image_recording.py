@@ -21,10 +21,10 @@ from cairn.components.replay.recording import (
     ObservationStream,
     OdometryStream,
     RecordedTopic,
-    RecordingError,
     ScanStream,
     TimedPoses,
 )
+from cairn.errors import RecordingError
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.vision.image_files import (
     SUFFIXES,

@@ -22,13 +22,13 @@ from cairn.components.replay.recording import (
     OdometryStream,
     RecordedObservation,
     RecordedTopic,
-    RecordingError,
     ScanStream,
     TimedPoses,
     covariances_of,
     damaged_line,
     nanoseconds,
 )
+from cairn.errors import RecordingError
 from cairn.schemas.cairn_msgs import VisualMap, VisualObject
 from cairn.schemas.std_msgs import Header
 

@@ -11,13 +11,16 @@ from cairn.components.replay.bounded_streams import first_lines
 from cairn.components.replay.carmen import MESSAGES, CarmenRecording
 from cairn.components.replay.image_recording import ImageRecording, holds_images, is_video
 from cairn.components.replay.mrclam import MrclamRecording
-from cairn.components.replay.recording import Recording, RecordingError
+from cairn.components.replay.recording import Recording
 from cairn.components.replay.ros_bag import BagRecording
+from cairn.errors import RecordingError
 from cairn.files import explain_os_error
+from cairn.recording.mcap_file import holds_mcap
 
 _FORMATS = (
     "an MRCLAM folder (Barcodes.dat and Robot<n>_*.dat), a CARMEN log, a ROS 1 bag, "
-    "the folder of a ROS 2 bag (with metadata.yaml), an MCAP file, a video, or a folder of images"
+    "the folder of a ROS 2 bag (with metadata.yaml), an MCAP file, a folder of MCAP files, "
+    "a video, or a folder of images"
 )
 _BAGS = (b"#ROSBAG V", b"#ROSRECORD V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 # A CARMEN log may start with comments and with hundreds of parameters.
@@ -52,6 +55,8 @@ def open_recording(
                     f"{path} is an MRCLAM data set of several robots; set `robot`, 1 to 5."
                 )
             return MrclamRecording(path, robot)
+        if holds_mcap(path):
+            return BagRecording(path, topics or {}, scan_delay_s)
         if holds_images(path):
             return ImageRecording(path, image_rate_hz)
         held = sorted(child.name for child in path.iterdir())[:8]

@@ -10,16 +10,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn import CairnError
-from cairn.schemas.cairn_msgs import VisualMap
-from cairn.schemas.sensor_msgs import LaserScan
+from cairn.errors import RecordingError
+from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap
+from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
-
-
-class RecordingError(CairnError):
-    """A recording is missing, damaged or of another format."""
 
 
 @dataclass(frozen=True)
@@ -70,10 +66,14 @@ class RecordedObservation:
 
 @dataclass(frozen=True)
 class ObservationStream:
-    """The observations at each of `stamps` [ns]; a frame may be empty."""
+    """The observations at each of `stamps` [ns]; a frame may be empty.
+
+    A recording of Cairn has `messages` instead, as they were published.
+    """
 
     stamps: Sequence[int]
     frames: Sequence[Sequence[RecordedObservation]]
+    messages: Sequence[RecognizedObjectArray] | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class ImageStream:
 
     `load` returns the images (h, w), left first, of the stamp with an index; indices must not
     decrease. It raises `CairnError` if they cannot be read. All have one `size`: width and height
-    in pixels.
+    in pixels. `infos` are the recorded calibrations of the cameras, None if there is none.
     """
 
     name: str
@@ -90,6 +90,7 @@ class ImageStream:
     cameras: int
     size: tuple[int, int]
     load: Callable[[int], tuple[Gray, ...]]
+    infos: tuple[CameraInfo | None, ...] = ()
 
 
 @dataclass(frozen=True)

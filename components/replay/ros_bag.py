@@ -11,7 +11,7 @@ import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -25,6 +25,7 @@ from rosbags.typesys.store import Typestore
 from cairn import SECOND, CairnError, from_ns
 from cairn.bounded_files import megabytes
 from cairn.bounded_yaml import yaml_fault
+from cairn.bus.codec import Codec
 from cairn.components.replay.bag_files import BagFile, BagTopic
 from cairn.components.replay.recording import (
     Gray,
@@ -32,19 +33,19 @@ from cairn.components.replay.recording import (
     ObservationStream,
     OdometryStream,
     RecordedTopic,
-    RecordingError,
     ScanStream,
     TimedPoses,
     covariances_of,
 )
 from cairn.components.replay.wheel_odometry import odometry_deviations, odometry_velocities
+from cairn.errors import RecordingError
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose
-from cairn.schemas.cairn_msgs import VisualMap
+from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap
 from cairn.schemas.geometry_msgs import Point, Quaternion
 from cairn.schemas.geometry_msgs import Pose as PoseMessage
-from cairn.schemas.message import InvalidMessage
-from cairn.schemas.sensor_msgs import Image, LaserScan
+from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.vision.image_files import camera_of
 from cairn.vision.images import decode, gray_of
@@ -61,14 +62,21 @@ _POSE_TYPES = {
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
     _ODOMETRY: lambda message: message.pose.pose,
 }
-_READ = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES)
+_OBJECTS = type_name(RecognizedObjectArray)
+_MAP = type_name(VisualMap)
+_INFO = type_name(CameraInfo)
+# Are decoded to Cairn's classes.
+_OWN = {_OBJECTS: RecognizedObjectArray, _MAP: VisualMap, _INFO: CameraInfo}
+_READ = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES, _OBJECTS, _MAP)
 _BASES = ("base_footprint", "base_link")
 
 
 class BagRecording:
     """The bag at `path`; `topics` names its topics for `scan`, `odom`, `truth` if ambiguous.
 
-    Scans get a time `scan_delay_s` [s] before their stamp.
+    Of several topics of a type, the one with the default name is replayed, of any robot:
+    `/robot/scan`. Only recordings of Cairn hold observations of landmarks and a surveyed map. Scans
+    get a time `scan_delay_s` [s] before their stamp.
     """
 
     def __init__(self, path: Path, topics: Mapping[str, str], scan_delay_s: float = 0.0) -> None:
@@ -83,9 +91,16 @@ class BagRecording:
         self._scan_delay = round(scan_delay_s * SECOND)
         scan, odom = self._topic("scan", (_SCAN,)), self._topic("odom", (_ODOMETRY,))
         truth = self._topic("truth", tuple(_POSE_TYPES)) if "truth" in self._named else None
+        truth = truth or self._usual("truth", tuple(_POSE_TYPES))
+        objects = self._usual("recognized_objects", (_OBJECTS,))
+        surveyed = self._usual("true_map", (_MAP,))
         self._scans = self._read(scan, self._to_scans)
         self._odometry = self._read(odom, self._to_odometry)
-        self._replayed = {topic: kind for topic, kind in ((scan, "scan"), (odom, "odom")) if topic}
+        self._objects = self._read(objects, self._to_observations)
+        maps = self._messages.get(surveyed or "", [])
+        self._landmark_map: VisualMap | None = maps[-1][1] if maps else None
+        kinds = {"scan": scan, "odom": odom, "objects": objects}
+        self._replayed = {topic: kind for kind, topic in kinds.items() if topic}
         if self._odometry is None:
             transforms = {
                 topic: messages
@@ -127,8 +142,8 @@ class BagRecording:
         return self._scans
 
     def observations(self) -> ObservationStream | None:
-        """Return None: ROS has no standard message for landmarks."""
-        return None
+        """Return the observations in a recording of Cairn: ROS has no message for them."""
+        return self._objects
 
     def images(self) -> ImageStream | None:
         """Return the images of a camera's topic, or of a stereo camera's two."""
@@ -136,15 +151,24 @@ class BagRecording:
             return None
         images, notes = bag_images(self._path, self._image_topics)
         self._notes += [note for note in notes if note not in self._notes]
-        return images
+        infos = [self._calibration(topic) for topic in self._image_topics]
+        return replace(images, infos=tuple(infos))
+
+    def _calibration(self, image_topic: str) -> CameraInfo | None:
+        """Return the first calibration of a camera: `left_info` of `left_image`, or ROS's name."""
+        namespace, _, name = image_topic.rpartition("/")
+        for topic in (f"{namespace}/{name.replace('image', 'info')}", f"{namespace}/camera_info"):
+            if self._types.get(topic) == _INFO:
+                return first_calibration(self._path, topic)
+        return None
 
     def truth(self) -> TimedPoses | None:
-        """Return the poses of the topic that `topics` names for them."""
+        """Return the poses of the topic that `topics` names for them, or of topic `truth`."""
         return self._truth
 
     def landmark_map(self) -> VisualMap | None:
-        """Return None: ROS has no standard message for landmarks."""
-        return None
+        """Return the surveyed map in a recording of Cairn."""
+        return self._landmark_map
 
     def topics(self) -> Sequence[RecordedTopic]:
         """Return the bag's topics."""
@@ -170,12 +194,16 @@ class BagRecording:
                 f"{self._path}: topics.{kind} = {named} is not a topic of {' or '.join(types)}; "
                 f"there {'are ' + ', '.join(found) if found else 'is nothing'}."
             )
-        if len(found) > 1 and f"/{kind}" not in found:
+        usual = _usual(kind, found)
+        if usual is None and len(found) > 1:
             raise RecordingError(
                 f"{self._path} has several topics of {types[0]}: {', '.join(found)}. Name one "
                 f"with the parameter topics.{kind} (`cairn recording show`: --{kind})."
             )
-        return f"/{kind}" if f"/{kind}" in found else next(iter(found), None)
+        return usual or next(iter(found), None)
+
+    def _usual(self, kind: str, types: Sequence[str]) -> str | None:
+        return _usual(kind, [topic for topic, of in self._types.items() if of in types])
 
     def _read(self, topic: str | None, convert: Callable[[list[int], list[Any]], T]) -> T | None:
         """Convert the messages of a topic in order of their stamps; None if there are none."""
@@ -218,6 +246,10 @@ class BagRecording:
         return OdometryStream(stamps, poses, covariances, twists)
 
     @staticmethod
+    def _to_observations(stamps: list[int], messages: list[Any]) -> ObservationStream:
+        return ObservationStream(stamps, (), messages)
+
+    @staticmethod
     def _to_poses(stamps: list[int], messages: list[Any]) -> TimedPoses:
         poses = [_pose(_POSE_TYPES[m.__msgtype__](m)) for m in messages]
         return TimedPoses(stamps, np.array(poses))
@@ -240,6 +272,14 @@ class BagRecording:
         self._notes.append("odometry is computed from the transforms of frame odom")
         covariances = covariances_of(odometry_deviations(poses))
         return OdometryStream(stamps, poses, covariances, odometry_velocities(stamps, poses))
+
+
+def _usual(kind: str, topics: Sequence[str]) -> str | None:
+    """Return the topic of the default name, `/scan` or the only `/.../scan`; else None."""
+    if f"/{kind}" in topics:
+        return f"/{kind}"
+    found = [topic for topic in topics if topic.endswith(f"/{kind}")]
+    return found[0] if len(found) == 1 else None
 
 
 def _scan(stamp: int, m: Any) -> LaserScan:
@@ -394,6 +434,11 @@ def _typestore(is_ros1: bool) -> Typestore:
 
 
 @cache
+def _codec() -> Codec:
+    return Codec()
+
+
+@cache
 def _md5(type_name: str) -> str:
     return str(_typestore(is_ros1=True).generate_msgdef(type_name)[1])
 
@@ -401,6 +446,12 @@ def _md5(type_name: str) -> str:
 def _deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
     """Return a message; raise `SerdeError` if it is damaged, `ValueError` for an unknown type."""
     store = _typestore(bag.is_ros1)
+    own = _OWN.get(topic.type)
+    if own is not None and not bag.is_ros1:
+        try:
+            return _codec().decode(own, raw)
+        except InvalidMessage as error:
+            raise SerdeError(_error_text(error)) from error
     if topic.type not in store.fielddefs:
         raise ValueError(f"{topic.name} has the type {topic.type[:100]!r}, which is not known")
     if bag.is_ros1 and topic.md5 not in ("", "*", _md5(topic.type)):
@@ -484,13 +535,19 @@ def bag_images(path: Path, topics: list[str]) -> tuple[ImageStream, list[str]]:
     return ImageStream(" and ".join(topics), stamps, len(topics), (width, height), load), notes
 
 
+def first_calibration(path: Path, topic: str) -> CameraInfo | None:
+    """Return the first message of a topic of a ROS 2 bag; None if there is none."""
+    _, message = next(_messages_of(path, topic), (0, None))
+    return message if isinstance(message, CameraInfo) else None
+
+
 class _SequentialImages:
     """Images of one topic by their numbers, which must not decrease."""
 
     def __init__(self, path: Path, topic: str, numbers: list[int]) -> None:
         self._name = f"{path}, topic {topic}"
         self._numbers = numbers
-        self._messages = enumerate(_image_messages(path, topic))
+        self._messages = enumerate(_messages_of(path, topic))
 
     def image(self, index: int) -> Gray:
         for number, (_, message) in self._messages:
@@ -507,7 +564,7 @@ def _first_whole(images: _SequentialImages, count: int) -> Gray:
     return images.image(count - 1)
 
 
-def _image_messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
+def _messages_of(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
     """Yield the messages of a topic with their times of receipt [ns]."""
     bag = BagFile(path)
     try:
@@ -515,16 +572,14 @@ def _image_messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
             yield received, _deserialize(bag, found, raw)
     except _UNREADABLE as error:
         raise RecordingError(
-            f"{path}: its images cannot be read ({_error_text(error)}): repair the bag with "
+            f"{path}: it cannot be read ({_error_text(error)}): repair the bag with "
             "`rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
         ) from error
 
 
 def _image_times(path: Path, topic: str, notes: list[str]) -> dict[int, int]:
     """Return the stamps [ns] of a topic's images by their numbers; notes on those left out."""
-    received = [
-        (receipt, message.header.stamp) for receipt, message in _image_messages(path, topic)
-    ]
+    received = [(receipt, message.header.stamp) for receipt, message in _messages_of(path, topic)]
     stamps, note = message_stamps(topic, received)
     notes += [note] if note else []
     times: dict[int, int] = {}

@@ -23,6 +23,7 @@ from cairn import (
 from cairn.components.report.run_journal import RunJournal, Value
 from cairn.components.report.run_record import RunRecord
 from cairn.components.report.table import render_table
+from cairn.components.report.trajectory import TrajectoryFile
 from cairn.files import TAKES_NO_DATA
 from cairn.planar.messages import planar_pose, planar_poses
 from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
@@ -33,7 +34,7 @@ from cairn.schemas.cairn_nav_msgs import (
     NavigateGoal,
     NavigationStatus,
 )
-from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.geometry_msgs import Pose, PoseStamped
 from cairn.schemas.nav_msgs import OccupancyGrid
 
 _MANY = RELIABLE.with_depth(500)
@@ -47,13 +48,15 @@ class ReportConfig(Config):
     """Parameters of the report."""
 
     directory: str = Field(
-        "", description="Folder for report.json, report.txt and the pictures; empty: none written."
+        "",
+        description="Folder for report.json, report.txt, trajectory.tum, truth.tum and the "
+        "pictures; empty: none written.",
     )
 
 
 class Report(Component):
     """Compares a run with the truth and writes report.txt, report.json and two pictures at its
-    end.
+    end; during the run, every estimated pose to trajectory.tum, and every true one to truth.tum.
     """
 
     config: ReportConfig
@@ -77,11 +80,17 @@ class Report(Component):
         self._objects: dict[int, tuple[int, str, float, float, str, float]] = {}
         self._moved: tuple[int, str, int] | None = None
         self._journal: RunJournal | None = None
+        self._trajectories: dict[str, TrajectoryFile] = {}
         if self.config.directory:
             journal = Path(self.config.directory) / "record.jsonl"
             _check_can_be_written(journal)
             saved = RetriedSave(self, "report journal")
             self._journal = RunJournal(self._record, journal, saved, resume=self.restarts > 0)
+            for name in ("trajectory", "truth"):
+                file = journal.with_name(f"{name}.tum")
+                with _disk_errors_explained(file.parent):
+                    saved = RetriedSave(self, f"report's {name}")
+                    self._trajectories[name] = TrajectoryFile(file, saved, resume=self.restarts > 0)
 
     @every(hz=10)
     def on_start(self) -> None:
@@ -96,11 +105,14 @@ class Report(Component):
         if estimate.located:
             stamp = to_ns(estimate.header.stamp)
             self._write("record_estimate", stamp, *planar_pose(estimate.pose.pose))
+            self._add_pose("trajectory", stamp, estimate.pose.pose)
 
     @on("truth")
     def on_truth(self, truth: PoseStamped) -> None:
         """Record the true pose."""
-        self._write("record_truth", to_ns(truth.header.stamp), *planar_pose(truth.pose))
+        stamp = to_ns(truth.header.stamp)
+        self._write("record_truth", stamp, *planar_pose(truth.pose))
+        self._add_pose("truth", stamp, truth.pose)
 
     @on("true_map")
     def on_true_map(self, true_map: VisualMap) -> None:
@@ -203,6 +215,8 @@ class Report(Component):
         # Matplotlib takes half a second and 40 MB: it is imported after the run.
         from cairn.components.report.pictures import draw_map, draw_reliability
 
+        for trajectory in self._trajectories.values():
+            trajectory.close()
         if self.clock.now():  # a report that was restarted at the very end
             self._write("record_end", self.clock.now())
         folder = Path(self.config.directory)
@@ -215,6 +229,10 @@ class Report(Component):
             (folder / "report.json").write_text(text + "\n", encoding="utf-8")
             self._journal.remove()
         self.log.info("report written to %s", folder)
+
+    def _add_pose(self, name: str, stamp: int, pose: Pose) -> None:
+        if name in self._trajectories and not self._trajectories[name].add(stamp, pose):
+            self._write("record_omission", f"poses in {name}.tum")
 
     def _write(self, method: str, *values: Value) -> None:
         if self._journal is not None:

@@ -340,6 +340,10 @@ class RunRecord:
             del self.collisions[0]
             self._omit("collisions")
 
+    def record_omission(self, kind: str) -> None:
+        """Record that something is not in the report."""
+        self._omit(_cut(kind))
+
     def record_port_counters(self, port: str, restarts: int, dropped: int, invalid: int) -> None:
         """Record the counters of a port (`localizer.odom`) of one process of its component."""
         counters = self.ports.get(port)
@@ -444,7 +448,8 @@ class RunRecord:
         self.earlier_missions[state] = self.earlier_missions.get(state, 0) + 1
 
     def _omit(self, kind: str) -> None:
-        self.omitted[kind] = self.omitted.get(kind, 0) + 1
+        if kind in self.omitted or len(self.omitted) < MOST_PORTS:
+            self.omitted[kind] = self.omitted.get(kind, 0) + 1
 
     def _at(self, stamp: int) -> None:
         self.begin = stamp if self.begin is None else min(self.begin, stamp)

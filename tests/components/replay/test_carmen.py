@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cairn import SECOND, to_ns
 from cairn.components.replay.carmen import CarmenRecording, posed_scans
-from cairn.components.replay.recording import RecordingError
+from cairn.errors import RecordingError
 from cairn.planar.poses import distance, relative, wrap
 from tests.components.replay.conftest import FR079, FR101, Write, flaser, odom
 from tests.wording import assert_words, words_in_order

@@ -17,7 +17,7 @@ from cairn.components.replay.components import (
 )
 from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.pacing import ReplayClock
-from cairn.components.replay.recording import RecordingError
+from cairn.errors import RecordingError
 from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.lockstep import DeploymentHarness

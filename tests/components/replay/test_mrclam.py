@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cairn.components.replay.mrclam import MrclamDataset
-from cairn.components.replay.recording import RecordingError
+from cairn.errors import RecordingError
 from tests.wording import words_in_order
 
 pytestmark = pytest.mark.slow

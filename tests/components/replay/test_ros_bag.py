@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
@@ -15,8 +16,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from cairn import SECOND, to_ns
 from cairn.components.replay.open_recording import open_recording
-from cairn.components.replay.recording import RecordingError
 from cairn.components.replay.ros_bag import BagRecording
+from cairn.errors import RecordingError
 from tests.components.replay.conftest import LEGS, OLD_BAG
 from tests.wording import words_in_order
 
@@ -237,13 +238,36 @@ def test_ros1_bag_without_readable_messages_is_rejected(tmp_path: Path) -> None:
         open_recording(path)
 
 
-def test_cut_off_mcap_file_is_rejected_with_a_remedy(tmp_path: Path) -> None:
-    (file,) = ros2(tmp_path / "bag", drive(), StoragePlugin.MCAP).glob("*.mcap")
-    whole = file.read_bytes()
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole[: len(whole) // 2])
+def test_cut_off_mcap_file_is_read_up_to_there_with_a_note(tmp_path: Path) -> None:
+    with (tmp_path / "cut.mcap").open("wb") as stream:
+        writer = Writer(stream, chunk_size=1)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("sensor_msgs/msg/LaserScan", "ros2msg", b"")
+        channel = writer.register_channel("/scan", "cdr", schema)
+        for k in range(4):
+            message = scan(BEGIN + k)
+            raw = STORE.serialize_cdr(message, message.__msgtype__).tobytes()
+            writer.add_message(channel, (BEGIN + k) * SECOND, raw, (BEGIN + k) * SECOND)
+    whole = (tmp_path / "cut.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[:-100])
 
-    with pytest.raises(RecordingError, match=r"cut.mcap cannot be read .* `mcap recover cut.mcap`"):
+    recording = open_recording(tmp_path / "cut.mcap")
+
+    scans = recording.scans()
+    assert scans is not None
+    assert len(scans.stamps) == 3
+    assert any("cut off at byte" in note for note in recording.notes())
+
+
+def test_mcap_file_without_readable_messages_is_rejected_with_a_remedy(tmp_path: Path) -> None:
+    (file,) = ros2(tmp_path / "bag", drive(), StoragePlugin.MCAP).glob("*.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(file.read_bytes()[:1000])
+
+    with pytest.raises(
+        RecordingError,
+        match=r"cut.mcap cannot be read .*cut off at byte .* `mcap recover cut.mcap`",
+    ):
         open_recording(cut)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from cairn import SECOND
 from cairn.components.replay.open_recording import open_recording
-from cairn.components.replay.recording import RecordingError
+from cairn.errors import RecordingError
 from tests.cairn.vision.cameras import HEIGHT, WIDTH
 from tests.components.replay.image_recordings import (
     numbered_image,

@@ -1,0 +1,94 @@
+"""What a recording keeps of a run besides messages: deployment, parameters, versions, seed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from typing import Any
+
+from cairn.deployment.exclusive_topics import ports_of_plugin
+from cairn.deployment.model import Deployment
+from cairn.deployment.plugins import PluginError, load_plugin
+from cairn.schemas.message import fields_of, schema_messages, type_name
+
+_PACKAGES = {
+    "cairn": "cairn-robotics", "zenoh": "eclipse-zenoh", "numpy": "numpy", "numba": "numba",
+}  # fmt: skip
+
+
+def run_attachments(
+    deployment: Deployment, parameters: Mapping[str, Any], *, seed: int, lockstep: bool
+) -> dict[str, bytes]:
+    """Return the attachments of a recording of that deployment, by name.
+
+    `parameters` are those of each component, by their names.
+    """
+    run = {
+        "robot": deployment.robot,
+        "domain": deployment.domain,
+        "seed": seed,
+        "lockstep": lockstep,
+        "clock": deployment.clock,
+    }
+    return {
+        "deployment.json": as_json(deployment.model_dump(mode="json")),
+        "parameters.json": as_json(parameters),
+        "run.json": as_json(run),
+        "versions.json": as_json(versions()),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what a run depends on."""
+    found = {name: version(package) for name, package in _PACKAGES.items()}
+    return {**found, "python": sys.version.partition(" ")[0]}
+
+
+def as_json(value: Mapping[str, Any]) -> bytes:
+    """Return a value as an attachment."""
+    return json.dumps(value, indent=2).encode()
+
+
+def started_parameters(deployment: Deployment) -> dict[str, Any]:
+    """Return the parameters with which each component starts, with their defaults.
+
+    This imports the plugins, which the process of a component has done before.
+    """
+    found: dict[str, Any] = {}
+    for member in deployment.members():
+        try:
+            config = load_plugin(member.spec.plugin).config_class()
+        except PluginError:  # its own start reports why
+            continue
+        found[member.name] = config.model_validate(member.spec.parameters).model_dump(mode="json")
+    return found
+
+
+class MessageTypes:
+    """Finds message classes: those of Cairn, then those of the ports of a deployment's plugins.
+
+    The plugins are imported with the first message of another type.
+    """
+
+    def __init__(self, deployment: Deployment | None) -> None:
+        self._known = schema_messages()
+        self._deployment = deployment
+
+    def find(self, name: str) -> type[Any] | None:
+        """Return the message class of a type name; None if it is not known."""
+        if name not in self._known and self._deployment is not None:
+            for member in self._deployment.members():
+                for port in ports_of_plugin(member.spec.plugin):
+                    for message in _with_parts(port.message):
+                        self._known.setdefault(type_name(message), message)
+            self._deployment = None
+        return self._known.get(name)
+
+
+def _with_parts(message: type[Any]) -> Iterator[type[Any]]:
+    yield message
+    for field in fields_of(message):
+        if isinstance(field.element, type):
+            yield from _with_parts(field.element)

@@ -1,0 +1,1 @@
+"""Records what the components of a deployment publish."""

@@ -1,0 +1,74 @@
+"""The commands of docs/how-to/record.md, at a robot that records itself."""
+
+import json
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn.recording.mcap_file import McapFile
+from cairn.testing.launching import Launching
+from tests.commands import cairn
+
+pytestmark = pytest.mark.processes
+
+PAGE = "docs/how-to/record.md"
+
+
+def test_commands_of_the_page_record_a_running_robot(
+    launch: Launching,
+    page_blocks: Callable[[str], Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    commands = [
+        shlex.split(line, comments=True)[1:]
+        for block in page_blocks(PAGE)
+        if block.language == "sh"
+        for line in block.text.splitlines()
+    ]
+    (output,) = [one.text for one in page_blocks(PAGE) if one.language == "text"]
+    shown = re.sub(r"\\?\d+", r"\\d+", re.escape(output))  # with any numbers
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CAIRN_CONNECT", "")
+
+    run = launch("components: {beacon: {plugin: test_beacon}}", "--record")
+    run.await_line("child active: beacon")
+    for words in [one for one in commands if one[0] == "recorder"]:
+        answer = cairn(*words, connect=run.endpoint)
+        needs_ring = words[1] == "trigger"
+        assert (answer.code, "--last" in answer.err) == (int(needs_ring), needs_ring), words
+    for words in [one for one in commands if one[0] == "record"]:
+        answer = cairn(*words, "--duration", "0.6", connect=run.endpoint)
+        assert answer.code == 0, (words, answer.err)
+        assert ("nothing was triggered" in answer.out) == ("--last" in words), answer.out
+        if "drive.mcap" in words:
+            assert re.fullmatch(shown, answer.err + answer.out), answer
+    assert run.stop() == 0
+
+    with McapFile(max(tmp_path.glob("recording-*.mcap"))) as file:
+        file.index()
+        assert {one.topic for one in file.channels} >= {"/robot/component_status", "/rosout"}
+        (deployment,) = [one for one in file.attachments if one.name == "deployment.json"]
+        assert "beacon" in json.loads(file.read_attachment(deployment))["components"]
+    numbers: dict[tuple[str, str], list[int]] = {}
+    for name in ("recording.mcap", "recording_2.mcap"):
+        with McapFile(run.report / name) as file:
+            assert not file.notes
+            for message in file.messages(lambda _: True):
+                channel = message.channel
+                numbers.setdefault((channel.topic, channel.gid), []).append(message.sequence)
+    beacons = [some for (topic, _), some in numbers.items() if topic.endswith("component_status")]
+    assert len(beacons) == 4  # root, recording, recorder, beacon
+    assert all(set(some) == set(range(min(some), max(some) + 1)) for some in beacons)
+
+
+def test_settings_on_the_page_are_those_of_the_recorder(page_blocks: Callable[[str], Any]) -> None:
+    from cairn.components.recorder.component import RecorderConfig
+
+    (block,) = [one for one in page_blocks(PAGE) if one.language == "yaml"]
+    named = {line.strip().partition(":")[0] for line in block.text.splitlines()[5:]}
+    assert named <= set(RecorderConfig.model_fields)
