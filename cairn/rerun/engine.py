@@ -1,0 +1,619 @@
+"""Makes the recorded calls into one component again, and compares what it publishes.
+
+The component runs in its own `Runtime`. The bus, the clock and the scheduler beside it give it what
+the call log and the recording have: nothing else decides what it does.
+"""
+
+import json
+import logging
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, Protocol
+
+from cairn.bus.bus import MessageId, full_name
+from cairn.bus.codec import Codec
+from cairn.bus.exclusive import Exclusive
+from cairn.bus.qos import Qos
+from cairn.bus.type_hash import type_hash
+from cairn.clock import from_ns
+from cairn.deployment.model import ChildSpec
+from cairn.deployment.plugins import load_plugin
+from cairn.errors import CairnError
+from cairn.process_exit import ExitReport
+from cairn.rerun.call_logs import Call, ComponentStart, StartInfo
+from cairn.rerun.comparison import first_difference
+from cairn.runtime.call_records import RecordKind
+from cairn.runtime.launch_request import LaunchRequest, RunContext
+from cairn.runtime.lifecycle import Transition
+from cairn.runtime.ports import ports_of
+from cairn.runtime.runtime import Runtime
+from cairn.runtime.timers import CLOCK_TOPIC
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
+from cairn.supervision.logged_children import RecordedChildren
+from cairn.supervision.supervisor import Supervisor
+
+_MOST_NOTES: Final = 20
+_log = logging.getLogger("cairn.rerun")
+
+
+class Payload(NamedTuple):
+    """A recorded message: its CDR, its type's hash ("" if unknown), and when it was sent [ns]."""
+
+    data: bytes
+    type_hash: str
+    sent_ns: int
+
+
+class RecordedMessages(Protocol):
+    """The messages of a recording, by publisher and number."""
+
+    def find(self, message: MessageId) -> Payload | None:
+        """Return a message; None if it was not recorded."""
+        ...
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Something in which the re-run differs: on which topic, when, and what both have.
+
+    `time_ns` is when the message was sent, or that of the call, `call_ns`.
+    """
+
+    topic: str
+    time_ns: int
+    call_ns: int
+    call: str
+    what: str
+
+    def __str__(self) -> str:
+        where = f"{self.topic}: " if self.topic else ""
+        return f"{where}{self.what}; at {self.time_ns / 1e9:.6f} s, in {self.call}"
+
+
+@dataclass
+class TopicResult:
+    """The messages of one output: compared, and of them different; recorded or re-run alone."""
+
+    compared: int = 0
+    different: int = 0
+    missing: int = 0
+    extra: int = 0
+    not_recorded: int = 0
+
+    @property
+    def differing(self) -> int:
+        """How many messages differ, are missing or are extra."""
+        return self.different + self.missing + self.extra
+
+
+@dataclass
+class RerunResult:
+    """What the re-run of one start of a component has shown.
+
+    `incomplete` says from where on, and why, the calls could not be made again, "" if all were.
+    """
+
+    component: str
+    incarnation: int
+    calls: int = 0
+    topics: dict[str, TopicResult] = field(default_factory=dict)
+    first: Difference | None = None
+    differences: int = 0
+    incomplete: str = ""
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def equal(self) -> bool:
+        """Whether all calls could be made again and all publications are equal."""
+        return self.first is None and not self.incomplete
+
+
+class CannotRerun(BaseException):
+    """A component cannot be re-run, or not any further.
+
+    Not an `Exception`, because it passes through the component's own call, which must not fail by
+    it.
+    """
+
+
+class _Cut(BaseException):
+    """The log ends during this call."""
+
+
+class Rerun:
+    """Runs one component again, from a start of it on."""
+
+    def __init__(
+        self,
+        start: ComponentStart,
+        info: StartInfo,
+        messages: RecordedMessages,
+        until_ns: int | None = None,
+        stop_at_difference: bool = False,
+    ) -> None:
+        """Prepare to run `start` again.
+
+        Args:
+            start: its call log.
+            info: with what to start it; its paths may differ from those of the log.
+            messages: the recorded messages.
+            until_ns: make no calls at or after this time [ns].
+            stop_at_difference: make no calls after the one with the first difference.
+        """
+        self.result = RerunResult(start.component, start.incarnation)
+        self.ended: ExitReport | None = None
+        self.time_ns = start.started_ns
+        self.codec = Codec()
+        self.published: list[tuple[str, int, Any]] = []
+        self._start = start
+        self._info = info
+        self._messages = messages
+        self._until_ns = until_ns
+        self._stop_at_difference = stop_at_difference
+        self._gids: dict[str, bytes] = {}
+        self._call = _CallEnvironment("its start")
+        self._call_ns = start.started_ns
+        self._subscriptions: dict[str, _RerunSubscription] = {}
+        self._scheduler = _RerunScheduler()
+        self._ports: dict[str, str] = {}  # by topic
+        self._runtime: Runtime | None = None
+
+    def run(self) -> RerunResult:
+        """Make all calls. Raises `RecordingError` if the log is damaged."""
+        result = self.result
+        try:
+            calls = self._start.calls()
+            following = next(calls, None)
+            while (call := following) is not None:
+                following = next(calls, None)
+                if not self._make(call, is_last=following is None):
+                    return result
+                result.calls += 1
+        except _Cut:
+            return result
+        except CannotRerun as error:
+            result.incomplete = str(error)
+            return result
+        except ValueError as error:  # of the log: those of the component are its own failures
+            result.incomplete = f"its call log is damaged, in {self._call.name}: {error}"
+            return result
+        result.incomplete = self._start.missing
+        return result
+
+    def _make(self, call: Call, *, is_last: bool) -> bool:
+        """Make one call; return whether there should be further ones."""
+        environment = _CallEnvironment(_describe(call))
+        for record in call.events:
+            environment.add(record, self._gids)
+        # The recording, or the process, may have ended during the last call.
+        environment.is_cut = is_last and environment.end is None
+        if self._until_ns is not None and call.time_ns >= self._until_ns:
+            return False
+        self.time_ns, self._call, self._call_ns = call.time_ns, environment, call.time_ns
+        if self.ended is not None:
+            return True  # the recorded component did nothing more either, or the end is reported
+        self._enter(call)
+        self._check_rest(environment)
+        return not (self._stop_at_difference and self.result.first is not None)
+
+    def _enter(self, call: Call) -> None:
+        runtime, values = self._runtime, call.record[1:]
+        if call.kind is RecordKind.START:
+            try:
+                self._runtime = self._constructed()
+            except CairnError as error:
+                raise CannotRerun(str(error)) from error
+            return
+        if runtime is None:
+            raise CannotRerun("the log has no start")
+        match call.kind:
+            case RecordKind.TRANSITION:
+                self._rejecting(lambda: runtime.transition(Transition(values[0])))
+            case RecordKind.MESSAGE:
+                self._deliver(values[0], MessageId(values[1], values[2]))
+            case RecordKind.CLOCK:
+                subscription = self._subscriptions.get(CLOCK_TOPIC)
+                if subscription is None:
+                    raise CannotRerun("the component does not follow topic clock any more")
+                clock = ClockMessage(clock=from_ns(values[0]))
+                subscription.deliver(clock, MessageId(bytes(16), 0))
+            case RecordKind.TIMERS:
+                self._scheduler.on_time()
+            case RecordKind.POSTED:
+                if not self._scheduler.make_posted():
+                    self._differ("", "no call is posted, as there was in the recording")
+            case RecordKind.REQUEST:
+                verb, arguments = values[0], json.loads(values[1])
+                self._rejecting(lambda: runtime.request(verb, arguments))
+            case RecordKind.HOST if values[0] == "reconcile":
+                component = runtime.component
+                if isinstance(component, Supervisor):
+                    runtime.run("supervision", component.reconcile)
+            case RecordKind.FOREIGN:
+                raise CannotRerun("a thread of its own called it, which cannot be repeated")
+            case _:
+                raise CannotRerun(f"{_describe(call)} cannot be repeated")
+
+    def _constructed(self) -> Runtime:
+        info = self._info
+        plugin = load_plugin(info.plugin)
+        robot = info.robot
+        self._ports = {
+            full_name(robot, info.topics.get(port, port)): port for port in ports_of(plugin)
+        }
+        self._ports.setdefault(
+            full_name(robot, info.topics.get(CLOCK_TOPIC, CLOCK_TOPIC)), CLOCK_TOPIC
+        )
+        children = {name: ChildSpec(plugin="none") for name in info.children}
+        launch = LaunchRequest(
+            name=info.name,
+            spec=ChildSpec(
+                plugin=info.plugin,
+                parameters=info.parameters,
+                topics=info.topics,
+                children=children,
+            ),
+            incarnation=info.incarnation,
+            context=RunContext(
+                robot=robot,
+                seed=info.seed,
+                simulated_time=info.simulated_time,
+                lockstep=info.lockstep,
+            ),
+        )
+        runtime = Runtime(plugin, launch, _RerunBus(self), self._scheduler, self, self._on_end)
+        runtime.heartbeat.close()
+        if isinstance(runtime.component, Supervisor):
+            runtime.component.adopt_recorded(RecordedChildren(self.outcome), self._scheduler.post)
+        return runtime
+
+    def _deliver(self, port: str, identity: MessageId) -> None:
+        subscription = self._subscriptions.get(port)
+        if subscription is None:
+            self._note(f"does not subscribe to input {port} in {self._call.name}")
+            return
+        subscription.deliver(self.message(subscription, identity), identity)
+
+    def message(self, subscription: "_RerunSubscription", identity: MessageId) -> Any:
+        """Return a recorded message for an input; raises `CannotRerun` if it is missing."""
+        topic, cls = subscription.topic, subscription.message
+        if identity.sequence <= 0:
+            raise CannotRerun(
+                f"{topic}: a message at {self.time_ns / 1e9:.6f} s has no number, because its "
+                "publisher numbers none, so that it cannot be found in the recording"
+            )
+        payload = self._messages.find(identity)
+        if payload is None:
+            raise CannotRerun(
+                f"{topic}: message {identity.sequence} of its publisher, which the component "
+                f"received at {self.time_ns / 1e9:.6f} s, is not in the recording"
+            )
+        if payload.type_hash and payload.type_hash != type_hash(cls):
+            raise CannotRerun(
+                f"{topic}: the definition of its messages has changed since the recording"
+            )
+        try:
+            return self.codec.decode(cls, payload.data)
+        except InvalidMessage as error:
+            raise CannotRerun(f"{topic}: a recorded message is invalid now: {error}") from error
+
+    def now(self) -> int:
+        """Return the next reading of the clock that was logged [ns]."""
+        if self._call.times:
+            self.time_ns = self._call.times.popleft()
+        else:
+            self._note(f"reads the clock more often in {self._call.name}")
+        return self.time_ns
+
+    def has_subscribers(self, topic: str) -> bool:
+        """Return what the component saw."""
+        port = self._ports[topic]
+        seen = self._call.subscribed.get(port)
+        if seen:
+            return seen.popleft()
+        self._note(f"asks more often whether anything subscribes to {port}")
+        return True
+
+    def open_input(self, topic: str, subscription: "_RerunSubscription") -> None:
+        """Note the subscription of a port."""
+        self._subscriptions[self._ports[topic]] = subscription
+
+    def close_input(self, topic: str) -> None:
+        """Forget the subscription of a port."""
+        self._subscriptions.pop(self._ports[topic], None)
+
+    def pending(self, subscription: "_RerunSubscription") -> tuple[Any, MessageId] | None:
+        """Return what was taken from a port within another call; None if nothing was."""
+        waiting = self._call.pending.get(self._ports[subscription.topic])
+        if not waiting:
+            return None
+        identity = waiting.popleft()
+        return self.message(subscription, identity), identity
+
+    def publish(self, topic: str, cls: type[Any], message: Any) -> int:
+        """Compare a message with the recorded one; return its number."""
+        port = self._ports[topic]
+        result = self.result.topics.setdefault(topic, TopicResult())
+        self.published.append((topic, self.time_ns, message))
+        expected = self._call.sent.get(port)
+        if not expected and self._call.is_cut:
+            return 1
+        if not expected:
+            result.extra += 1
+            self._differ(topic, f"publishes one message more: {_shortened(message)}")
+            return 1
+        identity = expected.popleft()
+        if identity.sequence == 0:  # nothing subscribed to it
+            return 0
+        recorded = self._messages.find(identity)
+        if recorded is None:
+            result.not_recorded += 1
+            return identity.sequence
+        result.compared += 1
+        if recorded.data != self.codec.encode(message):
+            result.different += 1
+            self._differ(topic, self._difference(cls, recorded, message), recorded.sent_ns)
+        return identity.sequence
+
+    def outcome(self, method: str) -> Mapping[str, Any]:
+        """Return what the children of a supervisor have answered to a method."""
+        if not self._call.outcomes and self._call.is_cut:
+            raise _Cut
+        if not self._call.outcomes:
+            raise CannotRerun(
+                f"it calls `children.{method}` in {self._call.name}, unlike in the recording"
+            )
+        outcome: Mapping[str, Any] = json.loads(self._call.outcomes.popleft())
+        if outcome.get("method") != method:
+            raise CannotRerun(
+                f"it calls `children.{method}` in {self._call.name}, in the recording "
+                f"`{outcome.get('method')}`"
+            )
+        return outcome
+
+    def _difference(self, cls: type[Any], recorded: Payload, message: Any) -> str:
+        if recorded.type_hash and recorded.type_hash != type_hash(cls):
+            return "the definition of its messages has changed since the recording"
+        try:
+            found = first_difference(
+                self.codec.decode(cls, recorded.data),
+                self.codec.decode(cls, self.codec.encode(message)),
+            )
+        except InvalidMessage as error:
+            return f"the recorded message is invalid now: {error}"
+        if found is None:
+            return "the bytes of the message differ, but no field"
+        return f"{found.path} is {found.rerun}, recorded was {found.recorded}"
+
+    def _check_rest(self, environment: "_CallEnvironment") -> None:
+        """Report what the recorded call did beyond that of the re-run."""
+        topics = {port: topic for topic, port in self._ports.items()}
+        for port, missing in environment.sent.items():
+            sent = [one for one in missing if one.sequence]
+            if sent and port in topics:
+                topic = topics[port]
+                self.result.topics.setdefault(topic, TopicResult()).missing += len(sent)
+                recorded = self._messages.find(sent[0])
+                time_ns = self.time_ns if recorded is None else recorded.sent_ns
+                self._differ(topic, f"does not publish {_messages(len(sent))}", time_ns)
+        if environment.times:
+            self._note(f"reads the clock less often in {environment.name}")
+        end = self.ended
+        recorded_end = environment.end
+        if end is not None and recorded_end is None and not environment.is_cut:
+            self._differ("", f"the component ends, which the recorded one did not: {end.reason}")
+        elif recorded_end is not None:
+            reason = recorded_end["reason"]
+            if end is None:
+                self._differ("", f"the component does not end; the recorded one did: {reason}")
+            elif end.normal != recorded_end["normal"] or end.reason != reason:
+                self._differ("", f"the component ends: {end.reason}; recorded was: {reason}")
+
+    def _differ(self, topic: str, what: str, time_ns: int | None = None) -> None:
+        self.result.differences += 1
+        if self.result.first is None:
+            at = self.time_ns if time_ns is None else time_ns
+            self.result.first = Difference(topic, at, self._call_ns, self._call.name, what)
+
+    def _note(self, text: str) -> None:
+        if len(self.result.notes) < _MOST_NOTES and text not in self.result.notes:
+            self.result.notes.append(text)
+
+    def _rejecting(self, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except CairnError as error:  # the component has rejected it, as it may have done before
+            _log.debug("rejected: %s", error)
+
+    def _on_end(self, report: ExitReport) -> None:
+        self.ended = report
+
+
+class _CallEnvironment:
+    """What happened during one recorded call, in queues from which the re-run takes it."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.times: deque[int] = deque()
+        self.subscribed: dict[str, deque[bool]] = {}
+        self.sent: dict[str, deque[MessageId]] = {}
+        self.pending: dict[str, deque[MessageId]] = {}
+        self.outcomes: deque[str] = deque()
+        self.is_cut = False
+        self.end: Mapping[str, Any] | None = None
+
+    def add(self, record: tuple[Any, ...], gids: dict[str, bytes]) -> None:
+        """Add an event of the call; `gids` are the publishers of the outputs."""
+        kind, *values = record
+        match kind:
+            case RecordKind.TIME:
+                self.times.append(values[0])
+            case RecordKind.HAS_SUBSCRIBERS | RecordKind.NO_SUBSCRIBERS:
+                seen = self.subscribed.setdefault(values[0], deque())
+                seen.append(kind is RecordKind.HAS_SUBSCRIBERS)
+            case RecordKind.OPENED:
+                gids[values[0]] = values[1]
+            case RecordKind.SENT | RecordKind.NOT_SENT:
+                number = values[1] if kind is RecordKind.SENT else 0
+                gid = gids.get(values[0], bytes(16))
+                self.sent.setdefault(values[0], deque()).append(MessageId(gid, number))
+            case RecordKind.PENDING:
+                waiting = self.pending.setdefault(values[0], deque())
+                waiting.append(MessageId(values[1], values[2]))
+            case RecordKind.OUTCOME:
+                self.outcomes.append(values[0])
+            case RecordKind.ENDED:
+                self.end = json.loads(values[0])
+            case RecordKind.CUT:
+                raise CannotRerun(f"the log ends: {values[0]}")
+
+
+class _RerunScheduler:
+    """Keeps what the component posts until the log says that it is called."""
+
+    def __init__(self) -> None:
+        self._posted: deque[Callable[[], None]] = deque()
+        self.on_time: Callable[[], None] = lambda: None
+
+    def post(self, call: Callable[[], None]) -> None:
+        self._posted.append(call)
+
+    def make_posted(self) -> bool:
+        """Make the first posted call; return whether there was one."""
+        if not self._posted:
+            return False
+        self._posted.popleft()()
+        return True
+
+    def deliver(self, call: Callable[[], None]) -> None:
+        call()
+
+    def wake_at(self, time: int) -> None:
+        """Do nothing: the log says when timers ran."""
+
+    def bind(self, on_time: Callable[[], None]) -> None:
+        self.on_time = on_time
+
+    def stop(self) -> None:
+        """Do nothing: the log ends."""
+
+
+class _RerunBus:
+    """The bus and the node of the component."""
+
+    def __init__(self, rerun: Rerun) -> None:
+        self._rerun = rerun
+
+    def node(self, name: str, report: Callable[[str], None]) -> "_RerunBus":  # noqa: ARG002
+        return self
+
+    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002
+        return []
+
+    def advertise(
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,  # noqa: ARG002
+        exclusive: Exclusive | None = None,  # noqa: ARG002
+        *,
+        shared: bool = False,  # noqa: ARG002
+    ) -> "_RerunPublisher":
+        return _RerunPublisher(self._rerun, topic, message)
+
+    def subscribe(
+        self,
+        topic: str,
+        message: type[Any],
+        qos: Qos,  # noqa: ARG002
+        wake: Callable[[], None],
+        exclusive: Exclusive | None = None,  # noqa: ARG002
+        max_bytes: int | None = None,  # noqa: ARG002
+    ) -> "_RerunSubscription":
+        subscription = _RerunSubscription(self._rerun, topic, message, wake)
+        self._rerun.open_input(topic, subscription)
+        return subscription
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _RerunPublisher:
+    def __init__(self, rerun: Rerun, topic: str, message: type[Any]) -> None:
+        self.published = 0
+        self.gid = bytes(16)
+        self._rerun = rerun
+        self._topic = topic
+        self._message = message
+
+    @property
+    def has_subscribers(self) -> bool:
+        return self._rerun.has_subscribers(self._topic)
+
+    def publish(self, message: Any) -> int:
+        self.published += 1
+        return self._rerun.publish(self._topic, self._message, message)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _RerunSubscription:
+    received = dropped = invalid = refused = 0
+
+    def __init__(
+        self, rerun: Rerun, topic: str, message: type[Any], wake: Callable[[], None]
+    ) -> None:
+        self.topic = topic
+        self.message = message
+        self.taken: MessageId | None = None
+        self._rerun = rerun
+        self._wake = wake
+        self._next: tuple[Any, MessageId] | None = None
+
+    def deliver(self, message: Any, identity: MessageId) -> None:
+        """Have the component take a message."""
+        self._next = (message, identity)
+        self._wake()
+
+    def take(self) -> Any | None:
+        taken, self._next = self._next or self._rerun.pending(self), None
+        if taken is None:
+            return None
+        message, self.taken = taken
+        return message
+
+    def close(self) -> None:
+        self._rerun.close_input(self.topic)
+
+
+def _describe(call: Call) -> str:
+    values = call.record[1:]
+    match call.kind:
+        case RecordKind.START:
+            return "its start"
+        case RecordKind.TRANSITION:
+            return f"transition {values[0]}"
+        case RecordKind.MESSAGE:
+            return f"the handler of {values[0]}, message {values[2]}"
+        case RecordKind.CLOCK:
+            return "a message on topic clock"
+        case RecordKind.TIMERS:
+            return "a timer"
+        case RecordKind.REQUEST:
+            return f"request {values[0]}"
+        case RecordKind.HOST:
+            return f"a call of its host ({values[0]})"
+        case _:
+            return "a posted call"
+
+
+def _messages(count: int) -> str:
+    return "a message" if count == 1 else f"{count} messages"
+
+
+def _shortened(message: Any) -> str:
+    text = repr(message)
+    return text if len(text) <= 200 else f"{text[:200]}..."

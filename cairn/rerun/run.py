@@ -1,0 +1,210 @@
+"""Re-runs components of a recording: what is in it, and one re-run in this process."""
+
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cairn.bus.bus import MessageId
+from cairn.bus.codec import Codec
+from cairn.errors import CairnError, RecordingError
+from cairn.recording.mcap_file import RecordedChannel
+from cairn.recording.reader import McapRecording
+from cairn.rerun.call_logs import ComponentStart, component_starts
+from cairn.rerun.engine import CannotRerun, Payload, Rerun
+from cairn.rerun.files import ATTACHED, with_files
+from cairn.runtime.call_records import Record, RecordKind
+from cairn.schemas.cairn_msgs import CallBatch
+from cairn.schemas.message import InvalidMessage, type_name
+
+CALL_BATCH: Final = type_name(CallBatch)
+EXCERPT_RECORD: Final = "cairn_rerun"
+"""Metadata record of an excerpt: `until_ns`, the time before which its calls were made."""
+
+_KEPT_BYTES: Final = 512 << 20
+_LOW_32: Final = 0xFFFF_FFFF
+
+
+def add_uses(
+    records: Iterable[Record], uses: Counter[MessageId] | set[MessageId], gids: dict[str, bytes]
+) -> None:
+    """Add the messages that records use; `gids` has the publishers of the outputs so far."""
+    for kind, *values in records:
+        match kind:
+            case RecordKind.MESSAGE | RecordKind.PENDING:
+                identity = MessageId(values[1], values[2] & _LOW_32)
+            case RecordKind.OPENED:
+                gids[values[0]] = values[1]
+                continue
+            case RecordKind.SENT:
+                identity = MessageId(gids.get(values[0], b""), values[1] & _LOW_32)
+            case _:
+                continue
+        if isinstance(uses, set):
+            uses.add(identity)
+        else:
+            uses[identity] += 1
+
+
+@dataclass(frozen=True)
+class NeededMessages:
+    """The messages that the re-run of a start uses, with how often, by publisher and number."""
+
+    uses: Counter[MessageId]
+    has_foreign_calls: bool
+    publishes: bool
+
+
+def starts_in(recording: McapRecording) -> list[ComponentStart]:
+    """Return the starts of components with their call logs, in order of time."""
+    channels = [one for one in recording.channels if one.type == CALL_BATCH]
+    return component_starts(_batches(recording, channels)) if channels else []
+
+
+def needed_messages(start: ComponentStart) -> NeededMessages:
+    """Return which messages a start needs; raises `RecordingError` if its log is damaged."""
+    uses: Counter[MessageId] = Counter()
+    gids: dict[str, bytes] = {}
+    foreign = publishes = False
+    for record in start.records():
+        add_uses((record,), uses, gids)
+        publishes = publishes or record[0] is RecordKind.SENT
+        foreign = foreign or record[0] is RecordKind.FOREIGN
+    return NeededMessages(uses, foreign, publishes)
+
+
+class StreamedMessages:
+    """The messages that a re-run needs, read from the recording as it proceeds."""
+
+    def __init__(self, recording: McapRecording, needed: NeededMessages) -> None:
+        self._left = needed.uses.copy()
+        gids = {one.gid for one in self._left}
+        channels = [one for one in recording.channels if _gid(one) in gids]
+        self._stream = recording.messages(channels=channels) if channels else iter(())
+        self._kept: dict[MessageId, Payload] = {}
+        self._kept_bytes = 0
+        self._newest: dict[bytes, int] = {}
+
+    def find(self, message: MessageId) -> Payload | None:
+        """Return a message; None if it was not recorded."""
+        wanted = MessageId(message.gid, message.sequence & _LOW_32)
+        while wanted not in self._kept:
+            if self._newest.get(wanted.gid, -1) >= wanted.sequence or not self._read():
+                return None
+        payload = self._kept[wanted]
+        self._left[wanted] -= 1
+        if self._left[wanted] <= 0:
+            del self._kept[wanted]
+            self._kept_bytes -= len(payload.data)
+        return payload
+
+    def _read(self) -> bool:
+        """Read one message; return False at the end of the recording."""
+        one = next(self._stream, None)
+        if one is None:
+            return False
+        identity = MessageId(_gid(one.channel), one.sequence)
+        self._newest[identity.gid] = max(one.sequence, self._newest.get(identity.gid, 0))
+        if self._left[identity] > 0 and identity not in self._kept:
+            self._kept[identity] = Payload(one.data, one.channel.type_hash, one.publish_ns)
+            self._kept_bytes += len(one.data)
+            if self._kept_bytes > _KEPT_BYTES:
+                raise CannotRerun(
+                    f"more than {_KEPT_BYTES >> 20} MiB of messages wait for calls that use them"
+                )
+        return True
+
+
+@contextmanager
+def prepared_rerun(
+    recording: McapRecording,
+    start: ComponentStart,
+    until_ns: int | None = None,
+    *,
+    stop_at_difference: bool = False,
+) -> Iterator[Rerun]:
+    """Provide the re-run of a start, with its files in a folder that is removed afterwards.
+
+    Raises `CairnError` with the reason if the component cannot be re-run.
+    """
+    needed = needed_messages(start)
+    if needed.has_foreign_calls:
+        raise CairnError(
+            f"{start.component}: cannot be re-run: threads of its own have called it, as those of "
+            "a driver do, and what they measured is not in the recording; re-run the components "
+            "that read its topics"
+        )
+    if until_ns is None:
+        until_ns = _recorded_end(recording)
+    attached = {one.name.split("/")[1]: one for one in recording.attachments if _is_input(one.name)}
+
+    def content(digest: str) -> bytes | None:
+        found = attached.get(digest)
+        return None if found is None else recording.read_attachment(found)
+
+    with tempfile.TemporaryDirectory(prefix="cairn-rerun-") as folder:
+        info, missing = with_files(start.info(), Path(folder), content)
+        if missing:
+            raise CairnError(
+                f"{start.component}: cannot be re-run exactly: {missing[0]}"
+                + (f", and {len(missing) - 1} more" if len(missing) > 1 else "")
+            )
+        messages = StreamedMessages(recording, needed)
+        yield Rerun(start, info, messages, until_ns, stop_at_difference=stop_at_difference)
+
+
+def chosen_starts(
+    starts: Iterable[ComponentStart], components: Iterable[str], nodes: Iterable[str] = ()
+) -> list[ComponentStart]:
+    """Return the starts of the named components; of those that publish something without names.
+
+    Raises `CairnError` for a component without a call log; `nodes` are those of the recording.
+    """
+    known = list(starts)
+    names = list(components)
+    for name in names:
+        if not any(one.component == name for one in known):
+            choice = ", ".join(dict.fromkeys(one.component for one in known)) or "none"
+            why = (
+                "the recording has no call log of it: it drives a device, or the recording was "
+                "made without `call_log: true`"
+                if any(node.rsplit("/", 1)[-1] == name for node in nodes)
+                else "it is not in the recording"
+            )
+            raise CairnError(f"{name}: cannot be re-run: {why}; with a call log: {choice}")
+    if names:
+        return [one for one in known if one.component in names]
+    chosen = []
+    for one in known:
+        needed = needed_messages(one)
+        if needed.publishes and not needed.has_foreign_calls:
+            chosen.append(one)
+    return chosen
+
+
+def _recorded_end(recording: McapRecording) -> int | None:
+    text = recording.metadata.get(EXCERPT_RECORD, {}).get("until_ns", "")
+    return int(text) if text.isascii() and text.isdigit() else None
+
+
+def _batches(recording: McapRecording, channels: list[RecordedChannel]) -> Iterator[CallBatch]:
+    codec = Codec()
+    for message in recording.messages(channels=channels):
+        try:
+            yield codec.decode(CallBatch, message.data)
+        except InvalidMessage as error:
+            raise RecordingError(f"{message.channel.topic}: invalid call log: {error}") from error
+
+
+def _gid(channel: RecordedChannel) -> bytes:
+    try:
+        return bytes.fromhex(channel.gid)
+    except ValueError:
+        return b""
+
+
+def _is_input(name: str) -> bool:
+    return name.startswith(ATTACHED) and name.count("/") == 2

@@ -1,0 +1,256 @@
+"""Exact re-runs: what was recorded is published again, and the first difference is named."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from cairn import to_ns
+from cairn.bus.bus import MessageId
+from cairn.cli.main import build
+from cairn.deployment.load import load_deployment
+from cairn.errors import CairnError
+from cairn.placement.run_plan import with_recorder
+from cairn.recording.reader import McapRecording
+from cairn.recording.rewrite import rewrite
+from cairn.rerun import cli
+from cairn.rerun.call_logs import component_starts
+from cairn.rerun.comparison import first_difference
+from cairn.rerun.engine import Payload, Rerun, RerunResult
+from cairn.rerun.run import CALL_BATCH, chosen_starts, prepared_rerun, starts_in
+from cairn.runtime.call_records import RecordEncoder
+from cairn.runtime.call_records import RecordKind as Kind
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import CallBatch
+from cairn.schemas.geometry_msgs import Twist, TwistStamped, Vector3
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import DeploymentHarness
+from cairn.testing.rerun import assert_rerun_equal, rerun_messages
+from tests.cairn.rerun.walkers import Walker
+from tests.commands import cairn
+from tests.wording import assert_words
+
+PLUGIN = f"{Walker.__module__}:Walker"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of two walkers: one pushes the other, which fails, is restarted and reads its state."""
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "names.txt").write_text("five!")
+    page = {
+        "cairn": 1,
+        "external_topics": ["nothing"],
+        "components": {
+            "first": {"plugin": PLUGIN, "topics": {"position": "pushes", "push": "nothing"},
+                      "parameters": {"names": str(folder / "names.txt")}},
+            "second": {"plugin": PLUGIN, "topics": {"push": "pushes", "corner": "corner2"},
+                       "parameters": {"state_file": str(folder / "state")}},
+        },
+    }  # fmt: skip
+    file = folder / "walkers.yaml"
+    file.write_text(yaml.safe_dump(page))
+    out = folder / "recording.mcap"
+    with DeploymentHarness(with_recorder(load_deployment(file), out), seed=3) as run:
+        run.run_for(1.0)
+        run.request("second", "jump", by=2.5)
+        run.set_parameters("second", {"step": 0.5})
+        run.run_for(1.0)
+        run.request("second", "fail")
+        run.run_for(1.0)
+    return out
+
+
+def change_walker(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the walker publish positions that differ a little from 1.5 s on."""
+    stamped = Walker._at
+
+    def changed(self: Walker, x: float) -> TwistStamped:
+        message = stamped(self, x)
+        if to_ns(message.header.stamp) < 1_500_000_000:
+            return message
+        return replace(message, twist=Twist(linear=Vector3(x=x + 1e-6, y=self.config.step)))
+
+    monkeypatch.setattr(Walker, "_at", changed)
+
+
+def rerun_all(path: Path, *names: str) -> Iterator[tuple[str, int, RerunResult]]:
+    with McapRecording(path) as opened:
+        for start in chosen_starts(starts_in(opened), names):
+            with prepared_rerun(opened, start) as rerun:
+                yield start.component, start.incarnation, rerun.run()
+
+
+def test_unchanged_components_publish_the_same_bytes(recording: Path) -> None:
+    results = {(name, start): result for name, start, result in rerun_all(recording)}
+    assert set(results) == {("first", 1), ("second", 1), ("second", 2)}
+    for result in results.values():
+        assert result.equal, (result.first, result.incomplete)
+        assert not result.notes
+    assert results["first", 1].topics["/robot/pushes"].compared == 30
+    assert results["second", 1].topics["/robot/corner2"].compared > 20
+
+
+def test_first_difference_is_named_by_topic_time_and_field(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change_walker(monkeypatch)
+    with pytest.raises(AssertionError) as caught:
+        assert_rerun_equal(recording, "first")
+    words = ("first", "/robot/pushes", "twist.linear.x", "recorded", "at 1.5", "a timer")
+    assert_words(str(caught.value), *words)
+
+
+def test_message_that_is_not_published_and_one_more_are_differences(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Walker, "receive_push", lambda self, push: None)
+    (first, *_) = [result for _, _, result in rerun_all(recording, "second")]
+    assert first.topics["/robot/corner2"].missing > 20
+    assert not first.equal
+
+
+def test_recorded_failure_is_a_regression_test(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Walker, "_fail", lambda self: None)
+    with pytest.raises(AssertionError) as caught:
+        assert_rerun_equal(recording, "second")
+    assert_words(str(caught.value), "second", "does not end", "broken at")
+
+
+def test_saved_test_runs_elsewhere_and_is_small(recording: Path, tmp_path: Path) -> None:
+    arguments = ["rerun", str(recording), "--component", "second", "--until", "1.2"]
+    arguments += ["--save-test", str(tmp_path), "--json"]
+    result = CliRunner().invoke(build(), arguments)
+    assert result.exit_code == 0, result.output
+    (excerpt,) = tmp_path.glob("*.mcap")
+    (test,) = tmp_path.glob("test_*.py")
+    assert "assert_rerun_equal" in test.read_text()
+    compile(test.read_text(), test, "exec")
+    assert excerpt.stat().st_size < recording.stat().st_size
+    assert_rerun_equal(excerpt)
+    times = [time_ns for _, time_ns, _ in rerun_messages(excerpt, "second")]
+    assert max(times) < 1_200_000_000
+
+
+def test_input_files_are_those_of_the_recording(recording: Path) -> None:
+    names = recording.with_name("names.txt")
+    names.write_text("changed since")
+    try:
+        with McapRecording(recording) as opened:
+            assert any(one.name.endswith("/names.txt") for one in opened.attachments)
+        assert_rerun_equal(recording, "first")
+    finally:
+        names.write_text("five!")
+
+
+def test_missing_part_of_the_log_ends_the_rerun(recording: Path, tmp_path: Path) -> None:
+    with McapRecording(recording) as opened:
+        batches = [m for m in opened.messages() if m.channel.type == CALL_BATCH
+                   and m.channel.topic.endswith("first/call_log")]  # fmt: skip
+        lost = tmp_path / "lost.mcap"
+        rewrite(opened, lost, wanted=lambda one: one.data != batches[2].data)
+    ((_, _, result),) = rerun_all(lost, "first")
+    assert result.first is None
+    assert result.calls > 3
+    assert_words(result.incomplete, "records", "not recorded")
+
+
+def test_missing_input_ends_the_rerun(recording: Path, tmp_path: Path) -> None:
+    lost = tmp_path / "lost.mcap"
+    with McapRecording(recording) as opened:
+        rewrite(
+            opened, lost,
+            wanted=lambda one: not (one.channel.topic == "/robot/pushes" and one.sequence == 5),
+        )  # fmt: skip
+    first, *_ = [result for _, _, result in rerun_all(lost, "second")]
+    assert_words(first.incomplete, "/robot/pushes", "message 5", "not in the recording")
+    (result,) = [result for _, _, result in rerun_all(lost, "first")]
+    assert result.equal
+    assert result.topics["/robot/pushes"].not_recorded == 1
+
+
+def test_component_without_call_log_is_refused(recording: Path) -> None:
+    with McapRecording(recording) as opened, pytest.raises(CairnError) as caught:
+        chosen_starts(starts_in(opened), ["camera"], ["/robot/camera"])
+    assert_words(str(caught.value), "camera", "no call log", "device", "second")
+
+
+def test_output_is_as_the_documentation_shows_it(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = Path("docs/how-to/rerun.md").read_text()
+    monkeypatch.chdir(recording.parent)
+    command = "rerun recording.mcap --component first"
+    equal = cairn(*command.split())
+    assert (equal.code, equal.err) == (0, "")
+    assert f"$ cairn {command}\n{equal.out}```" in page
+
+    change_walker(monkeypatch)
+    ((*_, result),) = rerun_all(recording, "first")
+    monkeypatch.setattr(cli, "rerun_in_process", lambda *_: result)
+    different = cairn(*command.split())
+    assert different.code == 1
+    assert f"```text\n{different.out}```" in page, different.out
+
+
+def test_damaged_call_log_is_rejected() -> None:
+    batch = CallBatch(
+        header=Header(),
+        component="x",
+        incarnation=1,
+        started=Time(),
+        first=0,
+        count=2,
+        records=np.frombuffer(b"\x04\x63", np.uint8),
+    )
+    (start,) = component_starts([batch])
+    with pytest.raises(CairnError, match="x: its call log is damaged"):
+        list(start.calls())
+
+
+@pytest.mark.parametrize(
+    "record",
+    [(Kind.TRANSITION, "fly"), (Kind.REQUEST, "jump", "{"), (Kind.CLOCK, 1 << 62)],
+    ids=["transition", "request", "clock"],
+)
+def test_senseless_records_end_the_rerun(record: tuple[Any, ...]) -> None:
+    info = {
+        "name": "w", "plugin": PLUGIN, "parameters": {}, "topics": {}, "incarnation": 1,
+        "robot": "r", "seed": 1, "simulated_time": True, "lockstep": True,
+    }  # fmt: skip
+    encoder, data = RecordEncoder(), bytearray()
+    records = [(Kind.START, json.dumps(info)), (Kind.TRANSITION, "configure"), record]
+    for one in records:
+        encoder.encode(one, data)
+    batch = CallBatch(
+        header=Header(), component="w", incarnation=1, started=Time(), first=0,
+        count=len(records), records=np.frombuffer(bytes(data), np.uint8),
+    )  # fmt: skip
+    (start,) = component_starts([batch])
+    result = Rerun(start, start.info(), NoMessages()).run()
+    assert result.calls == 2
+    assert "its call log is damaged" in result.incomplete
+
+
+class NoMessages:
+    """A recording without messages."""
+
+    def find(self, message: MessageId) -> Payload | None:
+        raise AssertionError(message)
+
+
+def test_difference_names_the_element_of_a_sequence() -> None:
+    scan = LaserScan(range_max=9.0, ranges=np.array([1, 2, np.nan], np.float32))
+    other = LaserScan(range_max=9.0, ranges=np.array([1, 2.5, np.nan], np.float32))
+    assert first_difference(scan, other) == ("ranges[1]", "2.0", "2.5")
+    assert first_difference(scan, scan) is None
+    assert first_difference(Vector3(x=0.0), Vector3(x=-0.0)) == ("x", "0.0", "-0.0")
