@@ -1,0 +1,370 @@
+"""The console's page in Chromium, with a simulated robot: what is seen, and what steers."""
+
+from __future__ import annotations
+
+import math
+import signal
+import statistics
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cairn.deployment.shipped import deployment_file
+from cairn.schemas.cairn_nav_msgs import NavigationStatus, VelocityGateStatus
+from cairn.schemas.cairn_sim_msgs import WorldState
+from cairn.schemas.geometry_msgs import PoseStamped, Twist
+from cairn.testing.launching import CAIRN, launching
+from tests.browser.conftest import (
+    LIMIT_MS,
+    Figure,
+    OpenTab,
+    RunningRobot,
+    Tab,
+    console,
+    with_map,
+)
+
+SCAN_TO_PIXELS_MS = 100.0
+STOP_S = 0.3
+
+
+def status_of(robot: RunningRobot) -> NavigationStatus:
+    return robot.client.latest("navigation_status", NavigationStatus)
+
+
+def true_position(robot: RunningRobot) -> tuple[float, float]:
+    pose = robot.client.latest("truth", PoseStamped).pose.position
+    return pose.x, pose.y
+
+
+def test_goal_by_drag_is_reached(robot: RunningRobot, tab: Tab) -> None:
+    tab.page.get_by_role("button", name="Goal: press").click()
+    before = status_of(robot).mission_id
+
+    tab.drag(2.2, 1.2, 0.0)
+
+    tab.page.get_by_text("Goal sent").wait_for()
+    tab.page.wait_for_function(
+        "() => document.querySelector('.chips').innerText.includes('driving')"
+    )
+    tab.page.get_by_text("arrived", exact=True).first.wait_for()
+    assert status_of(robot).state == NavigationStatus.SUCCEEDED
+    assert status_of(robot).mission_id > before
+    assert math.dist(true_position(robot), (2.2, 1.2)) < 0.3
+
+
+def test_waypoints_are_driven_in_order_and_can_be_canceled(robot: RunningRobot, tab: Tab) -> None:
+    tab.page.get_by_role("button", name="Waypoints: press").click()
+    tab.drag(1.2, 1.4, math.pi)
+    tab.drag(6.0, 1.2, 0.0)
+    tab.page.get_by_role("button", name="Send", exact=True).click()
+    tab.page.get_by_text("2 waypoints sent").wait_for()
+    assert status_of(robot).goals == 2
+
+    tab.show("Drive")
+    tab.page.get_by_role("button", name="Cancel the goal").click()
+
+    tab.page.get_by_text("canceled", exact=True).first.wait_for()
+    assert status_of(robot).state == NavigationStatus.CANCELED
+
+
+def test_restart_by_click(robot: RunningRobot, tab: Tab) -> None:
+    before = robot.client.components()["path_planner"].pid
+    tab.take_lease()
+    tab.show("Components")
+    row = tab.page.get_by_text("path_planner", exact=True).first
+    row.click()
+    tab.page.get_by_role("button", name="Restart").first.click()
+    confirm = tab.page.get_by_role("alertdialog").get_by_role("button", name="Restart")
+    confirm.click()
+    _await(lambda: _has_restarted(robot, before))
+
+
+def _has_restarted(robot: RunningRobot, before: int) -> bool:
+    status = robot.client.components().get("path_planner")
+    return status is not None and status.state == "active" and status.pid not in (0, before)
+
+
+def test_teleoperation_stops_when_the_tab_is_closed(
+    robot: RunningRobot, tab: Tab, figure: Figure
+) -> None:
+    tab.take_lease()
+    tab.show("Drive")
+    commands: list[tuple[float, float]] = []
+
+    def on_command(twist: Twist) -> None:
+        commands.append((time.monotonic(), max(abs(twist.linear.x), abs(twist.angular.z))))
+
+    with robot.client.subscribe("cmd_vel", Twist, on_command):
+        tab.page.get_by_role("application", name="Pad").hover()
+        tab.page.mouse.down()
+        box = tab.page.get_by_role("application", name="Pad").bounding_box()
+        assert box is not None
+        # To turn: there is room for it everywhere.
+        tab.page.mouse.move(box["x"] + 4, box["y"] + box["height"] / 2, steps=3)
+        _await(lambda: bool(commands) and commands[-1][1] > 0.7)
+
+        closed = time.monotonic()
+        tab.page.close(run_before_unload=False)
+        _await(lambda: commands[-1][1] == 0.0)
+
+    stopped = next(at for at, speed in commands if at > closed and speed == 0.0) - closed
+    figure(f"the robot was commanded to stand {1000 * stopped:.0f} ms after the tab was closed")
+    assert stopped < STOP_S
+
+
+@pytest.mark.parametrize("cause", ["release", "blur", "hidden", "lost link"])
+def test_teleoperation_stops(robot: RunningRobot, tab: Tab, cause: str) -> None:
+    tab.take_lease()
+    tab.show("Drive")
+    tab.page.get_by_label("Keyboard").check()
+
+    def turns() -> bool:
+        tab.page.keyboard.down("Shift")  # as a keyboard does, again and again
+        tab.page.keyboard.down("a")
+        return abs(_command(robot)) > 0.3
+
+    _await(turns)
+
+    if cause == "release":
+        tab.page.keyboard.up("Shift")
+    elif cause == "blur":
+        tab.page.evaluate("window.dispatchEvent(new Event('blur'))")
+    elif cause == "hidden":
+        tab.page.evaluate(
+            """() => {
+                Object.defineProperty(document, "hidden", {value: true, configurable: true});
+                document.dispatchEvent(new Event("visibilitychange"));
+            }"""
+        )
+    else:
+        tab.page.evaluate("cairnConsole.connection.close()")
+
+    _await(lambda: _command(robot) == 0.0, limit_s=2.0)
+
+
+def _command(robot: RunningRobot) -> float:
+    return robot.client.latest("cmd_vel", Twist).angular.z
+
+
+def test_two_tabs_have_one_lease(robot: RunningRobot, open_tab: OpenTab) -> None:
+    first, second = open_tab(robot.url), open_tab(robot.url)
+    first.take_lease()
+
+    ask = second.page.get_by_role("button", name="Ask", exact=True)
+    ask.wait_for()
+    second.page.evaluate(
+        """() => {
+            const answer = cairnConsole.connection.call("cancel", {robot: "robot"});
+            answer.catch((error) => (window.refused = error.message));
+        }"""
+    )
+    second.page.wait_for_function("() => window.refused?.includes('steers')")
+
+    ask.click()
+    first.page.get_by_role("button", name="Give").click()
+
+    second.page.get_by_text("you steer").wait_for()
+    first.page.get_by_role("button", name="Ask", exact=True).wait_for()
+    second.page.context.close()
+    first.page.get_by_role("button", name="Steer", exact=True).wait_for()  # free again
+
+
+def test_emergency_stop_by_click_and_key(robot: RunningRobot, tab: Tab) -> None:
+    tab.page.get_by_role("button", name="Stop", exact=True).click()
+    tab.page.get_by_text("Emergency stop engaged").wait_for()
+    assert robot.client.latest("velocity_gate_status", VelocityGateStatus).emergency_stop
+
+    tab.take_lease()
+    tab.page.get_by_role("button", name="Release", exact=True).last.click()
+    tab.page.get_by_text("Emergency stop engaged").wait_for(state="hidden")
+
+    tab.page.evaluate("document.activeElement.blur()")
+    tab.page.keyboard.press("Space")
+    tab.page.get_by_text("Emergency stop engaged").wait_for()
+    robot.client.release_stop()
+
+
+def test_clicked_landmark_shows_its_evidence(tab: Tab) -> None:
+    x, y, name = tab.page.evaluate(
+        """async () => {
+            const marks = () => [...cairnConsole.map.scene.landmarks.values()];
+            while (marks().length === 0) await new Promise((done) => setTimeout(done, 100));
+            const {x, y, name} = marks().sort((a, b) => b.evidence_count - a.evidence_count)[0];
+            return [x, y, name];
+        }"""
+    )
+    tab.page.mouse.click(*tab.at(x, y))
+
+    details = tab.page.get_by_role("region", name="Details")
+    details.get_by_text(name, exact=True).wait_for()
+    details.get_by_text("Reliability", exact=True).wait_for()
+    details.get_by_role("list", name="Evidence").get_by_role("listitem").first.wait_for()
+
+
+def test_thing_of_the_simulated_world_is_moved_added_and_removed(
+    robot: RunningRobot, tab: Tab
+) -> None:
+    tab.take_lease()
+    tab.page.get_by_role("button", name="Simulated world").click()
+    tab.page.wait_for_timeout(1500)
+    tab.page.get_by_role("button", name="Add person").click()
+    tab.drag(4.5, 1.0, 0.0, 60.0)
+    _await(lambda: len(robot.client.latest("world_state", WorldState).people) == 1)
+
+    tab.page.get_by_role("button", name="Add box").click()
+    tab.drag(6.0, 4.8, 0.0, 1.0)
+    _await(lambda: "box_1" in _things(robot))
+    before = _things(robot)["box_1"]
+    px, py = tab.at(*before)
+    tab.page.wait_for_timeout(1500)
+    tab.page.mouse.move(px, py)
+    tab.page.mouse.down()
+    tab.page.mouse.move(px + 40, py, steps=4)
+    tab.page.mouse.up()
+    _await(lambda: _things(robot)["box_1"][0] > before[0] + 0.2)
+
+    tab.page.get_by_role("button", name="Remove", exact=True).click()
+    _await(lambda: "box_1" not in _things(robot))
+    robot.client.request("world", "remove", {"name": "person_1"})
+
+
+def _things(robot: RunningRobot) -> dict[str, tuple[float, float]]:
+    return {row["name"]: (row["x"], row["y"]) for row in robot.client.request("world", "list")}
+
+
+def test_layers_are_switched(tab: Tab) -> None:
+    tab.page.get_by_role("button", name="Layers").click()
+    scan = tab.page.get_by_label("Scan", exact=True)
+    scan.uncheck()
+    tab.page.wait_for_function("() => cairnConsole.map.scene.scan === null")
+    scan.check()
+    tab.page.wait_for_function("() => cairnConsole.map.scene.scan?.length > 100")
+
+
+def test_scan_is_on_the_screen_in_time(tab: Tab, figure: Figure) -> None:
+    tab.page.wait_for_function("() => cairnConsole.map.scanToPixels.length > 5")
+    tab.page.evaluate("cairnConsole.map.scanToPixels.length = 0")
+    tab.page.wait_for_function("() => cairnConsole.map.scanToPixels.length >= 50")
+    delays = tab.page.evaluate("cairnConsole.map.scanToPixels")
+    figure(
+        f"from the first beam of a scan to its pixels: median {statistics.median(delays):.0f} ms, "
+        f"95 % within {sorted(delays)[int(0.95 * len(delays))]:.0f} ms"
+    )
+    assert statistics.median(delays) < SCAN_TO_PIXELS_MS
+
+
+def test_page_reconnects_after_its_link_has_gone_silent(tab: Tab) -> None:
+    tab.page.context.set_offline(True)  # the socket stays open, and nothing arrives
+    tab.page.get_by_text("What you see is old").wait_for()
+    tab.page.context.set_offline(False)
+    tab.page.wait_for_function("() => cairnConsole.connection.status.value.phase === 'open'")
+    with_map(tab)
+    tab.page.get_by_text("What you see is old").wait_for(state="hidden")
+
+
+def test_recording_is_scrubbed(robot: RunningRobot, open_tab: OpenTab, tmp_path: Path) -> None:
+    file = tmp_path / "drive.mcap"
+    x, _ = true_position(robot)
+    recorder = subprocess.Popen(
+        [CAIRN, "record", "--connect", robot.endpoint, "--output", str(file)],
+        stdout=subprocess.DEVNULL,
+    )
+    try:
+        _await(file.exists)
+        with robot.client.go(3.5 if x < 2.5 else 1.5, 1.0) as goal:
+            goal.result(timeout_s=60.0)
+    finally:
+        recorder.send_signal(signal.SIGINT)
+        recorder.wait(30)
+
+    with console(str(file)) as url:
+        tab = open_tab(url)
+        tab.page.get_by_text("recording", exact=True).wait_for()
+        seek = tab.page.get_by_label("Time", exact=True)
+        end = float(seek.get_attribute("max") or 0)
+        assert end > 3.0
+        places = []
+        for time_s in (end - 0.5, 1.0, end - 0.5):
+            seek.fill(str(round(time_s, 1)))
+            with_map(tab)
+            tab.page.wait_for_timeout(2000)
+            places.append(tab.page.evaluate("cairnConsole.map.scene.pose"))
+        assert math.dist(places[0][:2], places[1][:2]) > 1.0
+        assert math.dist(places[0][:2], places[2][:2]) < 0.3
+
+        seek.fill("0")
+        tab.page.get_by_label("Speed").select_option("2")
+        tab.page.get_by_role("button", name="Play").click()
+        _await(lambda: float(seek.input_value()) > 1.5)
+        tab.page.get_by_role("button", name="Pause").click()
+        tab.page.get_by_role("button", name="Play").wait_for()
+        tab.picture("recording-1280-light")
+
+
+def test_several_robots_are_on_one_map(
+    robot: RunningRobot, open_tab: OpenTab, tmp_path: Path
+) -> None:
+    with launching(tmp_path) as launch:
+        launch(deployment_file("sim"), "--set", "robot=second", connect=robot.endpoint)
+        tab = open_tab(robot.url)
+        choice = tab.page.get_by_role("combobox", name="Robot")
+        choice.wait_for()
+
+        choice.select_option("second")
+        with_map(tab)
+        assert tab.page.evaluate("cairnConsole.map.scene.robot") == "second"
+        tab.picture("robots-1280-light")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (360, 740)])
+def test_page_fits_its_window(
+    robot: RunningRobot, open_tab: OpenTab, theme: str, width: int, height: int
+) -> None:
+    tab = with_map(open_tab(robot.url, width=width, height=height, theme=theme, touch=width < 500))
+    tabs = tab.page.get_by_role("tab").all()
+    names = [one.inner_text() for one in tabs if one.is_visible()]
+    if width < 500:
+        tab.show("Map")
+    tab.page.wait_for_timeout(500)
+    tab.picture(f"map-{width}-{theme}")
+    for name in names:
+        tab.show(name)
+        tab.page.wait_for_timeout(300)
+        wide = tab.page.evaluate("document.documentElement.scrollWidth")
+        assert wide <= width, f"{name} is {wide} px wide"
+        stop = tab.page.get_by_role("button", name="Stop", exact=True).bounding_box()
+        assert stop is not None
+        assert stop["x"] + stop["width"] <= width
+        tab.picture(f"{name.lower()}-{width}-{theme}")
+
+
+def test_goal_is_sent_by_keyboard_alone(robot: RunningRobot, tab: Tab) -> None:
+    before = status_of(robot).mission_id
+    page = tab.page
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.getAttribute('aria-label') ?? ''").startswith(
+            "Goal:"
+        ):
+            break
+    page.keyboard.press("Enter")
+    page.locator(".map-canvas").focus()
+    page.evaluate("([x, y]) => Object.assign(cairnConsole.map.view, {x, y})", [1.5, 1.0])
+    page.keyboard.press("]")
+    page.keyboard.press("Enter")
+    page.get_by_text("Goal sent").wait_for()
+    _await(lambda: status_of(robot).mission_id > before)
+    tab.show("Drive")
+    page.get_by_text("arrived", exact=True).first.wait_for()
+
+
+def _await(holds: Callable[[], bool], limit_s: float = LIMIT_MS / 1000) -> None:
+    deadline = time.monotonic() + limit_s
+    while not holds():
+        assert time.monotonic() < deadline, "not within the time limit"
+        time.sleep(0.02)

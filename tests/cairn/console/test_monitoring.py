@@ -1,0 +1,108 @@
+"""What the console shows of components and topics."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Any
+
+from cairn import SECOND, from_ns
+from cairn.bus.codec import Codec
+from cairn.console.monitoring import ProcessLoad, ProcessMonitor, StatusMonitor
+from cairn.console.source import Channel, ConnectionGraph, Message
+from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
+from cairn.schemas.std_msgs import Header
+
+STATUS_TOPIC = "/robot/component_status"
+EMPTY = ConnectionGraph({}, {})
+SUPERVISOR = ComponentStatus(
+    header=Header(), component="boss", state="active", pid=7, children=("base", "localizer")
+)
+BASE = ComponentStatus(
+    header=Header(), component="base", parent="boss", state="active", pid=8,
+    ports=(
+        PortStatus(port="odom", topic="/robot/odom", direction=PortStatus.OUT),
+        PortStatus(port="cmd_vel", topic="/robot/cmd_vel", direction=PortStatus.IN, dropped=2),
+    ),
+)  # fmt: skip
+
+
+def graph_of(*names: str) -> ConnectionGraph:
+    return ConnectionGraph({STATUS_TOPIC: frozenset(f"/robot/{one}" for one in names)}, {})
+
+
+class Bench:
+    """A monitor whose messages arrive at their time of sending."""
+
+    def __init__(self) -> None:
+        self.monitor = StatusMonitor(lambda message: message.time_ns)
+
+    def receive(self, status: ComponentStatus, at_s: float) -> None:
+        at = round(at_s * SECOND)
+        sent = replace(status, header=Header(stamp=from_ns(at)))
+        self.monitor.receive("robot", Message(at, Codec().encode(sent)))
+        self.monitor.update()
+
+    def rows(self, graph: ConnectionGraph, at_s: float) -> dict[str, Any]:
+        loads = {8: ProcessLoad(12.5, 1000)}
+        rows = self.monitor.components("robot", graph, loads, round(at_s * SECOND))
+        return {row["name"]: row for row in rows}
+
+
+def test_components_are_listed_with_those_that_are_not_loaded_or_do_not_answer() -> None:
+    bench = Bench()
+    bench.receive(SUPERVISOR, 1.0)
+    bench.receive(BASE, 1.0)
+
+    everything = graph_of("boss", "base", "silent")
+    assert bench.rows(everything, 1.0).keys() == {"boss", "base", "localizer"}
+    bench.receive(SUPERVISOR, 4.1)
+    bench.receive(BASE, 4.1)
+    rows = bench.rows(everything, 4.1)
+    assert {name: row["state"] for name, row in rows.items()} == {
+        "boss": "active", "base": "active", "localizer": "not loaded", "silent": "no answer",
+    }  # fmt: skip
+    assert (rows["base"]["cpu_percent"], rows["base"]["memory_bytes"]) == (12.5, 1000)
+    assert (rows["base"]["drops"], rows["base"]["parent"]) == (2, "boss")
+    assert rows["localizer"]["parent"] == "boss"
+
+    bench.monitor.receive("robot", Message(4 * SECOND, Codec().encode(BASE)))  # not decoded yet
+    assert bench.rows(graph_of("boss", "base"), 4.2)["base"]["state"] == "active"
+    bench.monitor.update()
+    bench.receive(SUPERVISOR, 9.0)
+    states = {
+        name: bench.rows(graph_of("boss", name), 9.1).get("base", {}).get("state")
+        for name in ("base", "other")
+    }
+    assert states == {"base": "no answer", "other": "not loaded"}
+
+
+def test_rates_and_ages_follow_from_the_counters_also_after_a_restart() -> None:
+    bench = Bench()
+    channels = [Channel(1, "/robot/odom", "nav_msgs/msg/Odometry", "")]
+
+    def row(messages: int, at_s: float) -> dict[str, Any]:
+        odom = replace(BASE.ports[0], messages=messages)
+        bench.receive(replace(BASE, ports=(odom,)), at_s)
+        (found,) = bench.monitor.topics(channels, EMPTY)
+        return found
+
+    assert (row(100, 1.0)["rate_hz"], row(100, 1.0)["age_s"]) == (None, None)
+    assert row(150, 2.0)["rate_hz"] == 50.0
+    assert row(10, 3.0)["rate_hz"] == 10.0
+    later = row(10, 5.0)
+    assert (later["rate_hz"], later["age_s"], later["type"]) == (0, 2.0, "nav_msgs/msg/Odometry")
+
+
+def test_status_that_is_not_valid_is_ignored() -> None:
+    monitor = StatusMonitor(lambda _: 0)
+    for payload in (b"", bytes(40), b"\0\1\0\0" + b"\xff" * 40, Codec().encode(BASE)[:60]):
+        monitor.receive("robot", Message(0, payload))
+
+    monitor.update()
+
+    assert monitor.components("robot", EMPTY, {}, 0) == []
+
+
+def test_only_processes_of_cairn_on_this_computer_are_measured() -> None:
+    assert ProcessMonitor().loads([1, 2**22 + 1, os.getppid()]) == {}

@@ -1,0 +1,153 @@
+"""A console that plays a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cairn import CairnError
+from cairn.bus.codec import Codec
+from cairn.console.operations import LIVE_METHODS, Operations
+from cairn.console.recorded import RecordedOperations, RecordedSource
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
+from cairn.schemas.rcl_interfaces import Log
+from cairn.schemas.std_msgs import Header, String
+from tests.cairn.console.conftest import Page, Running, running
+from tests.cairn.recording.recordings import BEGIN, SECOND, Sent, text, write_recording
+from tests.wording import assert_words
+
+LENGTH_S = 20
+
+
+def status(at_s: int) -> ComponentStatus:
+    port = PortStatus(
+        port="words", topic="/robot/words", direction=PortStatus.OUT, messages=10 * at_s
+    )
+    stamp = Time(sec=BEGIN // SECOND + at_s)
+    return ComponentStatus(
+        header=Header(stamp=stamp), component="talker", state="active", pid=1, ports=(port,)
+    )
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    sent = [Sent("/robot/map", 0, text("the map"), latched=True)]
+    for second in range(LENGTH_S):
+        at = second * SECOND
+        sent.append(Sent("/robot/words", at, text(f"word {second}")))
+        sent.append(Sent("/robot/component_status", at, status(second), latched=True))
+    log = Log(stamp=Time(sec=5), level=20, name="robot.talker", msg="said it")
+    sent.append(Sent("/rosout", 5 * SECOND, log))
+    return write_recording(tmp_path / "run.mcap", sorted(sent, key=lambda one: one.at_ns))
+
+
+@pytest.fixture
+def player(file: Path) -> Iterator[Running]:
+    source = RecordedSource(file)
+    with running(source, "watch", operations=lambda hub: RecordedOperations(hub, source)) as player:
+        yield player
+
+
+def channels(page: Page) -> dict[str, int]:
+    return {one["topic"]: one["id"] for one in page.text("advertise")["channels"]}
+
+
+def words(page: Page) -> tuple[int, str]:
+    """Return subscription and text of the next message."""
+    subscription, _, payload = page.data()
+    return subscription, Codec().decode(String, payload).data
+
+
+def value(page: Page, method: str, **arguments: Any) -> Any:
+    answer = page.call(method, **arguments)
+    assert "error" not in answer, answer
+    return answer["value"]
+
+
+def test_recording_is_described_and_sought_with_the_last_message_of_each_topic(
+    player: Running,
+) -> None:
+    page = player.browser()
+    hello = page.event("hello")
+    assert (hello["mode"], hello["may"], hello["robots"]) == ("recording", "watch", ["robot"])
+    end = BEGIN + (LENGTH_S - 1) * SECOND
+    times = {"start_ns": BEGIN, "end_ns": end, "file": "run.mcap"}
+    assert times.items() <= hello["recording"].items()
+
+    ids = channels(page)
+    page.send(op="subscribe", subscriptions=[
+        {"id": 1, "channelId": ids["/robot/map"]}, {"id": 2, "channelId": ids["/robot/words"]},
+    ])  # fmt: skip
+    assert {words(page), words(page)} == {(1, "the map"), (2, "word 0")}
+    value(page, "seek", time_ns=BEGIN + 7 * SECOND + SECOND // 2)
+    assert {words(page), words(page)} == {(1, "the map"), (2, "word 7")}
+    value(page, "seek", time_ns=BEGIN + 2 * SECOND)
+    assert {words(page), words(page)} == {(1, "the map"), (2, "word 2")}
+
+    other = player.browser()
+    other.send(op="subscribe", subscriptions=[{"id": 5, "channelId": ids["/robot/words"]}])
+    assert words(other) == (5, "word 2")
+    page.close()
+    other.close()
+
+
+def test_recording_plays_in_order_to_its_end_and_from_the_start_again(player: Running) -> None:
+    page = player.browser()
+    ids = channels(page)
+    page.send(op="subscribe", subscriptions=[{"id": 2, "channelId": ids["/robot/words"]}])
+    assert words(page) == (2, "word 0")
+
+    assert value(page, "speed", factor=100.0)["speed"] == 100.0
+    assert value(page, "play")["playing"]
+    assert [words(page)[1] for _ in range(1, LENGTH_S)] == [f"word {k}" for k in range(1, LENGTH_S)]
+    state = page.event("playback")
+    while state["playing"] or state["time_ns"] < BEGIN + (LENGTH_S - 1) * SECOND:
+        state = page.event("playback")
+    value(page, "play")
+    assert words(page) == (2, "word 0")
+    value(page, "pause")
+    page.close()
+
+
+def test_states_and_logs_are_those_of_the_time_that_is_shown(player: Running) -> None:
+    page = player.browser()
+    assert value(page, "logs", robot="robot") == []
+    while not (talker := page.event("components")["components"]):
+        pass
+    assert (talker[0]["name"], talker[0]["state"], talker[0]["pid"]) == ("talker", "active", 1)
+
+    value(page, "seek", time_ns=BEGIN + 8 * SECOND)
+
+    rate = None
+    while rate is None:
+        rates = {one["topic"]: one["rate_hz"] for one in page.event("topics")}
+        rate = rates.get("/robot/words")
+    assert rate == pytest.approx(10.0)
+    assert [entry["msg"] for entry in value(page, "logs", robot="robot")] == ["said it"]
+    page.close()
+
+
+def test_whatever_would_steer_is_refused_with_the_reason(player: Running) -> None:
+    page = player.browser()
+
+    for method in ("go", "drive", "restart", "stop", "world"):
+        answer = page.call(method, robot="robot", poses=[[1, 1, 0]])
+        assert_words(answer["error"], method, "recording", "not steered")
+    assert_words(page.call("seek", time_ns=-1)["error"], "time_ns")
+    assert_words(page.call("speed", factor=0)["error"], "factor")
+    page.close()
+
+
+def test_methods_of_running_robots_are_all_known(console: Running) -> None:
+    operations = console.hub.operations
+    assert isinstance(operations, Operations)
+    assert set(operations.methods) == set(LIVE_METHODS)
+
+
+def test_recording_without_messages_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CairnError, match="no messages"):
+        RecordedSource(write_recording(tmp_path / "empty.mcap", []))
