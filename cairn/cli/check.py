@@ -6,6 +6,7 @@ import typer
 
 from cairn.cli.options import File, Json, Overlay, Set
 from cairn.cli.output import line, print_json, show
+from cairn.compilation import deferred_compilation
 from cairn.deployment.load import load_deployment
 from cairn.deployment.problems import DeploymentError, Problem
 from cairn.deployment.shipped import FOLDER, shipped
@@ -42,7 +43,10 @@ def check(
     """
     not_checked = {"not_checked": NOT_CHECKED} if no_import else {}
     try:
-        deployment = load_deployment(file, overlay or (), set_ or (), import_plugins=not no_import)
+        with deferred_compilation():  # a check must not wait for kernels
+            deployment = load_deployment(
+                file, overlay or (), set_ or (), import_plugins=not no_import
+            )
     except DeploymentError as error:
         if not json:
             raise

@@ -17,6 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 from cairn.errors import CairnError
 
 _OF_OTHER_PACKAGES = "Installed by other packages"
+_MAX_CHOICES = 50  # for a missing argument
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,10 @@ class LazyCommand:
         holder = typer.Typer(rich_markup_mode=None, add_completion=False)
         holder.callback()(_no_options)  # without it, a single command would replace its group
         if isinstance(found, typer.Typer):
-            holder.add_typer(found, name=self.name)
+            lazy = getattr(found.info, "cls", None)
+            is_lazy = isinstance(lazy, type) and issubclass(lazy, _LazyGroup)
+            cls = lazy if is_lazy else _Group
+            holder.add_typer(found, name=self.name, cls=cls, no_args_is_help=True)
         else:
             settings = {"ignore_unknown_options": True} if self.negative_numbers else {}
             holder.command(self.name, context_settings=settings)(found)
@@ -81,6 +85,16 @@ def lazy_group(
     return Group
 
 
+class _Group(TyperGroup):
+    """A group whose help has the whole summary of each command."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands with the first paragraphs of their help."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, _first_paragraph(command)) for name, command in commands])
+
+
 class _LazyGroup(TyperGroup):
     _own: dict[str, LazyCommand]
     _entry_points: str
@@ -90,7 +104,10 @@ class _LazyGroup(TyperGroup):
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         # The library suggests these names for a mistyped one; `get_command` loads the commands.
-        self.commands = {name: TyperCommand(name) for name in self._own}
+        self.commands = {
+            name: TyperCommand(name, help=command.summary) for name, command in self._own.items()
+        }
+        self._only_names = False  # are needed, so that nothing has to be imported
 
     def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 - the library's signature
         """Return the names of all commands."""
@@ -101,6 +118,8 @@ class _LazyGroup(TyperGroup):
         command = self._own.get(cmd_name) or self._installed().get(cmd_name)
         if command is None:
             return None
+        if self._only_names:
+            return TyperCommand(cmd_name, help=command.summary)
         try:
             return command.load()
         except Exception as error:  # a package's module may fail in any way
@@ -113,6 +132,24 @@ class _LazyGroup(TyperGroup):
                 f"{self._kind} {command.name} ({command.target}) cannot be loaded: {error!r}; "
                 f"{remedy}"
             ) from error
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+        """Return the commands and options that complete a word, without importing a command."""
+        self._only_names = True
+        try:
+            return super().shell_complete(ctx, incomplete)
+        finally:
+            self._only_names = False
+
+    def invoke(self, ctx: Any) -> Any:
+        """Invoke a command; the error about a missing argument lists what could be given."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            # Of the library's public names, only this base class of the error is in all versions.
+            if type(error).__name__ == "MissingParameter" and not error.message:
+                error.message = _choices(error)
+            raise
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands with their summaries, by section."""
@@ -131,7 +168,7 @@ class _LazyGroup(TyperGroup):
         if command.summary is not None:
             return command.summary
         try:
-            return str(self.get_command(ctx, command.name).get_short_help_str(80))
+            return _first_paragraph(self.get_command(ctx, command.name))
         except CairnError as error:
             return f"broken: {error.__cause__!r}"
 
@@ -141,14 +178,43 @@ class _LazyGroup(TyperGroup):
         yield from (installed[name] for name in sorted(installed) if name not in self._own)
 
     def _installed(self) -> dict[str, LazyCommand]:
-        """Return the commands of installed packages; this reads the metadata of every package."""
+        """Return the commands of installed packages; this reads the metadata of every package.
+
+        Beside commands of our own, the help lists them by their packages, which it does not import.
+        """
         from importlib.metadata import entry_points  # takes 40 ms: not for commands of our own
 
-        section = _OF_OTHER_PACKAGES if self._own else "Commands"
         return {
-            point.name: LazyCommand(point.name, point.value, None, section, self._negative_numbers)
+            point.name: LazyCommand(
+                point.name,
+                point.value,
+                _package_summary(point) if self._own else None,
+                _OF_OTHER_PACKAGES if self._own else "Commands",
+                self._negative_numbers,
+            )
             for point in entry_points(group=self._entry_points)
         }
+
+
+def _first_paragraph(command: Any) -> str:
+    return " ".join((command.help or "").partition("\n\n")[0].split())
+
+
+def _package_summary(point: Any) -> str:
+    if point.dist is None:
+        return ""
+    summary = point.dist.metadata.get("Summary", "")
+    package = f"{point.dist.name} {point.dist.version}"
+    return f"{package}: {summary}" if summary else package
+
+
+def _choices(error: Any) -> str:
+    """Return what could be given for a missing argument, by what completes it in a shell."""
+    if error.param is None or error.ctx is None:
+        return ""
+    known = [item.value for item in error.param.shell_complete(error.ctx, "")]
+    more = [f"and {len(known) - _MAX_CHOICES} more"] if len(known) > _MAX_CHOICES else []
+    return f"There are: {', '.join([*known[:_MAX_CHOICES], *more])}" if known else ""
 
 
 def _no_options() -> None:

@@ -12,16 +12,28 @@ import typer
 import yaml
 
 from cairn.bounded_yaml import parse_yaml
+from cairn.cli import completion
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, show
 from cairn.client import Parameter
 from cairn.client import connect as connect_to
+from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
 
 param = typer.Typer(help="Read and change the parameters of running components.")
 
-Child = Annotated[str, typer.Argument(help="Name of the component.", metavar="NAME")]
-Component = Annotated[str, typer.Argument(help="Name of the component.", metavar="COMPONENT")]
+Child = Annotated[
+    str,
+    typer.Argument(
+        help="Name of the component.", metavar="NAME", autocompletion=completion.components
+    ),
+]
+Component = Annotated[
+    str,
+    typer.Argument(
+        help="Name of the component.", metavar="COMPONENT", autocompletion=completion.components
+    ),
+]
 
 
 def stop(
@@ -83,13 +95,20 @@ def list_parameters(
         parameters = client.parameters(component).values()
     columns = ("name", "value", "type", "bounds", "description")
     rows = [asdict(one) if json else _readable(one) for one in parameters]
-    show(rows, columns, as_json=json, nothing=f"{component} has no parameters")
+    show(rows, columns, as_json=json)
 
 
 @param.command("get")
 def get_parameter(
     component: Component,
-    parameter: Annotated[str, typer.Argument(help="Its (dotted) name.", metavar="PARAMETER")],
+    parameter: Annotated[
+        str,
+        typer.Argument(
+            help="Its (dotted) name.",
+            metavar="PARAMETER",
+            autocompletion=completion.parameters,
+        ),
+    ],
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
@@ -101,8 +120,8 @@ def get_parameter(
     if inside:
         raise CairnError(f"{component}: {parameter} is a group; it has {', '.join(inside)}")
     if parameter not in parameters:
-        known = ", ".join(parameters)
-        raise CairnError(f"{component} has no parameter {parameter}; it has {known}")
+        remedy = suggestion(parameter, parameters)
+        raise CairnError(f"{component} has no parameter {parameter}; {remedy}")
     line(json_module.dumps(parameters[parameter].value))
 
 
@@ -110,7 +129,12 @@ def get_parameter(
 def set_parameters(
     component: Component,
     changes: Annotated[
-        list[str], typer.Argument(help="Changes, made all or none.", metavar="NAME=VALUE...")
+        list[str],
+        typer.Argument(
+            help="Changes, made all or none.",
+            metavar="NAME=VALUE...",
+            autocompletion=completion.assignments,
+        ),
     ],
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,

@@ -1,27 +1,20 @@
-"""`cairn ps|graph|topic|logs`: what runs, and what passes on the bus."""
+"""`cairn ps|graph|logs`: what runs, how it is connected, and what it logs."""
 
 from __future__ import annotations
 
 import itertools
-import json as json_module
-import queue
-import statistics
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Annotated, Any
 
 import psutil
 import typer
-import yaml
 
-from cairn.bus.codec import to_plain
+from cairn.cli import completion
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_json, show
-from cairn.cli.plugins import find_message
+from cairn.cli.output import line, note, show
 from cairn.client import connect as connect_to
-from cairn.client.connection import STATUS_TOPIC, attachment_of, check_robot
-from cairn.errors import CairnError
+from cairn.client.connection import STATUS_TOPIC, check_robot
 from cairn.runtime.rosout import ROSOUT, render
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage
@@ -36,10 +29,6 @@ _COLUMNS = {
 _MAX_ROWS = 1000
 _MAX_NAMES = 50  # publishers or subscribers of one topic
 _MAX_DEPTH = 50  # of the tree of components
-_SHOWN = 36  # elements of a sequence: a covariance is complete
-
-topic = typer.Typer(help="List, print and time the messages on the bus.")
-TopicName = Annotated[str, typer.Argument(help="As in `pose` or `/robot/pose`.", metavar="TOPIC")]
 
 
 def ps(
@@ -56,6 +45,7 @@ def ps(
     """
     with connect_to(connect, domain, robot) as client:
         statuses = client.connection.read_statuses()
+        nothing = "" if statuses.answered else client.connection.elsewhere()
     answered, silent = statuses.answered, statuses.silent
     names = [*answered, *silent]
     check_robot(robot, (full.split("/")[1] for full in names))
@@ -82,7 +72,7 @@ def ps(
             {key: value for key, value in row.items() if key not in ("tree", "note")}
             for row in rows
         ]
-    show(rows, shown, as_json=json, nothing="no component runs")
+    show(rows, shown, as_json=json, nothing=f"no component runs{nothing}")
 
 
 def graph(
@@ -98,6 +88,7 @@ def graph(
     """List every topic with its message type, its publishers and its subscribers."""
     with connect_to(connect, domain, robot) as client:
         topics = client.topics()
+        elsewhere = "" if topics else client.connection.elsewhere()
     rows = [
         {
             "topic": one.name,
@@ -112,119 +103,16 @@ def graph(
         note(f"{len(rows) - _MAX_ROWS} topics are left out; choose a robot with --robot")
         del rows[_MAX_ROWS:]
     columns = ("topic", "type", "publishers", "subscribers")
-    show(rows, columns, as_json=json, nothing="there is no topic")
-
-
-@topic.command("list")
-def list_topics(
-    connect: Connect = DEFAULT_CONNECT,
-    domain: Domain = 0,
-    robot: RobotName = "",
-    json: Json = False,
-) -> None:
-    """List the topics with message type and numbers of publishers and subscribers."""
-    with connect_to(connect, domain, robot) as client:
-        topics = client.topics()
-    rows = [
-        {
-            "topic": one.name,
-            "type": one.type_name,
-            "publishers": len(one.publishers),
-            "subscribers": len(one.subscribers),
-        }
-        for one in topics
-    ]
-    columns = ("topic", "type", "publishers", "subscribers")
-    show(rows, columns, as_json=json, nothing="there is no topic")
-
-
-@topic.command("echo")
-def echo_topic(
-    topic: TopicName,
-    connect: Connect = DEFAULT_CONNECT,
-    domain: Domain = 0,
-    robot: RobotName = "",
-    count: Annotated[
-        int | None, typer.Option(min=1, help="Stop after this number of messages.")
-    ] = None,
-    full: Annotated[
-        bool, typer.Option("--full", help="Print long sequences completely, as JSON always does.")
-    ] = False,
-    wait: Annotated[
-        float, typer.Option(min=0.1, help="Give up after this time without a message [s].")
-    ] = 10.0,
-    json: Annotated[bool, typer.Option("--json", help="Print one line of JSON each.")] = False,
-) -> None:
-    """Print the messages of a topic, the latched one first."""
-    with connect_to(connect, domain, robot) as client:
-        endpoint = client.find_topic(topic)
-        message = find_message(endpoint.type_name)
-        printed = 0
-        with client.subscribe(endpoint.topic, message, timeout_s=wait) as messages:
-            while count is None or printed < count:
-                try:
-                    value = to_plain(messages.next(), None if full or json else _SHOWN)
-                except InvalidMessage as error:
-                    value = {"invalid": str(error)}
-                printed += 1
-                if json:
-                    line(json_module.dumps(value))
-                else:
-                    line(yaml.safe_dump(value, sort_keys=False, default_flow_style=None) + "---")
-
-
-@topic.command("hz")
-def measure_topic(
-    topic: TopicName,
-    connect: Connect = DEFAULT_CONNECT,
-    domain: Domain = 0,
-    robot: RobotName = "",
-    seconds: Annotated[float, typer.Option(min=0.5, help="How long to measure [s].")] = 5.0,
-    json: Json = False,
-) -> None:
-    """Measure a topic's rate, jitter, size and losses from the raw messages."""
-    with connect_to(connect, domain, robot) as client:
-        endpoint = client.find_topic(topic)
-        arrivals: list[float] = []
-        sizes: list[int] = []
-        last: dict[bytes, int] = {}
-        lost = 0
-        with client.connection.listen(endpoint.data_key) as samples:
-            end = time.monotonic() + seconds
-            while (left := end - time.monotonic()) > 0:
-                try:
-                    sample = samples.get(timeout=left)
-                except queue.Empty:
-                    break
-                arrivals.append(time.monotonic())
-                sizes.append(len(sample.payload))
-                sent = attachment_of(sample)
-                if sent is not None:
-                    lost += max(0, sent.sequence - last.get(sent.gid, sent.sequence - 1) - 1)
-                    last[sent.gid] = sent.sequence
-    if not arrivals:
-        raise CairnError(f"no message on {endpoint.topic} within {seconds:g} s")
-    gaps = [after - before for before, after in itertools.pairwise(arrivals)]
-    mean = statistics.fmean(gaps) if gaps else 0.0
-    result = {
-        "topic": endpoint.topic,
-        "messages": len(arrivals),
-        "hz": round(1 / mean, 3) if mean > 0 else 0.0,
-        "period_ms": round(mean * 1e3, 3),
-        "jitter_ms": round(statistics.pstdev(gaps) * 1e3, 3) if gaps else 0.0,
-        "longest_ms": round(max(gaps, default=0.0) * 1e3, 3),
-        "bytes": round(statistics.fmean(sizes)) if sizes else 0,
-        "lost": lost,
-    }
-    if json:
-        print_json(result)
-    else:
-        titles = {key: key.replace("_", " ") for key in result}
-        show([result], titles, as_json=False)
+    show(rows, columns, as_json=json, nothing=f"there is no topic{elsewhere}")
 
 
 def logs(
-    component: Annotated[str, typer.Argument(help="Only this component.", metavar="NAME")] = "",
+    component: Annotated[
+        str,
+        typer.Argument(
+            help="Only this component.", metavar="NAME", autocompletion=completion.components
+        ),
+    ] = "",
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",

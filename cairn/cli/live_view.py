@@ -1,4 +1,4 @@
-"""The display of `cairn up` on a terminal: a table, redrawn again and again.
+"""The display of `cairn up` on a terminal: components and log records, redrawn again and again.
 
 In a module of its own because importing `rich` takes 50 ms: only for runs on a terminal.
 """
@@ -9,7 +9,8 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from types import TracebackType
 
-from rich.console import Console, Group
+import psutil
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.rule import Rule
 from rich.table import Table
@@ -21,31 +22,37 @@ from cairn.runtime.rosout import render
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.rcl_interfaces import Log
 
-_LINES = 12
+_KEPT = 100  # log records; what fits is shown
+_LEAST_LOG_LINES = 6  # of the terminal: components are left out before
+_MOST_LINES = 4  # of one warning or error; other records take one line
 _MAX_COMPONENTS = 200  # further ones, of forged statuses, are not shown
 _PERIOD_S = 0.25
+_LOAD_PERIOD_S = 1.0
 _STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim"}
+_NOT_LOADED = "not loaded"
 
 
 class LiveView:
-    """A table of the components, the time, and the last log messages."""
+    """The components, the time and the newest log records, in the size of the terminal."""
 
-    def __init__(self, console: Console, title: str) -> None:
+    def __init__(self, console: Console, title: str, facts: dict[str, str] | None = None) -> None:
+        """`facts` are shown below the title, such as the folder of the report."""
+        self._console = console
         self._title = title
+        self._facts = facts or {}
         self._statuses: dict[str, ComponentStatus] = {}
-        self._lines: deque[Text] = deque(maxlen=_LINES)
+        self._records: deque[Text] = deque(maxlen=_KEPT)
         self._began = time.monotonic()
         self._drawn = 0.0
         self._now: int | None = None
         self._first: int | None = None
+        self._load = _Load()
         self._live = Live(console=console, auto_refresh=False, transient=False)
 
     def log(self, entry: Log) -> None:
-        """Keep the message among the last ones."""
+        """Keep the record among the last ones."""
         style = {Log.WARN: "yellow", Log.ERROR: "red", Log.FATAL: "red"}.get(entry.level, "")
-        self._lines.append(
-            Text(printable(render(entry)), style=style, no_wrap=True, overflow="ellipsis")
-        )
+        self._records.append(Text(printable(render(entry)), style=style))
 
     def status(self, status: ComponentStatus) -> None:
         """Keep the status for the table."""
@@ -61,6 +68,23 @@ class LiveView:
         """Draw, at most four times a second."""
         if time.monotonic() - self._drawn >= _PERIOD_S:
             self._draw()
+
+    def picture(self) -> Group:
+        """Return what is drawn: it fits the terminal, with the newest log records at the end."""
+        width, height = self._console.size
+        head: list[RenderableType] = [self._heading()]
+        head += [_fact(*fact, width) for fact in self._facts.items()]
+        left = height - 1 - len(head)
+        components = self._in_order()
+        most = max(1, left - 1 - _LEAST_LOG_LINES)  # below the titles of the table
+        shown = components if len(components) <= most else self._chosen(components, most - 1)
+        body: list[RenderableType] = [self._table(shown)]
+        left -= 1 + len(shown)
+        if len(shown) < len(components):
+            more = f"and {len(components) - len(shown)} more components: `cairn ps` lists all"
+            body.append(Text(more, style="dim", no_wrap=True, overflow="ellipsis"))
+            left -= 1
+        return Group(*head, *body, *self._newest(width, left))
 
     def __enter__(self) -> "LiveView":
         self._live.__enter__()
@@ -80,7 +104,7 @@ class LiveView:
 
     def _draw(self) -> None:
         self._drawn = time.monotonic()
-        self._live.update(Group(self._heading(), self._table(), *self._lines), refresh=True)
+        self._live.update(self.picture(), refresh=True)
 
     def _heading(self) -> Rule:
         wall = time.monotonic() - self._began
@@ -93,39 +117,115 @@ class LiveView:
                 text += f" ({lived / wall:.1f} times real time)"
         return Rule(Text(text), align="left")
 
-    def _table(self) -> Table:
+    def _table(self, components: list[tuple[str, int]]) -> Table:
+        self._load.update({status.pid for status in self._statuses.values() if status.pid})
         table = Table(box=None, pad_edge=False)
-        for column in ("component", "state", "handler"):
-            table.add_column(column)
-        for column in ("messages in", "out", "dropped", "restarts", "pid"):
-            table.add_column(column, justify="right")
-        for name, depth in self._in_order():
-            status = self._statuses[name]
+        table.add_column("component", no_wrap=True, overflow="ellipsis")
+        table.add_column("state", no_wrap=True)
+        for column in ("CPU %", "in", "out", "dropped", "restarts", "pid"):
+            table.add_column(column, justify="right", no_wrap=True)
+        table.add_column("handler", no_wrap=True, overflow="ellipsis")
+        measured: set[int] = set()  # components in one process share its load
+        for name, depth in components:
+            label = Text("  " * depth + printable(name))
+            status = self._statuses.get(name)
+            if status is None:
+                label.stylize("dim")
+                table.add_row(label, Text(_NOT_LOADED, style="dim"))
+                continue
             inputs = [port for port in status.ports if port.direction == port.IN]
             outputs = [port for port in status.ports if port.direction == port.OUT]
             dropped = sum(port.dropped for port in inputs)
+            load = None if status.pid in measured else self._load.percent.get(status.pid)
+            measured.add(status.pid)
             table.add_row(
-                Text("  " * depth + printable(name)),
-                Text(status.state, style=_STYLES.get(status.state, "")),
-                Text(printable(status.handler)),
+                label,
+                Text(printable(status.state), style=_STYLES.get(status.state, "")),
+                "" if load is None else f"{load:.0f}",
                 f"{sum(port.messages for port in inputs):,}",
                 f"{sum(port.messages for port in outputs):,}",
                 Text(f"{dropped:,}", style="red" if dropped else ""),
                 str(status.restarts),
                 str(status.pid),
+                Text(printable(status.handler)),
             )
         return table
 
+    def _newest(self, width: int, lines: int) -> list[Text]:
+        """Return the lines of the newest records, the newest one last."""
+        found: list[Text] = []
+        for record in reversed(self._records):
+            most = min(_MOST_LINES if record.style else 1, lines - len(found))
+            if most <= 0:
+                break
+            wrapped = list(record.wrap(self._console, width, overflow="fold"))
+            if len(wrapped) > most:
+                del wrapped[most:]
+                start = sum(len(line.plain) + 1 for line in wrapped[:-1])
+                wrapped[-1] = record[min(start, len(record)) :]
+                wrapped[-1].truncate(width, overflow="ellipsis")
+            found[:0] = wrapped
+        return found
+
+    def _chosen(self, components: list[tuple[str, int]], most: int) -> list[tuple[str, int]]:
+        """Return the components that matter most: not those that are not loaded, nor all active."""
+
+        def rank(one: tuple[str, int]) -> int:
+            status = self._statuses.get(one[0])
+            return 2 if status is None else 1 if status.state == "active" else 0
+
+        kept = sorted(components, key=rank)[:most]
+        return [one for one in components if one in kept]
+
     def _in_order(self) -> list[tuple[str, int]]:
-        """The components as a tree: each below its supervisor, with its depth."""
-        found: list[tuple[str, int]] = []
+        """Return the components as a tree: each below its supervisor, with its depth."""
+        found: dict[str, int] = {}
 
-        def add(parent: str, depth: int) -> None:
-            for name, status in self._statuses.items():
-                if status.parent == parent and name not in dict(found):
-                    found.append((name, depth))
-                    add(name, depth + 1)
+        def add(name: str, depth: int) -> None:
+            if name in found or len(found) >= _MAX_COMPONENTS:
+                return
+            found[name] = depth
+            status = self._statuses.get(name)
+            for child in status.children if status is not None else ():
+                add(child, depth + 1)
 
-        add("", 0)
-        known = dict(found)
-        return found + [(name, 0) for name in self._statuses if name not in known]
+        for name, status in self._statuses.items():
+            if not status.parent:
+                add(name, 0)
+        for name in self._statuses:  # those whose supervisor has sent no status yet
+            add(name, 0)
+        return list(found.items())
+
+
+class _Load:
+    """The load of processes, measured once a second."""
+
+    def __init__(self) -> None:
+        self.percent: dict[int, float] = {}
+        """Share of one processor in the last second [%], by process id."""
+        self._processes: dict[int, psutil.Process] = {}
+        self._measured = 0.0
+
+    def update(self, pids: set[int]) -> None:
+        """Measure these processes, if that is due."""
+        if time.monotonic() - self._measured < _LOAD_PERIOD_S:
+            return
+        self._measured = time.monotonic()
+        measured: dict[int, float] = {}
+        known = self._processes
+        self._processes = {}
+        for pid in pids:
+            with suppress(psutil.Error):  # it has ended, or is of another user
+                is_new = pid not in known
+                process = self._processes[pid] = known.get(pid) or psutil.Process(pid)
+                percent = process.cpu_percent()
+                if not is_new:  # the first call only begins a measurement
+                    measured[pid] = percent
+        self.percent = measured
+
+
+def _fact(name: str, value: str, width: int) -> Text:
+    """Return a line; of a long value, only the end: paths of runs differ there."""
+    room = width - len(name) - 1
+    shown = value if len(value) <= room else f"…{value[len(value) - room + 1 :]}"
+    return Text.assemble((f"{name} ", "dim"), printable(shown), no_wrap=True, overflow="crop")

@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
+from cairn.compilation import before_compilation
 from cairn.errors import CairnError
 from cairn.files import private_files
 from cairn.process_exit import end_process
@@ -19,8 +20,9 @@ COMMANDS_GROUP = "cairn.commands"
 _RUN = "Run a robot"
 _INSPECT = "Inspect a running robot"
 _CONTROL = "Control a running robot"
+_RECORD = "Record and replay"
 _MAPS = "Maps, objects and cameras"
-_STUDY = "Simulations, recordings and evaluation"
+_STUDY = "Simulate and evaluate"
 _DEVELOP = "Develop components and drivers"
 
 COMMANDS = (
@@ -34,10 +36,14 @@ COMMANDS = (
                 "Check this computer, and what a deployment needs of it.", _RUN),
     LazyCommand("ps", "cairn.cli.inspect:ps",
                 "List the components: state, process, load, losses.", _INSPECT),
+    LazyCommand("view", "cairn.tools.terminal_map:view",
+                "Show map, scan, pose and path of a robot, live.", _INSPECT),
+    LazyCommand("console", "cairn.console.cli:console",
+                "Show a running robot in a web browser, and steer it.", _INSPECT),
     LazyCommand("graph", "cairn.cli.inspect:graph",
                 "List the topics with their publishers and subscribers.", _INSPECT),
-    LazyCommand("topic", "cairn.cli.inspect:topic",
-                "List, print and time messages.", _INSPECT),
+    LazyCommand("topic", "cairn.cli.topics:topic",
+                "List, print, publish, plot and time messages.", _INSPECT),
     LazyCommand("logs", "cairn.cli.inspect:logs",
                 "Print the log messages of the components.", _INSPECT),
     LazyCommand("go", "cairn.supervisors.mobile.cli:go",
@@ -54,6 +60,14 @@ COMMANDS = (
                 "Stop a component and leave it stopped.", _CONTROL),
     LazyCommand("restart", "cairn.cli.control:restart",
                 "Stop a component and start it again.", _CONTROL),
+    LazyCommand("record", "cairn.cli.record:record",
+                "Record what is on the bus, for analysis and for tools of ROS 2.", _RECORD),
+    LazyCommand("recorder", "cairn.cli.record:recorder",
+                "Control the recorder of a running deployment.", _RECORD),
+    LazyCommand("recording", "cairn.components.replay.cli:app",
+                "Show, cut, merge and export recordings.", _RECORD),
+    LazyCommand("rerun", "cairn.rerun.cli:rerun",
+                "Re-run recorded components exactly; find the first difference.", _RECORD),
     LazyCommand("map", "cairn.components.map_builder.cli:app",
                 "Import, show and export visual maps and grid maps.", _MAPS),
     LazyCommand("object", "cairn.components.object_recognizer.object_cli:app",
@@ -64,8 +78,6 @@ COMMANDS = (
                 "Calibrate a camera or a stereo pair.", _MAPS),
     LazyCommand("world", "cairn.components.simulation.cli:app",
                 "Check and draw simulated worlds; change the running one.", _STUDY),
-    LazyCommand("recording", "cairn.components.replay.cli:app",
-                "Show what a recording holds.", _STUDY),
     LazyCommand("evaluate", "cairn.tools.evaluation.cli:app",
                 "Measure localization and navigation over many runs.", _STUDY),
     LazyCommand("experiment", "cairn.tools.experiments.cli:app",
@@ -84,6 +96,7 @@ COMMANDS = (
 """All commands of this distribution. Their modules are imported when they are invoked."""
 
 _HELP = ["-h", "--help"]
+_KERNELS_PER_NOTE = 10  # of about 45
 
 
 def script() -> NoReturn:
@@ -102,6 +115,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):  # a test replaces them
             stream.reconfigure(errors="backslashreplace")  # no locale makes a run fail
     logging.captureWarnings(True)
+    before_compilation(_announce_compilation, _KernelCount())
     try:
         with private_files():
             _check_folder()
@@ -123,7 +137,6 @@ def build() -> typer.Typer:
         cls=lazy_group(COMMANDS, entry_points=COMMANDS_GROUP, negative_numbers=True),
         help="Component-based robot middleware over Zenoh, and a navigation system built on it.",
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"max_content_width": 100, "help_option_names": _HELP},
@@ -155,6 +168,26 @@ def _check_folder() -> None:
         os.getcwd()
     except OSError as error:
         raise CairnError("the current folder has been removed; change to another one") from error
+
+
+def _announce_compilation() -> None:
+    from cairn.cli.output import note
+
+    note("compiling kernels, once after an installation or an update: up to a minute")
+
+
+class _KernelCount:
+    """Prints how many kernels this process has compiled, now and then."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def __call__(self, _kernel: str) -> None:
+        from cairn.cli.output import note
+
+        self._count += 1
+        if self._count % _KERNELS_PER_NOTE == 0:
+            note(f"compiled {self._count} kernels")
 
 
 def _open_missing_streams() -> None:

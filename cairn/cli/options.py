@@ -5,6 +5,7 @@ from typing import Annotated, Final
 
 import typer
 
+from cairn.cli import completion
 from cairn.deployment.shipped import deployment_file
 
 __all__ = ["DEFAULT_CONNECT", "Connect", "Domain", "File", "Json", "Overlay", "RobotName", "Set"]
@@ -35,6 +36,7 @@ File = Annotated[
         help="Deployment file, or the name of a deployment that Cairn ships (`cairn deployments`).",
         metavar="FILE",
         parser=deployment_file,
+        autocompletion=completion.deployments,
     ),
 ]
 Overlay = Annotated[
@@ -44,6 +46,7 @@ Overlay = Annotated[
         help="A file, or a shipped overlay, whose values replace earlier ones.",
         metavar="FILE",
         parser=deployment_file,
+        autocompletion=completion.overlays,
     ),
 ]
 Set = Annotated[

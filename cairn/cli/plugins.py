@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Iterator
 from inspect import getdoc
 from typing import Annotated, Any
@@ -11,16 +9,16 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
-from cairn import schemas
 from cairn.bus.type_hash import definition, type_hash
 from cairn.cli.options import Json
 from cairn.cli.output import line, print_json, show
-from cairn.deployment.plugins import installed_plugins, load_plugin
+from cairn.compilation import deferred_compilation
+from cairn.deployment.plugins import Plugin, installed_plugins, load_plugin
 from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import PortSpec, ports_of
-from cairn.schemas.message import fields_of, type_name
+from cairn.schemas.message import fields_of, schema_messages, type_name
 
 schema = typer.Typer(help="The message types: ROS 2 definition text and type hash.")
 
@@ -52,13 +50,14 @@ def plugins(
             "package": found.package,
             "usable": not found.error,
         }
-        for found in installed_plugins()
+        for found in _installed()
     ]
     show(rows, ("plugin", "package", "summary"), as_json=json, nothing="no plugin is installed")
 
 
 def _show_one(reference: str, *, as_json: bool) -> None:
-    cls = load_plugin(reference)
+    with deferred_compilation():
+        cls = load_plugin(reference)
     ports = [_port(port) for port in ports_of(cls).values()]
     parameters: list[dict[str, Any]] = [
         {
@@ -142,12 +141,12 @@ def show_type(
 
 def known_messages() -> dict[str, type[Any]]:
     """Return all message classes by type name."""
-    return _of_plugins() | _of_schemas()
+    return _of_plugins() | schema_messages()
 
 
 def find_message(name: str) -> type[Any]:
     """Return the message class of a type name; `CairnError` with similar names if there is none."""
-    ours = _of_schemas()  # first, because importing the plugins takes time
+    ours = schema_messages()  # first, because importing the plugins takes time
     if name in ours:
         return ours[name]
     known = _of_plugins() | ours
@@ -159,23 +158,16 @@ def find_message(name: str) -> type[Any]:
     return known[name]
 
 
-def _of_schemas() -> dict[str, type[Any]]:
-    found: dict[str, type[Any]] = {}
-    for module_info in pkgutil.iter_modules(schemas.__path__, "cairn.schemas."):
-        module = importlib.import_module(module_info.name)
-        for value in vars(module).values():
-            if isinstance(value, type) and value.__module__ == module.__name__:
-                try:
-                    found[type_name(value)] = value
-                except TypeError:
-                    continue  # not a message
-    return found
+def _installed() -> list[Plugin]:
+    """Return the installed plugins; nothing waits for kernels, because no component runs."""
+    with deferred_compilation():
+        return installed_plugins()
 
 
 def _of_plugins() -> dict[str, type[Any]]:
     return {
         type_name(message): message
-        for plugin in installed_plugins()
+        for plugin in _installed()
         for port in plugin.ports
         for message in _with_parts(port.message)
     }

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import platformdirs
 import typer
 
+from cairn.bus.endpoints import DOMAIN_VARIABLE, default_domain, socket_path
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.cli.options import File, Overlay, Set
 from cairn.cli.output import RunOutput, note
@@ -25,12 +26,12 @@ from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LogWatch, PlainView, View, Watch
 from cairn.clock import from_ns
 from cairn.deployment.load import read_sources
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import Deployment, LogLevel
 from cairn.deployment.plugins import plugin_modules
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepRun
-from cairn.placement.process_run import checked_plan, run_processes, started_zygote
-from cairn.placement.run_plan import RunPlan, check_sources
+from cairn.placement.process_run import checked_plan, endpoints, run_processes, started_zygote
+from cairn.placement.run_plan import RunPlan, check_sources, with_recorder
 from cairn.placement.systemd_notify import ServiceManager, service_manager
 from cairn.process_exit import ExitReport
 from cairn.schemas.rcl_interfaces import Log
@@ -39,6 +40,7 @@ from cairn.supervision.zygote_client import ZygoteProcess
 _REPORT_SETTING = "report"
 _CLOSING_TABLE = "report.txt"
 _LONG_IMPORT_S = 4.0
+_NEXT_NOTE_S = 10.0
 
 
 def up(
@@ -57,6 +59,28 @@ def up(
         Path | None,
         typer.Option(help="Folder for report and logs; by default one in the user's state folder."),
     ] = None,
+    log_level: Annotated[
+        LogLevel | None,
+        typer.Option(
+            help="Lowest level of what components log that have no `log_level` of their own; while "
+            "they run: `cairn param set NAME log_level=debug`.",
+        ),
+    ] = None,
+    record: Annotated[
+        bool,
+        typer.Option(
+            "--record",
+            help="Record all topics to recording.mcap in the report's folder, for `cairn rerun`.",
+        ),
+    ] = False,
+    console: Annotated[
+        bool,
+        typer.Option(
+            "--console",
+            help="Also run a console: a web page that shows and steers the robot, at the address "
+            "that is printed.",
+        ),
+    ] = False,
     plain: Annotated[
         bool, typer.Option("--plain", help="Print lines, also on a terminal.")
     ] = False,
@@ -67,6 +91,11 @@ def up(
     and logs are written to a folder, never beside the deployment. Exit status 0 if the deployment
     has ended with success, 1 if not.
     """
+    if console and lockstep:
+        raise CairnError(
+            "--console: a lockstep run has no bus to connect to; leave out --lockstep, or record "
+            "the run (--record) and open the recording: `cairn console recording.mcap`"
+        )
     service = service_manager(os.environ)
     folder = (report or _folder_of_run(file)).absolute()
     began = time.monotonic()
@@ -74,15 +103,20 @@ def up(
     documents = [source.node.plain() for source in sources if source.node is not None]
     with ExitStack() as stack:
         if not lockstep:
-            modules = [name for document in documents for name in plugin_modules(document)]
+            plugins = [*documents, {"plugin": "recorder"}] if record else documents
+            modules = [name for document in plugins for name in plugin_modules(document)]
             zygote = stack.enter_context(started_zygote(modules))
+        recording = _new_recording(folder) if record else None
         where = _report_setting(documents, folder)
-        sets = [*where, *(set_ or ())]
+        level = [f"log_level={log_level}"] if log_level is not None else []
+        sets = [*where, *level, *(set_ or ())]
         with _announced_long_import():
             if lockstep:
                 deployment = check_sources(file, sources, sets)
+                if recording is not None:
+                    deployment = with_recorder(deployment, recording)
             else:
-                plan = checked_plan(zygote, file, sources, sets)
+                plan = checked_plan(zygote, file, sources, sets, recording)
                 deployment = plan.deployment
         logs = stack.enter_context(used_folder(folder))
         with writing_report(folder, "--report"):
@@ -99,9 +133,20 @@ def up(
         if deployment.bus.listen and deployment.bus.allow_any_local_user and not lockstep:
             reached = ", ".join(deployment.bus.listen)
             note(f"any user and program of this computer may drive the robot through {reached}")
+        if deployment.domain != default_domain() and not lockstep:
+            note(
+                f"{file.name} sets domain {deployment.domain}: give other commands --domain "
+                f"{deployment.domain}, or set {DOMAIN_VARIABLE}={deployment.domain}"
+            )
         if lockstep and not any(member.spec.significant for member in deployment.members()):
             note("no component is `significant`: only Ctrl-C ends this run")
-        with _live_view(title) if live else PlainView(output.line) as view:
+        facts = {"report and logs:": str(folder)}
+        if not lockstep:
+            listening = [str(socket_path(one) or one) for one in endpoints(deployment)]
+            facts = {"listens at:": ", ".join([*listening, *deployment.bus.listen])} | facts
+        with _live_view(title, facts) if live else PlainView(output.line) as view:
+            if console:
+                stack.enter_context(_console(deployment, logs, facts if live else None, output))
             if lockstep:
                 end = _run_lockstep(deployment, seed, logs, view)
             else:
@@ -116,12 +161,44 @@ def up(
         raise CairnError(f"{file.name} failed: {end.reason.rstrip('.')}; logs: {logs}")
 
 
-def _live_view(title: str) -> AbstractContextManager[View]:
+def _new_recording(folder: Path) -> Path:
+    """Return the path of the recording; raises `CairnError` if one is there already."""
+    path = folder / "recording.mcap"
+    if path.exists():
+        raise CairnError(
+            f"{path} exists: move or remove it, or name another folder with --report; a recording "
+            "is never replaced"
+        )
+    return path
+
+
+@contextmanager
+def _console(
+    deployment: Deployment, logs: Path, facts: dict[str, str] | None, output: RunOutput
+) -> Iterator[None]:
+    """Run a console beside the deployment; its address is a fact of the live view, or a line."""
+    from cairn.console.companion import console_beside
+
+    if facts is not None:
+        facts["console:"] = "starting"
+
+    def report(address: str) -> None:
+        if facts is not None:
+            facts["console:"] = address
+        else:
+            output.line(f"console: {address}")
+
+    log = logs / "console.log"
+    with console_beside(endpoints(deployment)[0], deployment.domain, log, report, note):
+        yield
+
+
+def _live_view(title: str, facts: dict[str, str]) -> AbstractContextManager[View]:
     from rich.console import Console  # takes 50 ms: only for a terminal
 
     from cairn.cli.live_view import LiveView
 
-    return LiveView(Console(), title)
+    return LiveView(Console(), title, facts)
 
 
 def _run_processes(
@@ -173,18 +250,27 @@ def _run_lockstep(deployment: Deployment, seed: int, logs: Path, view: View) -> 
 @contextmanager
 def _announced_long_import() -> Iterator[None]:
     """Print a note if importing the plugins of a deployment takes long."""
-    text = (
-        "importing the plugins: a few seconds, or about a minute at the first start after an "
-        "installation, which compiles kernels"
-    )
-    timer = threading.Timer(_LONG_IMPORT_S, note, [text])
-    timer.daemon = True
-    timer.start()
+    ended = threading.Event()
+
+    def announce() -> None:
+        began = time.monotonic()
+        text = (
+            "importing the plugins: a few seconds, or about a minute at the first start after an "
+            "installation, which compiles kernels"
+        )
+        wait_s = _LONG_IMPORT_S
+        while not ended.wait(wait_s):
+            note(text)
+            wait_s = _NEXT_NOTE_S
+            text = f"importing the plugins: {time.monotonic() - began + wait_s:.0f} s so far"
+
+    thread = threading.Thread(target=announce, name="notes", daemon=True)
+    thread.start()
     try:
         yield
     finally:
-        timer.cancel()
-        timer.join()
+        ended.set()
+        thread.join()
 
 
 def _folder_of_run(file: Path) -> Path:

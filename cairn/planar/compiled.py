@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from enum import Enum
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numba.core import caching
 
-from cairn.compilation import prepare_compilation
+from cairn.compilation import is_compilation_deferred, prepare_compilation, report_compiled
 
 # Numba's annotations cover its public interface only.
 _caching: Any = caching
@@ -42,13 +42,30 @@ def compiled(*signatures: str, sums_in_any_order: bool = False) -> Callable[[Ker
         kernel: Any = jit(function)
         # What `cache=True` does, but with an index that depends on the callees as well.
         kernel._cache = _KernelCache(function, sums_in_any_order)
-        for signature in signatures:
-            kernel.compile(signature)
-        if signatures:
-            kernel.disable_compile()
+        if signatures and is_compilation_deferred():
+            _compile_at_first_call(kernel, signatures)
+        elif signatures:
+            _compile(kernel, signatures)
         return cast("Kernel", kernel)
 
     return decorate
+
+
+def _compile(kernel: Any, signatures: Iterable[str]) -> None:
+    for signature in signatures:
+        kernel.compile(signature)
+    kernel.disable_compile()
+
+
+def _compile_at_first_call(kernel: Any, signatures: Iterable[str]) -> None:
+    def compile_for_arguments(*_arguments: Any, **_keywords: Any) -> Any:
+        del kernel._compile_for_args  # the class has the method that this one replaces
+        _compile(kernel, signatures)
+        return kernel
+
+    # What numba calls if it has nothing compiled for arguments of these types; it then calls what
+    # this returns.
+    kernel._compile_for_args = compile_for_arguments
 
 
 class _KernelCache(_caching.FunctionCache):  # type: ignore[misc]  # see `_caching`
@@ -79,6 +96,7 @@ class _KernelCache(_caching.FunctionCache):  # type: ignore[misc]  # see `_cachi
         self._bind()
         super().save_overload(sig, data)
         self._remove_orphans()
+        report_compiled(f"{self._source.stem}.{self._py_func.__qualname__}")
 
     def _bind(self) -> None:
         """Open the index; only now, as a callee may be defined below the kernel in its file."""

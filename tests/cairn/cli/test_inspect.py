@@ -18,13 +18,16 @@ from cairn.bus import keys
 from cairn.bus.discovery import QueryableWatcher
 from cairn.bus.session import CAIRN_ID_PREFIX, open_client, open_peer
 from cairn.bus.type_hash import type_hash
-from cairn.client import connect, connection
+from cairn.cli import completion
+from cairn.client import Subscription, connect, connection
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.commands import Answer, await_status
+from tests.wording import assert_words
 
 from .conftest import Command
 
@@ -126,6 +129,18 @@ def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: R
     assert rows["/rover/root"]["pid"] == rover.process.pid
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [("ps",), ("topic", "list"), ("graph",), ("topic", "echo", "words"), ("go", "1", "2")],
+)
+def test_command_in_an_empty_domain_names_the_others(
+    command: Command, arguments: tuple[str, ...]
+) -> None:
+    answer = command(*arguments, "--domain", "5")
+
+    assert_words(answer.out + answer.err, "this router has nodes in domain 0: give --domain 0")
+
+
 def test_graph_lists_publishers_and_subscribers_of_each_topic(command: Command) -> None:
     rows = {row["topic"]: row for row in command("graph", "--json").json}
 
@@ -157,6 +172,65 @@ def test_topic_echo_prints_messages(command: Command) -> None:
     assert latched.json["pose"]["position"] == {"x": 4.0, "y": 2.0, "z": 0.0}
     assert passing.out.count("linear: {x: ") == 2
     assert passing.out.count("---\n") == 2
+
+
+def test_topic_echo_prints_fields_as_rows(command: Command) -> None:
+    one = command("topic", "echo", "beacon", "--count", "1", "-f", "pose.position.x")
+    several = ("-f", "pose.position.x", "-f", "header.frame_id")
+    rows = command("topic", "echo", "beacon", "--count", "1", *several)
+
+    assert one.out == "4.0\n"
+    assert rows.out.splitlines()[0] == "pose.position.x,header.frame_id"
+    assert rows.out.splitlines()[1].startswith("4.0,")
+
+
+def test_topic_pub_publishes_with_the_type_of_the_topic_until_ctrl_c(
+    command: Command, rover: Run
+) -> None:
+    publish = ["topic", "pub", "words", "{linear: {x: -7}}", "--rate", "20"]
+    with (
+        connect(rover.endpoint) as robot,
+        robot.subscribe("words", Twist) as words,
+        subprocess.Popen(
+            [CAIRN, *publish, "--connect", rover.endpoint], stdout=subprocess.PIPE, text=True
+        ) as publisher,
+    ):
+        deadline = time.monotonic() + LIMIT_S
+        while words.next().linear.x != -7.0:
+            assert time.monotonic() < deadline
+        publisher.send_signal(signal.SIGINT)
+        printed, _ = publisher.communicate(timeout=LIMIT_S)
+    once = command("topic", "pub", "words", "{linear: {x: -7}}")
+    unknown = command("topic", "pub", "word", "{}")
+
+    assert publisher.returncode == 130
+    assert re.search(r"published .* of type geometry_msgs/msg/Twist on /rover/words", printed)
+    assert "published a message" in once.out
+    assert "did you mean /rover/words?" in unknown.err
+
+
+def test_missing_topic_is_reported_with_those_that_exist(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(completion, "_LIMIT_S", LIMIT_S)  # on a busy computer, too
+    error = command("topic", "hz").err
+
+    assert "Missing argument 'TOPIC'" in error
+    assert "beacon" in error
+
+
+def test_echo_reports_messages_that_are_published_but_do_not_arrive(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Subscription, "_receive", lambda *_: None)  # as if the role forbade it
+
+    deadline = time.monotonic() + LIMIT_S
+    error = ""
+    while "your role may not read" not in error:  # a busy talker may publish nothing for a second
+        assert time.monotonic() < deadline
+        error = command("topic", "echo", "words", "--wait", "0.1").err
+
+    assert "/rover/words" in error
 
 
 def test_topic_echo_of_a_silent_topic_times_out(command: Command) -> None:

@@ -222,7 +222,7 @@ def test_up_shows_a_live_table_on_a_terminal(launch: Launching, tmp_path: Path) 
         os.close(terminal)
         shown = everything_from(screen)
         assert process.wait(LIMIT_S) == 0
-    assert re.search(r"component +state +handler", shown)
+    assert re.search(r"component +state +CPU", shown)
     assert "finalized" in shown
     assert "talker has finished: all words sent" in shown
 

@@ -150,8 +150,9 @@ def test_help_of_the_command_line_imports_no_implementation() -> None:
 
 def test_commands_that_only_send_requests_import_no_heavy_library() -> None:
     script = (
-        "import sys\nimport cairn.cli.control, cairn.cli.inspect, cairn.components.simulation.cli\n"
-        "print([one for one in ('cv2', 'matplotlib', 'numba', 'scipy') if one in sys.modules])"
+        "import sys\nimport cairn.cli.control, cairn.cli.topics, cairn.components.simulation.cli\n"
+        "heavy = 'cv2', 'matplotlib', 'numba', 'plotext', 'scipy'\n"
+        "print([one for one in heavy if one in sys.modules])"
     )
     shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
 
@@ -177,7 +178,9 @@ def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "failing.py").write_text("raise RuntimeError('broken on purpose')\n")
     info = tmp_path / "greeting-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: greeting\nVersion: 1.0\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: greeting\nVersion: 1.0\nSummary: Politeness\n"
+    )
     (info / "entry_points.txt").write_text(
         "[cairn.commands]\ngreet = greeting:greet\nfail = failing:app\nps = greeting:greet\n"
     )
@@ -185,19 +188,47 @@ def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("other_package")
-def test_installed_package_adds_commands_and_a_broken_one_is_reported() -> None:
+def test_installed_package_adds_commands_that_the_help_does_not_import() -> None:
     broken = "command fail (failing:app) cannot be loaded: RuntimeError('broken on purpose')"
 
+    shown = cairn("--help")
+    assert "greeting" not in sys.modules
+    assert "Installed by other packages:" in shown.out
+    assert re.search(r"^  greet +greeting 1\.0: Politeness$", shown.out, re.MULTILINE)
+    assert (shown.code, shown.err) == (0, "")
     assert cairn("greet", "-5").out == "hello, -5\n"
     assert broken in cairn("fail").err
-    shown = cairn("--help")
-    assert "Installed by other packages:" in shown.out
-    assert re.search(r"^  greet +Greet a number\.$", shown.out, re.MULTILINE)
-    assert re.search(
-        r"^  fail +broken: RuntimeError\('broken on purpose'\)$", shown.out, re.MULTILINE
-    )
-    assert (shown.code, shown.err) == (0, "")
     assert "Greet" not in cairn("ps", "--help").out  # a command of Cairn's own is not replaced
+
+
+def test_help_has_complete_summaries_of_all_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    groups = [(), ("topic",), ("param",), ("map",), ("object",), ("world",), ("recording",)]
+    for columns in ("80", "100"):
+        monkeypatch.setenv("COLUMNS", columns)
+        for group in groups:
+            shown = cairn(*group, "--help").out
+            assert "..." not in shown.partition("Commands")[2]
+            assert max(map(len, shown.splitlines())) <= int(columns)
+
+
+def test_shell_completion_knows_commands_and_deployments() -> None:
+    def completed(*words: str) -> list[str]:
+        environment = {
+            **os.environ,
+            "_CAIRN_COMPLETE": "complete_bash",
+            "COMP_WORDS": " ".join(words),
+            "COMP_CWORD": str(len(words) - 1),
+        }
+        done = subprocess.run([CAIRN], env=environment, capture_output=True, text=True)
+        return done.stdout.split()
+
+    assert completed("cairn", "resta") == ["restart"]
+    assert "sim" in completed("cairn", "up", "s")
+
+
+def test_missing_deployment_is_reported_with_those_that_exist() -> None:
+    assert_words(cairn("up").err, "Missing argument 'FILE'", "robot", "sim")
+    assert "did you mean sim?" in cairn("check", "simm").err
 
 
 def test_own_command_that_cannot_be_imported_is_reported_with_the_remedy(

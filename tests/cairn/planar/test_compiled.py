@@ -131,6 +131,20 @@ def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> 
     assert package.run(prepare) == (21.0, True)
 
 
+def test_deferred_kernel_is_compiled_by_its_first_call(tmp_path: Path) -> None:
+    package = Package(tmp_path)
+    package.create()
+    prepare = (
+        "from cairn.compilation import deferred_compilation\n"
+        "with deferred_compilation():\n"
+        "    from edited_package.caller import caller\n"
+        "assert not caller.signatures\n"
+    )
+
+    assert package.run(prepare) == (21.0, False)
+    assert package.run(prepare) == (21.0, True)
+
+
 def test_cache_of_a_read_only_package_is_in_the_folder_that_the_environment_names(
     tmp_path: Path,
 ) -> None:
