@@ -16,7 +16,7 @@ LOCKED = $(PIP) --require-hashes --requirement
 # Without build isolation: the build backend is locked, too.
 LOCAL = $(PIP) --no-deps --no-build-isolation --no-index --editable
 
-.PHONY: demo quick test attack test-hardware test-service check docs bench lock clean
+.PHONY: demo quick test attack browser test-hardware test-service check docs bench lock clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
 demo: $(VENV)/ready
@@ -39,6 +39,12 @@ test: $(VENV)/tests
 ## Hostile files, requests, messages and users against a simulated robot: minutes, on loopback only.
 attack: $(VENV)/tests
 	$(BIN)/pytest -n 2 --dist loadgroup tests/attack
+
+## The console's page in Chromium (Debian's package `chromium`) with a simulated robot; its decoder in
+## Node.js, against Foxglove's from npm. Pictures of the page are left in build/browser. What is
+## missing on this machine is skipped, with the reason.
+browser: $(VENV)/tests
+	$(BIN)/pytest tests/browser
 
 ## The drivers on the kernel's own devices, in a virtual machine: cameras, USB and RS-232 lines whose
 ## plugs are pulled. Reports what is missing, and installs nothing unless CI=true.

@@ -23,7 +23,9 @@ BENCHMARKS = (
     "hokuyo",
     "navigation",
     "velocity_gate",
+    "recorder",
     "silent_peers",
+    "console",
     "vision",
 )
 

@@ -7,3 +7,7 @@ class CairnError(Exception):
 
 class Escalate(CairnError):  # noqa: N818 - what the owner has to do
     """A supervisor has given up and stopped all children: it must fail itself."""
+
+
+class RecordingError(CairnError):
+    """A recording is missing, damaged or of another format."""

@@ -6,6 +6,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.field_types import (
     Array,
     Bool,
@@ -17,6 +18,7 @@ from cairn.schemas.field_types import (
     String,
     Text,
     UInt8,
+    UInt8Array,
     UInt32,
     UInt32Array,
     UInt64,
@@ -240,6 +242,24 @@ class ComponentStatus:
     reason: String = ""
     children: tuple[String, ...] = ()
     ports: tuple[PortStatus, ...] = ()
+
+
+@message("cairn_msgs/msg/CallBatch")
+class CallBatch:
+    """A part of a component's call log: what it was called with, read and published.
+
+    `incarnation` counts the component's starts, and this one was at `started`. `records` holds
+    `count` records, of which the first has the number `first`; `cairn.runtime.call_records` defines
+    them.
+    """
+
+    header: Header
+    component: String
+    incarnation: UInt32
+    started: Time
+    first: UInt64
+    count: UInt32
+    records: UInt8Array = empty(np.uint8)
 
 
 def _require_position_or_none(message: object, name: str, x: float, y: float) -> None:

@@ -153,6 +153,10 @@ class Plan:
 
     `length` [m] is the length of the path along `poses`; `nearest_x`, `nearest_y` [m] is the
     reachable position nearest to the goal if no path leads to the goal, NaN if there is none.
+
+    NOT_READY: an input is missing. START_BLOCKED: the robot is in an obstacle. GOAL_BLOCKED: the
+    goal is, in one that may go or may have gone. GOAL_IMPOSSIBLE: the goal is in a wall or in
+    unknown space. UNREACHABLE: obstacles lie between the two.
     """
 
     FOUND: ClassVar[UInt8] = 0
@@ -161,10 +165,11 @@ class Plan:
     GOAL_BLOCKED: ClassVar[UInt8] = 3
     OUTSIDE_MAP: ClassVar[UInt8] = 4
     UNREACHABLE: ClassVar[UInt8] = 5
+    GOAL_IMPOSSIBLE: ClassVar[UInt8] = 6
 
     header: Header = Header()
     goal_id: UInt32 = 0
-    outcome: Annotated[int, Scalar("uint8", at_most=5)] = 0
+    outcome: Annotated[int, Scalar("uint8", at_most=6)] = 0
     reason: String = ""
     length: NotNegative = 0.0
     nearest_x: Float64 = nan
@@ -185,6 +190,7 @@ PLAN_REASON_CODES: Final = {
     Plan.GOAL_BLOCKED: ReasonCode.GOAL_BLOCKED,
     Plan.OUTSIDE_MAP: ReasonCode.GOAL_OUTSIDE_MAP,
     Plan.UNREACHABLE: ReasonCode.GOAL_UNREACHABLE,
+    Plan.GOAL_IMPOSSIBLE: ReasonCode.GOAL_BLOCKED,
 }
 """The reason code of each `Plan.outcome`."""
 

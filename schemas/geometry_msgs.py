@@ -5,7 +5,14 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from cairn.schemas.field_types import Array, FiniteFloat64, String, finite, zeros
+from cairn.schemas.field_types import (
+    Array,
+    FiniteFloat32,
+    FiniteFloat64,
+    String,
+    finite,
+    zeros,
+)
 from cairn.schemas.message import message
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
@@ -21,6 +28,30 @@ class Point:
     x: FiniteFloat64 = 0.0
     y: FiniteFloat64 = 0.0
     z: FiniteFloat64 = 0.0
+
+
+@message("geometry_msgs/msg/Point32")
+class Point32:
+    """A position [m] in single precision."""
+
+    x: FiniteFloat32 = 0.0
+    y: FiniteFloat32 = 0.0
+    z: FiniteFloat32 = 0.0
+
+
+@message("geometry_msgs/msg/Polygon")
+class Polygon:
+    """The corners of a polygon, in order."""
+
+    points: tuple[Point32, ...] = ()
+
+
+@message("geometry_msgs/msg/PolygonStamped")
+class PolygonStamped:
+    """A polygon with its frame and time, such as the footprint of a robot."""
+
+    header: Header = Header()
+    polygon: Polygon = Polygon()
 
 
 @message("geometry_msgs/msg/Vector3")

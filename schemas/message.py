@@ -6,6 +6,8 @@ and the ROS 2 definition of a message are computed in `cairn.bus.type_hash`.
 """
 
 import dataclasses
+import importlib
+import pkgutil
 import re
 import struct
 from collections.abc import Callable
@@ -111,6 +113,21 @@ def type_name(cls: type[Any]) -> str:
     if not isinstance(name, str):
         raise TypeError(f"{cls.__qualname__} is not a message: it is not decorated with @message")
     return name
+
+
+def schema_messages() -> dict[str, type[Any]]:
+    """Return the message classes of `cairn.schemas` by type name; imports all its modules."""
+    found: dict[str, type[Any]] = {}
+    package = importlib.import_module("cairn.schemas")
+    for module_info in pkgutil.iter_modules(package.__path__, "cairn.schemas."):
+        module = importlib.import_module(module_info.name)
+        for value in vars(module).values():
+            if isinstance(value, type) and value.__module__ == module.__name__:
+                try:
+                    found[type_name(value)] = value
+                except TypeError:
+                    continue  # not a message
+    return found
 
 
 @dataclass(frozen=True)

@@ -542,6 +542,50 @@ def mcap(
     return data + record(15, struct.pack("<I", 0)) + footer + magic
 
 
+def mcap_records(*records: tuple[int, bytes], claim: int | None = None) -> bytes:
+    """Return an MCAP file of records (opcode and content); the last one claims `claim` bytes."""
+    data = b"\x89MCAP0\r\n" + b"\x01" + struct.pack("<Q", 8) + bytes(8)
+    for number, (kind, content) in enumerate(records, start=1):
+        size = claim if claim is not None and number == len(records) else len(content)
+        data += bytes([kind]) + struct.pack("<Q", size) + content
+    return data
+
+
+def summarized_mcap(*records: tuple[int, bytes]) -> bytes:
+    """Return an MCAP file with nothing but a summary of these records."""
+    head = mcap_records((15, bytes(4)))
+    summary = b"".join(bytes([kind]) + struct.pack("<Q", len(one)) + one for kind, one in records)
+    footer = b"\x02" + struct.pack("<QQQI", 20, len(head), 0, 0)
+    return head + summary + footer + b"\x89MCAP0\r\n"
+
+
+def _lying_summary(*, attachment: bool) -> bytes:
+    """Return a file whose index has a chunk beyond its end, or an attachment of 2^63 bytes."""
+    index = struct.pack("<QQQQ", 1, 2, 1 << 63, 100) + struct.pack("<IQIQQ", 0, 0, 0, 0, 0)
+    attached = struct.pack("<QQQQQ", 8, 100, 1, 1, 1 << 63) + struct.pack("<II", 0, 0)
+    chosen = (10, attached) if attachment else (8, index)
+    counts = (1, 0, 0) if attachment else (0, 0, 1)  # attachments, metadata, chunks
+    return summarized_mcap(chosen, (11, struct.pack("<QHIIIIQQI", 0, 0, 0, *counts, 1, 2, 0)))
+
+
+def _overlapping_chunks() -> bytes:
+    """Return 40 kB with 40 chunks of 10 MB that all have the same time."""
+    message = struct.pack("<HIQQ", 1, 0, 1, 1) + bytes(10 * MB)
+    data = b"\x05" + struct.pack("<Q", len(message)) + message
+    ballast = (0x80, bytes(3 * MB))  # so that so much may come out of the file
+    packed = mcap("zstd", zstandard.compress(data), len(data), chunks=40)
+    record = bytes([ballast[0]]) + struct.pack("<Q", len(ballast[1])) + ballast[1]
+    at = packed.index(b"\x0f" + struct.pack("<Q", 4))
+    return packed[:at] + record + packed[at:]
+
+
+def _many_channels() -> bytes:
+    def channel(number: int) -> bytes:
+        return struct.pack("<HHI", number, 0, 1) + b"x" + struct.pack("<I", 3) + b"cdr" + bytes(4)
+
+    return mcap_records(*((4, channel(number)) for number in range(1, 30_000)))
+
+
 def zeros_zstd(size: int) -> bytes:
     """Return zstd frames of `size` zeros, a multiple of 16 MiB."""
     block = 1 << 24
@@ -772,6 +816,28 @@ RECORDINGS: Final[Mapping[str, HostileFile]] = {
 }
 
 
+MCAPS: Final[Mapping[str, HostileFile]] = {
+    "chunks": RECORDINGS["mcap_chunks"],
+    "size": HostileFile(
+        _bytes("a.mcap", lambda: mcap_records((6, bytes(99)), claim=1 << 63)), "claims"
+    ),
+    "summary": HostileFile(
+        _bytes("a.mcap", lambda: _lying_summary(attachment=False)), "9,223,372,036,854,775,808"
+    ),
+    "attachment": HostileFile(
+        _bytes("a.mcap", lambda: _lying_summary(attachment=True)), "another record"
+    ),
+    "overlap": HostileFile(_bytes("a.mcap", _overlapping_chunks), "belong to one time"),
+    "channels": HostileFile(_bytes("a.mcap", _many_channels), "20,000 channels"),
+    "garbage": HostileFile(
+        _bytes("a.mcap", lambda: b"\x89MCAP0\r\n" + b"\0\xff" * MB), "no record"
+    ),
+    "foreign": HostileFile(_text("a.mcap", "hello"), "is not an MCAP file"),
+    "fifo": HostileFile(fifo("a.mcap"), "FIFO"),
+    "sparse": HostileFile(sparse("a.mcap", 5_000 * MB, b"\x89MCAP0\r\n"), "no record"),
+}
+
+
 # --- Visual maps --------------------------------------------------------------------------------
 
 
@@ -912,5 +978,6 @@ HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "picture": PICTURES,
     "video": VIDEOS,
     "recording": RECORDINGS,
+    "mcap": MCAPS,
     "visual_map": VISUAL_MAPS,
 }

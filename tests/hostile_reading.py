@@ -40,6 +40,8 @@ _MODULES: Final = (
     "components.simulation.world_file",
     "deployment.yaml_document",
     "planar.map_file",
+    "recording.decoding",
+    "recording.reader",
     "vision.camera_file",
     "vision.images",
     "visual_map.landmark_store",
@@ -133,6 +135,21 @@ def _recording(path: Path) -> None:
     recording.odometry()
 
 
+def _mcap(file: Path) -> None:
+    from cairn.recording.decoding import MessageDecoder
+    from cairn.recording.reader import McapRecording
+
+    decoder = MessageDecoder()
+    with McapRecording(file) as recording:
+        for message in recording.messages():
+            decoder.decode(message)
+        recording.latched_at(recording.end_ns)
+        for attachment in recording.attachments:
+            recording.read_attachment(attachment)
+        if recording.notes:
+            raise CairnError("; ".join(recording.notes))
+
+
 def _visual_map(file: Path) -> None:
     from cairn.visual_map.landmark_store import open_landmarks
     from cairn.visual_map.object_models import read_models
@@ -151,6 +168,7 @@ READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     "picture": _picture,
     "video": _video,
     "recording": _recording,
+    "mcap": _mcap,
     "visual_map": _visual_map,
 }
 

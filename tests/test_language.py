@@ -32,7 +32,8 @@ REJECTED = {
     r"\bso long as\b": "as long as",
     r"\bbethought|\bwhereabouts\b|\bhindrances?\b": "use the term of docs/glossary.md",
     r"(?i)(colour|behaviour|neighbour|favour|recognis|localis(?!t)|normalis|initialis|serialis"
-    r"|synchronis|optimis|cancelled|cancelling|\bmetres?\b|\bcentres?\b)": "American spelling",
+    r"|synchronis|optimis|(?<!\.)cancelled(?!Error)|cancelling"
+    r"|\bmetres?\b|\bcentres?\b)": "American spelling",
 }
 
 

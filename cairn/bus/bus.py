@@ -1,14 +1,26 @@
 """The contract of a bus, which the Zenoh bus and the lockstep bus both implement."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
 
 
+class MessageId(NamedTuple):
+    """Which message of a run it is: its publisher's identity (16 bytes), and its number from 1."""
+
+    gid: bytes
+    sequence: int
+
+
 class Publisher(Protocol):
     """Publishes messages of one type on one topic."""
+
+    @property
+    def gid(self) -> bytes:
+        """Its identity on the bus: 16 bytes."""
+        ...
 
     @property
     def published(self) -> int:
@@ -23,8 +35,11 @@ class Publisher(Protocol):
         """
         ...
 
-    def publish(self, message: Any) -> None:
-        """Send one message; never waits for a subscriber."""
+    def publish(self, message: Any) -> int:
+        """Send one message; never waits for a subscriber.
+
+        Returns the message's sequence number; 0 if it was not sent, as nothing subscribes to it.
+        """
         ...
 
     def close(self) -> None:
@@ -53,6 +68,11 @@ class Subscription(Protocol):
     @property
     def refused(self) -> int:
         """Number of messages of publishers that are not entitled to an exclusive topic."""
+        ...
+
+    @property
+    def taken(self) -> MessageId | None:
+        """Which message was taken last; None before, and if its publisher does not number them."""
         ...
 
     def take(self) -> Any | None:

@@ -238,12 +238,15 @@ def _least_size(cls: type[Any]) -> int:
 def to_plain(message: Any, longest: int | None = None) -> Any:
     """Return a message as dictionaries, lists and scalars, for people and for JSON.
 
+    It is of a message class, or a dictionary of fields, as of a type that Cairn does not know.
     Sequences longer than `longest` are cut, with a note of how many elements were left out.
     """
     if is_dataclass(message):
         return {
             field.name: to_plain(getattr(message, field.name), longest) for field in fields(message)
         }
+    if isinstance(message, dict):
+        return {name: to_plain(value, longest) for name, value in message.items()}
     if isinstance(message, np.ndarray):
         shown = message if longest is None else message[:longest]
         return _cut(shown.tolist(), len(message))

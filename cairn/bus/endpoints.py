@@ -1,15 +1,24 @@
 """Endpoints: where a router listens, and where one finds the router of a deployment."""
 
 import ipaddress
+import os
 import re
+import socket
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from cairn.errors import CairnError
 from cairn.runtime_folder import LONGEST_SOCKET_PATH, check_private, runtime_folder
 
+DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
+MAX_DOMAIN = 232
+"""Largest domain: ROS 2 derives UDP ports from it, which end there."""
+
 UNIX = "unixsock-stream/"
 """Protocol of Unix sockets, which only programs on this computer can open."""
 
+_PROBE_LIMIT_S = 0.2
 _NETWORK = re.compile(r"(?:tcp|tls|quic|udp|ws)/(\[[^\]]+\]|[^:/\[\]]+):(\d+)(?:[?#].*)?")
 
 
@@ -67,9 +76,48 @@ def is_encrypted(endpoint: str) -> bool:
     return endpoint.startswith(("tls/", "quic/"))
 
 
+def default_domain() -> int:
+    """Return the domain where none is given: that of `ROS_DOMAIN_ID`, else 0.
+
+    Raises `CairnError` if the variable is not a domain.
+    """
+    text = os.environ.get(DOMAIN_VARIABLE, "").strip()
+    if not text:
+        return 0
+    if not re.fullmatch("[0-9]{1,3}", text) or int(text) > MAX_DOMAIN:
+        raise CairnError(
+            f"{DOMAIN_VARIABLE}={text!r} is not a domain: set it to a number from 0 to "
+            f"{MAX_DOMAIN}, or remove it"
+        )
+    return int(text)
+
+
 def domain_socket(domain: int) -> Path:
     """Return the path of the socket at which the router of a domain listens by default."""
     return runtime_folder() / f"domain-{domain}.sock"
+
+
+def listening_domains() -> list[int]:
+    """Return the domains whose default sockets in the user's runtime folder accept connections."""
+    found = []
+    for path in runtime_folder().glob("domain-*.sock"):
+        number = path.stem.removeprefix("domain-")
+        with suppress(OSError, ValueError), socket.socket(socket.AF_UNIX) as probe:
+            probe.settimeout(_PROBE_LIMIT_S)
+            probe.connect(str(path))
+            found.append(int(number))
+    return sorted(found)
+
+
+def domains_hint(domains: Iterable[int], where: str) -> str:
+    """Return the sentence about deployments in other domains, empty if there are none."""
+    listed = [str(domain) for domain in domains]
+    if not listed:
+        return ""
+    return (
+        f"; {where} domain {', '.join(listed)}: give --domain {listed[0]}, or set "
+        f"{DOMAIN_VARIABLE}={listed[0]}"
+    )
 
 
 def endpoint_for(given: str, domain: int) -> str:

@@ -136,8 +136,11 @@ def tokens_pattern(domain: int) -> str:
     return f"{TOKENS}/{domain}/**"
 
 
-def nodes_pattern(domain: int, name: str = "") -> str:
-    """Return the key expression that matches the tokens of the node of a full name, or of all."""
+def nodes_pattern(domain: int | Literal["*"], name: str = "") -> str:
+    """Return the key expression that matches the tokens of the node of a full name, or of all.
+
+    `*` stands for all domains.
+    """
     namespace, _, last = name.rpartition("/")
     path = f"{_mangle(namespace) or _ROOT}/{last}" if name else "*/*"
     return f"{TOKENS}/{domain}/*/*/*/NN/*/{path}"

@@ -1,10 +1,11 @@
 """The bus in memory: hands over messages as objects, in order, for lockstep runs and tests."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from cairn.bus.bus import type_conflict
+from cairn.bus import keys
+from cairn.bus.bus import MessageId, type_conflict
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.exclusive import Exclusive, RefusalLog
 from cairn.bus.message_limits import (
@@ -26,6 +27,8 @@ class LockstepBus:
     """Connects nodes in one process and one thread; messages are immutable and not copied."""
 
     def __init__(self) -> None:
+        self.taps: list[Callable[[LockstepPublisher, Any], None]] = []
+        """Called with every message and its publisher, before it is handed over."""
         self._topics: dict[str, _Topic] = {}
 
     def node(self, name: str, report: Callable[[str], None]) -> "LockstepNode":
@@ -35,6 +38,13 @@ class LockstepBus:
     def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002 - never waits
         """Return at once: in memory, all declarations are known to all nodes."""
         return []
+
+    def latched(self) -> "Iterator[tuple[LockstepPublisher, Any, MessageId]]":
+        """Yield the messages that latched publishers keep, with their publishers and numbers."""
+        for topic in self._topics.values():
+            for publisher in topic.publishers:
+                for message, identity in publisher.latched:
+                    yield publisher, message, identity
 
     def topic(self, name: str) -> "_Topic":
         """Return the topic of that name, created on first use."""
@@ -60,7 +70,7 @@ class LockstepNode:
         shared: bool = False,  # noqa: ARG002 - there are no other programs
     ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
-        end = LockstepPublisher(self, self._bus.topic(topic), message, qos)
+        end = LockstepPublisher(self, self._bus.topic(topic), message, qos, self._bus.taps)
         self._ends.append(end)
         return end
 
@@ -91,29 +101,49 @@ class LockstepNode:
 class LockstepPublisher:
     """Publishes on one topic in memory."""
 
-    def __init__(self, node: LockstepNode, topic: "_Topic", message: type[Any], qos: Qos) -> None:
+    def __init__(
+        self,
+        node: LockstepNode,
+        topic: "_Topic",
+        message: type[Any],
+        qos: Qos,
+        taps: Sequence[Callable[["LockstepPublisher", Any], None]],
+    ) -> None:
         self.node = node
+        self.topic = topic.name
         self.message = message
+        self.qos = qos
         self.published = 0
+        self.gid = keys.gid(f"{node.name} {topic.name}")
+        self.sequence = 0  # of the last message
+        self._taps = taps
         self._closed = False
-        self.latched: deque[Any] = deque(maxlen=qos.depth if qos.latched else 0)
+        self.latched: deque[tuple[Any, MessageId]] = deque(maxlen=qos.depth if qos.latched else 0)
         self._topic = topic
         topic.join(self, topic.publishers)
 
     @property
     def has_subscribers(self) -> bool:
         """Whether a message published now would be received; always True if latched."""
-        return not self._closed and (bool(self.latched.maxlen) or bool(self._topic.subscriptions))
+        return not self._closed and (
+            bool(self.latched.maxlen) or bool(self._topic.subscriptions) or bool(self._taps)
+        )
 
-    def publish(self, message: Any) -> None:
-        """Hand the message to every subscription of its type."""
+    def publish(self, message: Any) -> int:
+        """Hand the message to every subscription of its type; return its number, 0 if closed."""
         if self._closed:
-            return
+            return 0
         self.published += 1
-        self.latched.append(message)
+        # A publisher that is opened again, as after a restart, continues to count.
+        self.sequence = self._topic.sent[self.gid] = self._topic.sent.get(self.gid, 0) + 1
+        identity = MessageId(self.gid, self.sequence)
+        self.latched.append((message, identity))
+        for tap in self._taps:
+            tap(self, message)
         for subscription in tuple(self._topic.subscriptions):
             if subscription.message is self.message:
-                subscription.put(message, self.node.name)
+                subscription.put(message, self.node.name, identity)
+        return self.sequence
 
     def close(self) -> None:
         """Stop publishing."""
@@ -142,17 +172,20 @@ class LockstepSubscription:
         self._max_bytes = max_bytes
         self._always_fits = has_fixed_size(message) and max_bytes >= FIXED_BYTES
         self._long_messages = PublisherLog(node.report)
-        self._pending: DropOldestQueue[Any] = DropOldestQueue(qos.depth, PENDING_BYTES)
+        self.taken: MessageId | None = None
+        self._pending: DropOldestQueue[tuple[Any, MessageId]] = DropOldestQueue(
+            qos.depth, PENDING_BYTES
+        )
         self._wake = wake
         self._refusals = RefusalLog(topic.name, exclusive, node.report) if exclusive else None
         topic.join(self, topic.subscriptions)
         if qos.latched:
             for publisher in topic.publishers:
                 if publisher.message is message:
-                    for latched in tuple(publisher.latched)[-qos.depth :]:
-                        self.put(latched, publisher.node.name)
+                    for latched, identity in tuple(publisher.latched)[-qos.depth :]:
+                        self.put(latched, publisher.node.name, identity)
 
-    def put(self, message: Any, publisher: str) -> None:
+    def put(self, message: Any, publisher: str, identity: MessageId) -> None:
         """Add a pending message, which may drop older ones, and wake the subscriber.
 
         A message that is too long is rejected, and one of a node that is not entitled to an
@@ -167,7 +200,7 @@ class LockstepSubscription:
             )
         elif self._refusals is not None and publisher != self._refusals.writer:
             self._refusals.refuse(publisher, "it is not the entitled writer")
-        elif self._pending.put(message, size):
+        elif self._pending.put((message, identity), size):
             self._wake()
 
     @property
@@ -182,9 +215,11 @@ class LockstepSubscription:
 
     def take(self) -> Any | None:
         """Remove and return the oldest pending message; None if there is none."""
-        message = self._pending.take()
-        if message is not None:
-            self.received += 1
+        pending = self._pending.take()
+        if pending is None:
+            return None
+        message, self.taken = pending
+        self.received += 1
         return message
 
     def close(self) -> None:
@@ -199,6 +234,7 @@ class _Topic:
         self._measured: tuple[Any, int] = (None, 0)
         self.publishers: list[LockstepPublisher] = []
         self.subscriptions: list[LockstepSubscription] = []
+        self.sent: dict[bytes, int] = {}  # messages, by publisher's identity
 
     def size(self, message: Any) -> int:
         """Return the length of a message [bytes], measured once for all readers."""

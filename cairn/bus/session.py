@@ -24,7 +24,14 @@ from cairn.bus.credentials import (
     read_password,
     write_dictionary,
 )
-from cairn.bus.endpoints import UNIX, is_encrypted, socket_path, tcp_address
+from cairn.bus.endpoints import (
+    UNIX,
+    domains_hint,
+    is_encrypted,
+    listening_domains,
+    socket_path,
+    tcp_address,
+)
 from cairn.bus.message_limits import DEFAULT_LIMITS, MessageLimits
 from cairn.errors import CairnError
 from cairn.runtime_folder import (
@@ -316,9 +323,10 @@ def _no_router(connect: Sequence[str], credentials: Credentials) -> str:
             f"endpoints and users{_TLS_NAME if is_encrypted(open_port) else ''}"
         )
     refused = "" if len(paths) == len(connect) else _REFUSED
+    others = domains_hint(listening_domains(), "deployments of yours run in") if paths else ""
     return (
         f"{no_router}: is a deployment running (`cairn up`)? "
-        f"{refused}Give another endpoint by --connect or CAIRN_CONNECT"
+        f"{refused}Give another endpoint by --connect or CAIRN_CONNECT{others}"
     )
 
 

@@ -20,7 +20,7 @@ from zenoh.ext import (
 )
 
 from cairn.bus import keys
-from cairn.bus.bus import type_conflict
+from cairn.bus.bus import MessageId, type_conflict
 from cairn.bus.codec import Codec
 from cairn.bus.discovery import DiscoveryBarrier
 from cairn.bus.drop_oldest_queue import DropOldestQueue, LossCounter
@@ -243,7 +243,7 @@ class ZenohPublisher:
         self._max_bytes = node.bus.limits.of(topic)
         self._too_long = PublisherLog(node.report)
         self._announcement = node.announce("MP", topic, message, qos, shared=shared)
-        self._gid = self._announcement.gid
+        self.gid = self._announcement.gid
         self._signer: Signer | None = None
         if exclusive is not None and exclusive.writer == node.name and exclusive.key:
             self._signer = Signer(exclusive, self._announcement.key)
@@ -260,23 +260,27 @@ class ZenohPublisher:
         """Whether a message published now would be received; always True if latched."""
         return not self._closed and (self._latched or self._publisher.matching_status.matching)
 
-    def publish(self, message: Any) -> None:
-        """Send one message; without a subscriber, or once closed, it is not even encoded."""
+    def publish(self, message: Any) -> int:
+        """Send one message; without a subscriber, or once closed, it is not even encoded.
+
+        Returns its sequence number; 0 if it was not sent.
+        """
         if self._closed:
-            return
+            return 0
         self.published += 1
         if not self.has_subscribers:
-            return
+            return 0
         payload = self._codec.encode(message)
         if len(payload) > self._max_bytes:
             self._too_long.add("this component", lambda _: self._not_sent(len(payload)))
-            return
+            return 0
         self._sent += 1
-        attachment = keys.Attachment(self._sent, time.time_ns(), self._gid)
+        attachment = keys.Attachment(self._sent, time.time_ns(), self.gid)
         if self._signer is not None:
             proof = self._signer.proof(attachment.head(), payload)
             attachment = attachment._replace(proof=proof)
         self._publisher.put(payload, attachment=attachment.encode())
+        return self._sent
 
     def _not_sent(self, size: int) -> str:
         return (
@@ -324,7 +328,8 @@ class ZenohSubscription:
         self._wake = wake
         self._max_bytes = max_bytes
         self._long_messages = PublisherLog(node.report)
-        self._pending: DropOldestQueue[zenoh.ZBytes | bytes] = DropOldestQueue(
+        self._taken: zenoh.Sample | None = None
+        self._pending: DropOldestQueue[tuple[zenoh.ZBytes | bytes, zenoh.Sample]] = DropOldestQueue(
             qos.depth, PENDING_BYTES
         )
         self._in_transit = LossCounter()
@@ -361,14 +366,21 @@ class ZenohSubscription:
         """Messages of publishers that are not entitled to an exclusive topic."""
         return self._gate.refusals.refused if self._gate is not None else 0
 
+    @property
+    def taken(self) -> MessageId | None:
+        """Which message was taken last; None before, and if its publisher does not number them."""
+        attachment = None if self._taken is None else _attachment(self._taken)
+        return None if attachment is None else MessageId(attachment.gid, attachment.sequence)
+
     def take(self) -> Any | None:
         """Remove, decode and return the oldest pending message; None if there is none.
 
         Raises `InvalidMessage` if it is not valid: no handler receives such a message.
         """
-        payload = self._pending.take()
-        if payload is None:
+        pending = self._pending.take()
+        if pending is None:
             return None
+        payload, self._taken = pending
         try:
             data = payload if isinstance(payload, bytes) else payload.to_bytes()
             message = self._codec.decode(self._message, data)
@@ -402,7 +414,7 @@ class ZenohSubscription:
             payload = sample.payload if self._gate is None else self._gate.verified(sample)
             if payload is None:
                 continue
-            if self._pending.put(payload, size):
+            if self._pending.put((payload, sample), size):
                 self._wake()
             # Last, because the wake-up may run the handler, which should not wait for this.
             attachment = _attachment(sample)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeGuard, cast
 
@@ -18,7 +19,7 @@ from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 from cairn.bus import control, keys
 from cairn.bus.codec import Codec
 from cairn.bus.credentials import NO_CREDENTIALS, Credentials
-from cairn.bus.endpoints import endpoint_for, socket_path
+from cairn.bus.endpoints import default_domain, domains_hint, endpoint_for, socket_path
 from cairn.bus.graph import read_graph
 from cairn.bus.session import close_session, is_connected, open_client, process_id
 from cairn.errors import CairnError
@@ -88,13 +89,16 @@ class Connection:
     domain: int
 
     @classmethod
-    def open(cls, endpoint: str = "", domain: int = 0) -> Connection:
+    def open(cls, endpoint: str = "", domain: int | None = None) -> Connection:
         """Connect to the router of a deployment, by default this user's in the domain.
+
+        The domain is by default that of `ROS_DOMAIN_ID`, else 0.
 
         A router on the network may ask for what the environment variables `CAIRN_USER`,
         `CAIRN_PASSWORD_FILE`, `CAIRN_TLS_CA`, `CAIRN_TLS_CERTIFICATE` and `CAIRN_TLS_KEY` name.
         Raises `CairnError` if no router answers.
         """
+        domain = default_domain() if domain is None else domain
         endpoint = endpoint_for(endpoint, domain)
         local = socket_path(endpoint) is not None  # such a router refuses who presents a password
         credentials = NO_CREDENTIALS if local else Credentials.from_environment()
@@ -105,12 +109,29 @@ class Connection:
         close_session(self.session, _CLOSE_LIMIT_S)
 
     def is_alive(self) -> bool:
-        """Return whether the deployment's router still answers."""
-        return not self.session.is_closed() and is_connected(self.session)
+        """Return whether the deployment's router still answers.
+
+        It does not ask zenoh (1.10) whether the session is closed: that waits for the session's
+        lock without releasing the GIL, while a thread that delivers a reply to `read_graph` has the
+        lock and waits for the GIL.
+        """
+        try:
+            return is_connected(self.session)
+        except zenoh.ZError:  # the session is closed
+            return False
 
     def graph(self) -> list[keys.NodeEntity | keys.EndpointEntity]:
         """Return all nodes and endpoints that exist."""
         return read_graph(self.session, keys.tokens_pattern(self.domain))
+
+    def elsewhere(self) -> str:
+        """Return the sentence about other domains on this router; empty if it has none.
+
+        For errors and notes that nothing runs in this domain.
+        """
+        graph = read_graph(self.session, keys.nodes_pattern("*"), patience_s=_GRAPH_LIMIT_S)
+        domains = {one.domain for one in graph if isinstance(one, keys.NodeEntity)}
+        return domains_hint(sorted(domains - {self.domain}), "this router has nodes in")
 
     def nodes(self) -> list[str]:
         """Return the full names of all nodes (`/robot/localizer`)."""
@@ -384,6 +405,11 @@ def resolve(names: Iterable[str], name: str, robot: str) -> str:
     if matches:
         several = ", ".join(matches)
         raise CairnError(f"{name}: several robots have it: {several}; give --robot (robot=...)")
+    shorts = {full: full if name.startswith("/") else full.split("/", 2)[-1] for full in names}
+    close = [
+        full for full in names if shorts[full] in get_close_matches(name, shorts.values(), n=2)
+    ]
+    guess = f"did you mean {' or '.join(close)}? There" if close else "there"
     listed = ", ".join(names) or "none"
     where = f" of robot {robot}" if robot else ""
-    raise CairnError(f"there is no {name}{where} on the bus; there are: {listed}")
+    raise CairnError(f"there is no {name}{where} on the bus; {guess} are: {listed}")

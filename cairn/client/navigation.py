@@ -66,7 +66,7 @@ class Navigator:
         if not found:
             raise CairnError(
                 f"no {_PLUGIN} runs here that accepts goals; start a deployment with one, such as "
-                "`cairn up sim`"
+                f"`cairn up sim`{connection.elsewhere()}"
             )
         name = resolve(found, found[0].rpartition("/")[2], robot)
         navigator = cls(connection, name, notify)

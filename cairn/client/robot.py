@@ -7,10 +7,10 @@ import secrets
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar, cast
 
 import zenoh
 
@@ -84,7 +84,7 @@ class Parameter:
 
 def connect(
     endpoint: str = "",
-    domain: int = 0,
+    domain: int | None = None,
     robot: str = "",
     *,
     notify: Callable[[str], None] = _log.warning,
@@ -94,7 +94,7 @@ def connect(
     Args:
         endpoint: where the router of the deployment listens: the path of a Unix socket, or
             `tcp/HOST:PORT`; by default the socket of this user's deployment in the domain.
-        domain: its ROS domain.
+        domain: its ROS domain; by default that of `ROS_DOMAIN_ID`, else 0.
         robot: its name; not needed if one robot alone is on the bus.
         notify: called with remarks, such as that a component does not answer yet.
 
@@ -148,7 +148,9 @@ class Robot:
         if self._robot:
             return self._robot
         if len(robots) != 1:
-            listed = ", ".join(sorted(robots)) or "none"
+            if not robots:
+                raise CairnError(f"no robot is on the bus{self.connection.elsewhere()}")
+            listed = ", ".join(sorted(robots))
             raise CairnError(
                 f"which robot is meant? On the bus there are: {listed}; give --robot (robot=...)"
             )
@@ -193,7 +195,7 @@ class Robot:
         Raises `CairnError` if there is no such topic, or if it is used with several types.
         """
         endpoints = self.connection.endpoints()
-        full = resolve({end.topic for end in endpoints}, topic, self._robot)
+        full = self._resolve({end.topic for end in endpoints}, topic)
         ends = [end for end in endpoints if end.topic == full]
         types = sorted({end.type_name for end in ends})
         if len(types) > 1:
@@ -244,23 +246,33 @@ class Robot:
         Raises `CairnError` if no component subscribes to the topic with this message type, or the
         user on the network may not publish on it.
         """
-        readers = [end for end in self.connection.endpoints() if end.kind == "MS"]
-        topics = {end.topic for end in readers if end.type_name == type_name(type(message))}
-        try:
-            full = resolve(topics, topic, self._robot)
-        except CairnError as error:
-            raise CairnError(
-                f"{topic} is not published: nothing subscribes to it with "
-                f"{type_name(type(message))} ({error})"
-            ) from error
-        key = keys.message_key(self.connection.domain, full, type(message))
-        if key not in self._publishers:
-            encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(type(message)))
-            self._publishers[key] = self.connection.publisher(key, encoding)
+        key = keys.message_key(self.connection.domain, topic, type(message))
+        known = self._publishers.get(key) if topic.startswith("/") else None
+        # Reading the graph takes longer than publishing: not for each of many messages.
+        if known is not None and cast("Any", known.matching_status).matching:
+            full = topic
+        else:
+            full = self._subscribed_topic(topic, type(message))
+            key = keys.message_key(self.connection.domain, full, type(message))
+            if key not in self._publishers:
+                encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(type(message)))
+                self._publishers[key] = self.connection.publisher(key, encoding)
         self._published[full] += 1
         sent = keys.Attachment(self._published[full], time.time_ns(), self._gid)
         self._publishers[key].put(self._codec.encode(message), attachment=sent.encode())
         return full
+
+    def _subscribed_topic(self, topic: str, message: type[Any]) -> str:
+        """Return the full name of a topic to which something subscribes with a message type."""
+        readers = [end for end in self.connection.endpoints() if end.kind == "MS"]
+        topics = {end.topic for end in readers if end.type_name == type_name(message)}
+        try:
+            return resolve(topics, topic, self._robot)
+        except CairnError as error:
+            raise CairnError(
+                f"{topic} is not published: nothing subscribes to it with "
+                f"{type_name(message)} ({error})"
+            ) from error
 
     def request(
         self,
@@ -274,7 +286,7 @@ class Robot:
 
         Raises `ControlError` if the component rejects it, `NoReplyError` if it does not reply.
         """
-        full = resolve(self.connection.nodes(), component, self._robot)
+        full = self._resolve(self.connection.nodes(), component)
         return self.connection.request(full, verb, arguments, timeout_s=timeout_s)
 
     def parameters(self, component: str) -> dict[str, Parameter]:
@@ -410,6 +422,15 @@ class Robot:
     def _is_of(self, entry: Log, component: str) -> bool:
         of_robot, _, name = entry.name.partition(".")
         return component in ("", name) and self._robot in ("", of_robot)
+
+    def _resolve(self, names: Collection[str], name: str) -> str:
+        """Return the full name that `name` means, as `resolve`; names other domains if none."""
+        if not names:
+            raise CairnError(
+                f"there is no {name}: nothing runs in domain {self.connection.domain}"
+                f"{self.connection.elsewhere()}"
+            )
+        return resolve(names, name, self._robot)
 
     def _full(self, topic: str) -> str:
         return topic if topic.startswith("/") else f"/{self.name}/{topic}"

@@ -12,8 +12,9 @@ from typing import Any, Final, Literal, get_args
 from cairn.bus import keys
 from cairn.bus.bus import full_name
 from cairn.bus.roles import Role
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import ROOT, Deployment
 from cairn.deployment.plugins import load_plugin
+from cairn.runtime.call_log import call_log_topic
 from cairn.runtime.ports import ports_of
 from cairn.schemas.message import type_name
 
@@ -38,6 +39,8 @@ joins find each other.
 _LOCAL: Final = "the local router"
 _VIEWED_BY_ALL: Final = "parameters"
 """The request that every component answers with its parameters and their values."""
+_RUN: Final = "run"
+"""The request that the root answers with the deployment as it runs."""
 
 Flow = Literal["ingress", "egress"]
 
@@ -49,6 +52,9 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     """
     topics, requests = _operator_topics(deployment), _requests(deployment)
     confidential = _input_topics(deployment, "confidential_inputs")
+    if deployment.call_log:  # which has the arguments of requests, such as the tokens of leases
+        logs = f"{deployment.robot}/{call_log_topic('*')}"
+        confidential["call logs"] = (f"{deployment.domain}/{logs}/*/*",)
     roles: Mapping[Role, list[dict[str, Any]]] = {
         "view": _view_rules(deployment.domain, requests["view"], confidential),
         "operate": _operate_rules(deployment.domain, topics, requests["operate"]),
@@ -203,6 +209,8 @@ def _input_topics(
 def _requests(deployment: Deployment) -> dict[Role, list[str]]:
     """Return the keys of the requests that each role adds to those of the role below it."""
     found: dict[Role, list[str]] = {"view": [], "operate": [], "administer": []}
+    root = full_name(deployment.robot, ROOT)
+    found["view"].append(keys.control_key(deployment.domain, root, _RUN))
     for member in deployment.members():
         component = full_name(deployment.robot, member.name)
         roles = {_VIEWED_BY_ALL: "view", **load_plugin(member.spec.plugin).request_roles}

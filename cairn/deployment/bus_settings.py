@@ -1,19 +1,22 @@
 """The section `bus` of a deployment: where its router listens, and who may connect to it."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
+    TypeAdapter,
+    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from cairn.bus.credentials import (
     Credentials,
@@ -174,6 +177,15 @@ class BusSettings(_Section):
             key=tls.key,
         )
 
+    @classmethod
+    def valid_part(cls, values: Mapping[str, Any]) -> "BusSettings":
+        """Return the settings with those values that are valid each for itself."""
+        valid = {}
+        for key in values.keys() & cls.model_fields.keys():
+            with suppress(ValidationError):
+                valid[key] = TypeAdapter(cls.__annotations__[key]).validate_python(values[key])
+        return cls.model_construct(**valid)
+
     def file_problems(self) -> Iterator[tuple[tuple[str, ...], str]]:
         """Yield what this computer does not have as needed, by key below `bus`, with the reason."""
         checks: list[tuple[tuple[str, ...], str | None, Callable[[Path], object]]] = [
@@ -216,34 +228,37 @@ class BusSettings(_Section):
     @classmethod
     def _listens_on_purpose(cls, listen: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         if info.data.keys() >= {"allow_remote", "allow_any_local_user", "users", "tls"}:
-            for endpoint in listen:
-                _check_access(endpoint, info.data)
+            _reject(
+                cls, listen, (text for one in listen for text in _access_problems(one, info.data))
+            )
         return listen
 
     @model_validator(mode="after")
     def _has_effect(self) -> "BusSettings":
+        _reject(type(self), None, self._conflicts())
+        return self
+
+    def _conflicts(self) -> Iterator[str]:
+        """Yield which values have no effect, or not the effect that is meant, together."""
         if self.user is not None and not self.connect:
-            raise ValueError("`user` is who joins the routers of `connect`; add `connect`")
+            yield "`user` is who joins the routers of `connect`; add `connect`"
         if (self.user is None) != (self.password_file is None):
-            raise ValueError("`user` and `password_file` belong together; name both or none")
+            yield "`user` and `password_file` belong together; name both or none"
         if self.user is not None and any(map(socket_path, self.connect)):
-            raise ValueError("a Unix socket of `connect` accepts no password; remove `user`")
+            yield "a Unix socket of `connect` accepts no password; remove `user`"
         if self.users and not self.listen:
-            raise ValueError(
+            yield (
                 "`users` connect to `listen`, which is empty; add an endpoint to `listen` "
                 "(a Unix socket is opened to others by `group`)"
             )
         roles = self.tls.certificate_roles if self.tls is not None else {}
         if roles and self.users:
-            raise ValueError(
-                "the roles come either from `users` or from `tls.certificate_roles`; remove one"
-            )
+            yield ("the roles come either from `users` or from `tls.certificate_roles`; remove one")
         if any(map(is_encrypted, self.connect)) and (self.tls is None or self.tls.ca is None):
-            raise ValueError(
+            yield (
                 "an encrypted endpoint of `connect` needs `tls: {ca: FILE}`, the authority that "
                 "has signed the router's certificate"
             )
-        return self
 
 
 def _check_folder(socket: Path) -> None:
@@ -252,39 +267,55 @@ def _check_folder(socket: Path) -> None:
         check_private(socket.parent)
 
 
-def _check_access(endpoint: str, bus: Mapping[str, object]) -> None:
-    """Raise `ValueError` if anyone could connect to an endpoint without being entitled."""
+def _reject(model: type[BaseModel], value: object, reasons: Iterable[str]) -> None:
+    """Raise one error with all reasons, if there are any."""
+    details = [
+        InitErrorDetails(
+            type=PydanticCustomError("value_error", "{reason}", {"reason": reason}),
+            loc=(),
+            input=value,
+        )
+        for reason in reasons
+    ]
+    if details:
+        raise ValidationError.from_exception_data(model.__name__, details)
+
+
+def _access_problems(endpoint: str, bus: Mapping[str, object]) -> Iterator[str]:
+    """Yield why an endpoint would let in users who are not entitled, or none who are."""
     tls, users = bus["tls"], bus["users"]
     certificate_roles = tls.certificate_roles if isinstance(tls, TlsSettings) else {}
-    if not is_loopback(endpoint) and not bus["allow_remote"]:
-        raise ValueError(
-            f"{endpoint} can be reached from other machines; listen on 127.0.0.1, or add "
-            "`allow_remote: true`"
+    is_open = not (users or certificate_roles or bus["allow_any_local_user"])
+    is_remote = not is_loopback(endpoint) and not bus["allow_remote"]
+    if is_remote:
+        and_open = ", and anyone who reaches it could drive the robot" if is_open else ""
+        and_close = f"; in both cases {_REMEDY}" if is_open else ""
+        yield (
+            f"{endpoint} can be reached from other machines{and_open}; listen on 127.0.0.1, or add "
+            f"`allow_remote: true`{and_close}"
         )
     if is_encrypted(endpoint) and not (isinstance(tls, TlsSettings) and tls.certificate):
-        raise ValueError(
+        yield (
             f"{endpoint} is encrypted and needs a certificate; add "
             "`tls: {certificate: FILE, key: FILE}`"
         )
     if bus["allow_any_local_user"]:
         if users or certificate_roles:
-            raise ValueError(
+            yield (
                 "`allow_any_local_user` asks for no password or certificate; remove it, or "
                 "remove `users` and `tls.certificate_roles`"
             )
         if not is_loopback(endpoint):
-            raise ValueError(
+            yield (
                 f"{endpoint} can be reached from other machines, and `allow_any_local_user` is for "
                 f"loopback only; {_REMEDY}"
             )
         if is_encrypted(endpoint):
-            raise ValueError(
-                f"{endpoint}: with `allow_any_local_user` encryption protects nothing; use tcp/"
-            )
+            yield (f"{endpoint}: with `allow_any_local_user` encryption protects nothing; use tcp/")
     elif certificate_roles and not is_encrypted(endpoint):
-        raise ValueError(
+        yield (
             f"{endpoint} carries no certificates, by which `tls.certificate_roles` knows clients; "
             "use a tls/ or quic/ endpoint, or `users`"
         )
-    elif not users and not certificate_roles:
-        raise ValueError(f"anyone who reaches {endpoint} could drive the robot; {_REMEDY}")
+    elif is_open and not is_remote:
+        yield f"anyone who reaches {endpoint} could drive the robot; {_REMEDY}"

@@ -90,15 +90,15 @@ def check_document(
 
 
 def _file_problems(root: DocumentNode) -> Iterator[Problem]:
-    """Yield the secrets, certificates and folders that cannot be used, if `bus` is valid."""
+    """Yield the secrets, certificates and folders that cannot be used.
+
+    Those values of `bus` that are invalid are reported otherwise.
+    """
     bus = root.find("bus")
-    if bus is None:
+    values = bus.plain() if bus is not None else None
+    if bus is None or not isinstance(values, dict):
         return
-    try:
-        settings = BusSettings.model_validate(bus.plain())
-    except ValidationError:  # reported already
-        return
-    for key, reason in settings.file_problems():
+    for key, reason in BusSettings.valid_part(values).file_problems():
         node = bus.find(*key) or bus
         found, _, remedy = reason.rpartition("; ")
         yield Problem(node.where, dotted(("bus", *key)), found or reason, remedy)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cairn.bounded_yaml import YAML_VALUES
+from cairn.bus.endpoints import default_domain
 from cairn.deployment.check import check_document
 from cairn.deployment.interpolation import interpolate
 from cairn.deployment.model import Deployment
@@ -66,7 +67,7 @@ def read_names(
     robot, domain = root.find("robot"), root.find("domain")
     return DeploymentNames(
         Deployment.model_fields["robot"].default if robot is None else str(robot.value),
-        0 if domain is None or not isinstance(domain.value, int) else domain.value,
+        domain.value if domain is not None and isinstance(domain.value, int) else default_domain(),
         tuple(name for name, _, _ in component_nodes(root)),
     )
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from cairn.bus.endpoints import MAX_DOMAIN, default_domain
 from cairn.deployment.bus_settings import BusSettings
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -13,6 +14,7 @@ Topic = Annotated[str, Field(pattern=r"^/?[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA
 Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
 Restart = Literal["permanent", "transient", "temporary"]
 Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
+LogLevel = Literal["debug", "info", "warning", "error"]
 
 ROOT = "root"
 VIEW = "cairn_up"
@@ -107,6 +109,9 @@ class ChildSpec(_Section):
         le=1 << 20,
         description="Memory of its process [MiB]; with more, it is killed and restarted.",
     )
+    log_level: LogLevel | None = Field(
+        None, description="Lowest level of what it logs; by default that of the deployment."
+    )
     load: Literal["at_start", "on_request"] = Field(
         "at_start", description="Started with its parent, or when its parent or `cairn load` asks."
     )
@@ -182,16 +187,21 @@ class Deployment(_Section):
     cairn: Literal[1] = Field(description="Version of this format.")
     robot: Name = Field("robot", description="Namespace of every name on the bus.")
     domain: int = Field(
-        0,
+        default_factory=default_domain,
         ge=0,
-        le=232,
-        description="Domain, as ROS_DOMAIN_ID; robots communicate only within one domain.",
+        le=MAX_DOMAIN,
+        description="Domain; robots communicate only within one. Default: ROS_DOMAIN_ID, or 0.",
     )
     bus: BusSettings = Field(
         default_factory=BusSettings, description="How the components connect to each other."
     )
     clock: Literal["system", "simulated"] = Field(
         "system", description="System time, or the time on topic `clock`."
+    )
+    call_log: bool = Field(
+        False,
+        description="Whether each component publishes what it is called with on topic "
+        "NAME/call_log, so that a recording of it can be re-run exactly.",
     )
     settings: dict[str, Any] = Field(
         default_factory=dict,
@@ -207,6 +217,7 @@ class Deployment(_Section):
         allow_inf_nan=False,
         description="Limit for stopping everything [s], shared out; what hangs is killed.",
     )
+    log_level: LogLevel = Field("info", description="Lowest level of what components log.")
     storage: Storage = Field(
         default_factory=Storage, description="Limits of log files and run folders."
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from difflib import get_close_matches
 from pathlib import Path
 from typing import NamedTuple
 
@@ -56,8 +57,10 @@ def _file_or_shipped(name: str, folder: Path, kind: str, known: list[str]) -> Pa
         return file  # where it does not exist, the reader reports the path
     if candidate.is_file():
         return candidate
+    close = get_close_matches(name, [one.partition(" ")[0] for one in known], n=2)
+    guess = f"did you mean {' or '.join(close)}? Give" if close else "give"
     raise CairnError(
-        f"there is neither a file {name} nor a shipped {kind} of that name; give the path of a "
+        f"there is neither a file {name} nor a shipped {kind} of that name; {guess} the path of a "
         f"file, or one of: {', '.join(known)}"
     )
 

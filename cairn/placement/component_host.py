@@ -215,7 +215,7 @@ class ComponentHost:
 
     def publish_heartbeats(self) -> None:
         """Publish the status of the component and of all below it in this process."""
-        self.runtime.heartbeat.publish()
+        self.runtime.publish_heartbeat()
         self._log_limit.report()
         for child in self._children:
             child.publish_heartbeats()

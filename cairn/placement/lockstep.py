@@ -43,6 +43,9 @@ class LockstepRun:
             seed=seed,
             stop_limit_s=deployment.stop_limit_s,
             lockstep=True,
+            call_log=deployment.call_log,
+            log_level=deployment.log_level,
+            deployment=deployment.model_dump_json(),
             exclusive_topics=exclusive_topics(deployment),
         )
         launch = LaunchRequest(name=ROOT, spec=deployment.root(), context=context)
@@ -265,7 +268,7 @@ class _LockstepHost:
 
     def publish_heartbeats(self) -> None:
         """Publish the status of the component and of all below it."""
-        self.runtime.heartbeat.publish()
+        self.runtime.publish_heartbeat()
         for child in tuple(self._children):
             child.publish_heartbeats()
 

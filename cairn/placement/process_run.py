@@ -80,14 +80,18 @@ def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
 
 
 def checked_plan(
-    zygote: ZygoteProcess, file: Path, sources: Sequence[SourceDocument], sets: Sequence[str]
+    zygote: ZygoteProcess,
+    file: Path,
+    sources: Sequence[SourceDocument],
+    sets: Sequence[str],
+    recording: Path | None = None,
 ) -> RunPlan:
     """Return `check_and_plan` of a deployment, made by a fork of the zygote that runs it.
 
     Raises `CairnError` with everything that is wrong, before anything is started.
     """
     entry = f"{check_for_root.__module__}:{check_for_root.__name__}"
-    argument = argument_of_check(file, sources, sets)
+    argument = argument_of_check(file, sources, sets, recording)
     return plan_of(call_in_fork(zygote, "check", entry, argument, timeout_s=_IMPORTS_LIMIT_S))
 
 
@@ -125,12 +129,15 @@ def run_processes(
             endpoints=endpoints(deployment),
             simulated_time=deployment.clock == "simulated",
             seed=seed,
+            call_log=deployment.call_log,
+            deployment=deployment.model_dump_json(),
             stop_limit_s=deployment.stop_limit_s,
             zygote=str(zygote.socket_path),
             socket_folder=str(folder),
             credentials=bus_settings.credentials if bus_settings.connect else NO_CREDENTIALS,
             message_limits=limits,
             log_folder=str(log_folder),
+            log_level=deployment.log_level,
             storage=deployment.storage,
             session_secret=secret,
             exclusive_topics=topics,

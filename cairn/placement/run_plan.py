@@ -17,12 +17,15 @@ from cairn.deployment.access_control import access_control
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
 from cairn.deployment.load import SourceDocument, assemble
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import ChildSpec, Deployment, Supervision
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
 from cairn.deployment.topic_limits import topic_limits
 from cairn.errors import CairnError
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
+
+_RECORDING, _RECORDER = "recording", "recorder"
+"""The components that `--record` adds; the latter is also the plugin's name."""
 
 
 @dataclass(frozen=True)
@@ -49,27 +52,68 @@ def plan_run(deployment: Deployment) -> RunPlan:
     return RunPlan(deployment, exclusive_topics(deployment), limits, gateway)
 
 
-def check_and_plan(file: Path, sources: Sequence[SourceDocument], sets: Sequence[str]) -> RunPlan:
+def check_and_plan(
+    file: Path,
+    sources: Sequence[SourceDocument],
+    sets: Sequence[str],
+    recording: Path | None = None,
+) -> RunPlan:
     """Return the plan of the deployment in a file that was read, with its overlays and `--set`s.
 
-    Raises `CairnError` with everything that is wrong with it.
+    With `recording`, it is recorded to that file. Raises `CairnError` with everything that is wrong
+    with it.
     """
-    return plan_run(check_sources(file, sources, sets))
+    deployment = check_sources(file, sources, sets)
+    return plan_run(deployment if recording is None else with_recorder(deployment, recording))
 
 
 def check_for_root(argument: Mapping[str, Any]) -> Any:
     """Return `check_and_plan` of file, sources and sets as JSON: the root calls it in a fork."""
     sources = _SOURCES.validate_python(argument["sources"])
-    plan = check_and_plan(Path(argument["file"]), sources, argument["sets"])
+    recording = argument["recording"] and Path(argument["recording"])
+    plan = check_and_plan(Path(argument["file"]), sources, argument["sets"], recording)
     return _PLAN.dump_python(plan, mode="json")
 
 
 def argument_of_check(
-    file: Path, sources: Sequence[SourceDocument], sets: Sequence[str]
+    file: Path,
+    sources: Sequence[SourceDocument],
+    sets: Sequence[str],
+    recording: Path | None = None,
 ) -> dict[str, Any]:
     """Return the argument of `check_for_root`, as JSON."""
     documents = _SOURCES.dump_python(list(sources), mode="json")
-    return {"file": str(file), "sources": documents, "sets": list(sets)}
+    return {
+        "file": str(file),
+        "sources": documents,
+        "sets": list(sets),
+        "recording": recording and str(recording),
+    }
+
+
+def with_recorder(deployment: Deployment, file: Path) -> Deployment:
+    """Return a deployment with a recorder, which starts before all others and stops after them.
+
+    All components then publish their call logs, so that the recording can be re-run exactly.
+    It has a supervisor of its own that nothing depends on: however often the recorder fails, the
+    robot continues. Raises `CairnError` if the deployment has a component of such a name.
+    """
+    names = {member.name for member in deployment.members()}
+    if taken := sorted(names & {_RECORDING, _RECORDER}):
+        raise CairnError(
+            f"the deployment has a component {taken[0]} already, a name that --record needs; "
+            "start it without --record, or rename that component"
+        )
+    recorder = ChildSpec(plugin=_RECORDER, parameters={"file": str(file)})
+    group = ChildSpec(
+        plugin="supervisor",
+        placement="in_process",
+        restart="temporary",
+        supervision=Supervision(max_restarts=5, within_s=60.0),
+        children={_RECORDER: recorder},
+    )
+    components = {_RECORDING: group, **deployment.components}
+    return deployment.model_copy(update={"components": components, "call_log": True})
 
 
 def plan_of(result: Any) -> RunPlan:

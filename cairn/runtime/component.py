@@ -3,14 +3,19 @@
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, Protocol, get_type_hints
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, get_type_hints
 
 import numpy as np
 
+from cairn.bus.bus import Bus
 from cairn.bus.roles import Role
 from cairn.clock import Clock
 from cairn.errors import CairnError
-from cairn.runtime.parameters import Config
+from cairn.runtime.call_log import CallLog
+from cairn.runtime.parameters import LOG_LEVEL, Config
+
+if TYPE_CHECKING:
+    from cairn.runtime.launch_request import LaunchRequest
 
 
 class ComponentContext(Protocol):
@@ -22,6 +27,9 @@ class ComponentContext(Protocol):
     log: logging.Logger
     random: np.random.Generator
     restarts: int
+    bus: Bus
+    launch: "LaunchRequest"
+    call_log: CallLog | None
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Make `call` once at time `at` [ns] of the component's clock, while active."""
@@ -89,6 +97,11 @@ class Component:
                 f"{cls.__module__}.{cls.__qualname__}: config is annotated {annotation!r}; "
                 "derive its class from cairn.Config"
             )
+        if LOG_LEVEL in annotation.model_fields:
+            raise CairnError(
+                f"{cls.__module__}.{cls.__qualname__}: every component has a parameter {LOG_LEVEL} "
+                "already; rename that of its config"
+            )
         return annotation
 
     @classmethod
@@ -122,7 +135,7 @@ class Component:
 
     @property
     def log(self) -> logging.Logger:
-        """Writes to the component's log file and to the topic /rosout."""
+        """Writes to the component's log file and to the topic /rosout, from its log level on."""
         return self._context.log
 
     @property

@@ -9,7 +9,7 @@ from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.message_limits import MessageLimits
 from cairn.deployment.exclusive_topics import ExclusiveTopic
-from cairn.deployment.model import ChildSpec, Storage
+from cairn.deployment.model import ChildSpec, LogLevel, Storage
 
 
 class RunContext(BaseModel):
@@ -24,13 +24,17 @@ class RunContext(BaseModel):
     seed: int = 0
     stop_limit_s: float = 10.0
     lockstep: bool = False
+    call_log: bool = False
     zygote: str = ""  # path of its socket
     socket_folder: str = ""  # for the sockets of the run's processes
     credentials: Credentials = NO_CREDENTIALS
     message_limits: MessageLimits = MessageLimits()
     log_folder: str = ""
+    log_level: LogLevel = "info"
     storage: Storage = Storage()
     session_secret: str = Field("", repr=False)  # proves which sessions are of this run
+    deployment: str = Field("", repr=False)
+    """The deployment as it runs, with all overlays and settings, as JSON."""
     exclusive_topics: tuple[ExclusiveTopic, ...] | None = None
     """None for a component that runs without a deployment, in a test: it accepts every writer."""
 

@@ -7,7 +7,18 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from types import EllipsisType, NoneType, UnionType
-from typing import Annotated, Any, Generic, Literal, TypeVar, Union, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    Final,
+    Generic,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+)
 
 from pydantic import (
     BaseModel,
@@ -19,6 +30,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from cairn.deployment.model import LogLevel
 from cairn.errors import CairnError
 
 C = TypeVar("C", bound="Config")
@@ -100,6 +112,27 @@ class Parameter:
     type: str
     description: str
     bounds: str
+
+
+LOG_LEVEL: Final = "log_level"
+"""Name of the parameter that every component has beside those of its configuration."""
+
+
+def describe_log_level(level: LogLevel) -> Parameter:
+    """Return the parameter `log_level` with its value."""
+    meaning = "Lowest level of the records that the component logs."
+    return Parameter(LOG_LEVEL, level, _type_name(LogLevel), meaning, "")
+
+
+def checked_log_level(value: object) -> LogLevel:
+    """Return a value of the parameter `log_level`; raises `ParameterRejected`."""
+    for level in get_args(LogLevel):
+        if value == level:
+            return cast("LogLevel", level)
+    levels = ", ".join(get_args(LogLevel))
+    raise ParameterRejected(
+        f"parameter {LOG_LEVEL} = {_shown(value)} rejected: should be one of {levels}"
+    )
 
 
 def describe_parameters(config: Config) -> list[Parameter]:

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple, Protocol
 
 from cairn.bus.bus import Node, Publisher, Subscription, full_name
 from cairn.bus.exclusive import Exclusive
+from cairn.runtime.call_log import CallLog
+from cairn.runtime.call_records import RecordKind
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.loop import Scheduler
@@ -56,6 +58,7 @@ class PortTable:
         node: Node,
         scheduler: Scheduler,
         launch: LaunchRequest,
+        call_log: CallLog | None = None,
     ) -> None:
         """Bind the ports; `launch` gives their topics, and the writers of exclusive ones."""
         self._component = component
@@ -85,11 +88,11 @@ class PortTable:
                         "topic is listed under external_topics, and no component publishes it",
                         spec.name, topic,
                     )  # fmt: skip
-                port = _Input(spec, topic, owner, node, scheduler, calls, exclusive)
+                port = _Input(spec, topic, owner, node, scheduler, calls, exclusive, call_log)
                 setattr(component, spec.name, port.bound)
                 self._inputs.append(port)
             else:
-                output = _Output(component.name, spec, topic, owner, node, exclusive)
+                output = _Output(component.name, spec, topic, owner, node, exclusive, call_log)
                 setattr(component, spec.name, output.bound)
                 self._outputs.append(output)
 
@@ -148,6 +151,7 @@ class _Input:
         scheduler: Scheduler,
         calls: list[tuple[str, Callable[..., None]]],
         exclusive: Exclusive | None,
+        call_log: CallLog | None,
     ) -> None:
         self.bound: BoundIn[Any] = BoundIn(spec, topic)
         self._spec = spec
@@ -155,6 +159,7 @@ class _Input:
         self._owner = owner
         self._node = node
         self._exclusive = exclusive
+        self._call_log = call_log
         self._wake = partial(scheduler.deliver, self._on_wake_up)
         self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
@@ -223,6 +228,8 @@ class _Input:
             return True
         if message is None:
             return False
+        if self._call_log is not None:
+            self._call_log.took(self._spec.name, self._subscription.taken)
         self.bound.set_latest(message)
         for where, call in self._calls:
             self._owner.run(where, call, message)
@@ -246,6 +253,7 @@ class _Output:
         owner: PortOwner,
         node: Node,
         exclusive: Exclusive | None,
+        call_log: CallLog | None,
     ) -> None:
         self.bound: BoundOut[Any] = BoundOut(
             component, spec, topic, self._send, self._has_subscribers
@@ -255,6 +263,7 @@ class _Output:
         self._owner = owner
         self._node = node
         self._exclusive = exclusive
+        self._call_log = call_log
         self._publisher: Publisher | None = None
         self._counted: tuple[Publisher | None, int] = (None, 0)
 
@@ -264,6 +273,8 @@ class _Output:
                 self._topic, self.spec.message, self.spec.qos, self._exclusive
             )
             self._counted = (self._publisher, self._counted[1])
+            if self._call_log is not None:
+                self._call_log.add(RecordKind.OPENED, self.spec.name, self._publisher.gid)
 
     def close(self) -> None:
         if self._publisher is not None:
@@ -285,11 +296,24 @@ class _Output:
 
     def _has_subscribers(self) -> bool:
         publisher = self._publisher
-        return publisher is not None and self._owner.may_publish and publisher.has_subscribers
+        if publisher is None or not self._owner.may_publish:
+            return False
+        subscribed = publisher.has_subscribers
+        if self._call_log is not None:
+            kind = RecordKind.HAS_SUBSCRIBERS if subscribed else RecordKind.NO_SUBSCRIBERS
+            self._call_log.add(kind, self.spec.name)
+        return subscribed
 
     def _send(self, message: Any) -> None:
-        if self._publisher is not None and self._owner.may_publish:
-            self._publisher.publish(message)
+        if self._publisher is None or not self._owner.may_publish:
+            return
+        sequence = self._publisher.publish(message)
+        if self._call_log is None:
+            return
+        if sequence:
+            self._call_log.add(RecordKind.SENT, self.spec.name, sequence)
+        else:
+            self._call_log.add(RecordKind.NOT_SENT, self.spec.name)
 
 
 def _contains(message: type[Any], name: str) -> bool:

@@ -1,5 +1,6 @@
 """Runtime of one component: its life cycle, errors, requests and status, on a bus and a loop."""
 
+import json
 import logging
 import os
 import threading
@@ -15,13 +16,32 @@ import numpy as np
 from cairn.bus.bus import Bus, Node, full_name
 from cairn.bus.qos import LATCHED
 from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
+from cairn.deployment.model import LogLevel
 from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
+from cairn.runtime.call_log import (
+    CallLog,
+    LoggedClock,
+    LoggedScheduler,
+    call_log_topic,
+    request_record,
+)
+from cairn.runtime.call_records import Record, RecordKind
 from cairn.runtime.component import Component
+from cairn.runtime.input_files import input_files, path_parameters
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState, RecoveryLimit, Transition, target_state
 from cairn.runtime.loop import Scheduler
-from cairn.runtime.parameters import Config, describe_parameters, with_changes
+from cairn.runtime.parameters import (
+    LOG_LEVEL,
+    Config,
+    ReadPathMark,
+    checked_log_level,
+    describe_log_level,
+    describe_parameters,
+    marked_parameters,
+    with_changes,
+)
 from cairn.runtime.port_table import PortTable
 from cairn.runtime.rosout import wire_safe_text
 from cairn.runtime.timers import CLOCK_TOPIC, ClockInput, ComponentTimers
@@ -65,8 +85,9 @@ class Runtime:
         self.restarts = launch.restarts
         self.log = logging.getLogger(f"cairn.{launch.context.robot}.{launch.name}")
         self.config = _config(component, launch)
+        self._set_log_level(launch.spec.log_level or launch.context.log_level)
         self.random = np.random.default_rng([launch.context.seed, zlib.crc32(launch.name.encode())])
-        self._bus = bus
+        self.bus = bus
         self._scheduler = scheduler
         self._system_clock = system_clock
         self._on_end = on_end
@@ -89,12 +110,17 @@ class Runtime:
         simulated = launch.context.simulated_time and component.clock_source == "deployment"
         simulated_clock = SimulatedClock() if simulated else None
         self.clock: Clock = system_clock if simulated_clock is None else simulated_clock
-        self._timers = ComponentTimers(
-            self.clock, scheduler, self.log, simulated=simulated_clock is not None
-        )
         self.node = bus.node(full_name(launch.context.robot, launch.name), self.log.error)
+        self.call_log: CallLog | None = None
+        start: Record = ()
+        if launch.context.call_log and component.clock_source != "device":
+            self.call_log = self._open_call_log()
+            start = (RecordKind.START, json.dumps(_start(launch, self.config), default=str))
+            self._scheduler = LoggedScheduler(scheduler, self.call_log)
+            if simulated_clock is None:  # otherwise the clock messages are logged
+                self.clock = LoggedClock(system_clock, self.call_log)
         try:
-            self._construct(component, simulated_clock)
+            self._logged(start, self._construct, component, simulated_clock)
         except (Exception, SystemExit) as error:
             self.node.close()
             raise CairnError(
@@ -131,6 +157,9 @@ class Runtime:
         Raises `CairnError` with the component's own error if it fails; the component is then
         either unconfigured again (its `on_error` recovered) or has ended.
         """
+        self._logged((RecordKind.TRANSITION, transition.value), self._make_transition, transition)
+
+    def _make_transition(self, transition: Transition) -> None:
         target = target_state(self._state, transition)
         self._in_transition = transition
         try:
@@ -151,10 +180,14 @@ class Runtime:
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         """Change live parameters, all or none; `ParameterRejected` names the one and the reason."""
-        new = with_changes(self.config, changes)
-        self.component.on_parameters(new)
-        self.config = new
-        self.component.config = new
+        own = {name: value for name, value in changes.items() if name != LOG_LEVEL}
+        level = checked_log_level(changes.get(LOG_LEVEL, self._log_level))
+        new = with_changes(self.config, own)
+        if own:
+            self.component.on_parameters(new)
+            self.config = new
+            self.component.config = new
+        self._set_log_level(level)
         self.log.info("parameters changed: %s", dict(changes))
 
     def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
@@ -163,7 +196,13 @@ class Runtime:
             self.transition(Transition(verb))
             return self._state.value
         if verb == "parameters":
-            return [vars(parameter) for parameter in describe_parameters(self.config)]
+            described = [*describe_parameters(self.config), describe_log_level(self._log_level)]
+            return [vars(parameter) for parameter in described]
+        if self.call_log is None:
+            return self._answer(verb, arguments)
+        return self._logged(request_record(verb, arguments), self._answer, verb, arguments)
+
+    def _answer(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         try:
             if verb == "set_parameters":
                 return self._call("on_parameters", self.set_parameters, arguments)
@@ -178,6 +217,13 @@ class Runtime:
 
     def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
         """Make one call into the component if it is active; an exception fails the component."""
+        if self.call_log is not None and not self.call_log.in_call:
+            name = getattr(call, "__name__", "")
+            self.call_log.call((RecordKind.HOST, name), self._run, where, call, *arguments)
+        else:
+            self._run(where, call, *arguments)
+
+    def _run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
         if self._state is not LifecycleState.ACTIVE:
             return
         if self._in_transition is not None:  # while it deactivates, it handles the pending messages
@@ -189,6 +235,12 @@ class Runtime:
             if self._fail(failure):
                 self._scheduler.post(self._recover)
         self._finish_if_requested()
+
+    def publish_heartbeat(self) -> None:
+        """Publish the status, and the calls logged since the last heartbeat; from any thread."""
+        self.heartbeat.publish()
+        if self.call_log is not None:
+            self.call_log.flush()
 
     def progress(self, what: str) -> None:
         """Report progress of a long call, so that it does not count as hung."""
@@ -221,13 +273,21 @@ class Runtime:
         """Whether messages may be sent: an inactive component publishes nothing."""
         return self._state is LifecycleState.ACTIVE or self._in_transition is Transition.ACTIVATE
 
+    def _set_log_level(self, level: LogLevel) -> None:
+        self._log_level = level
+        self.log.setLevel(level.upper())
+
     def _construct(
         self, component: type[Component], simulated_clock: SimulatedClock | None
     ) -> None:
+        simulated = simulated_clock is not None
+        self._timers = ComponentTimers(self.clock, self._scheduler, self.log, simulated=simulated)
         self.component = component(self)
         self.component.config = self.config
         robot, topics = self.launch.context.robot, self.launch.spec.topics
-        self._ports = PortTable(self.component, self, self.node, self._scheduler, self.launch)
+        self._ports = PortTable(
+            self.component, self, self.node, self._scheduler, self.launch, self.call_log
+        )
         self._clock_input: ClockInput | None = None
         if simulated_clock is not None:
             topic = full_name(robot, topics.get(CLOCK_TOPIC, CLOCK_TOPIC))
@@ -236,7 +296,7 @@ class Runtime:
                 self.node,
                 topic,
                 self._scheduler,
-                self._timers.on_clock_set,
+                self._on_clock_set,
                 self.log.error,
             )
         self.heartbeat = StatusPublisher(self.node, robot, self.status)
@@ -250,7 +310,7 @@ class Runtime:
                 self.component.on_configure()
             case Transition.ACTIVATE:
                 self._ports.subscribe()
-                unreached = self._bus.wait_for_peers(DISCOVERY_TIMEOUT_S)
+                unreached = self.bus.wait_for_peers(DISCOVERY_TIMEOUT_S)
                 if unreached:
                     self.log.warning(
                         "activated without having discovered all processes, whose messages may "
@@ -258,6 +318,8 @@ class Runtime:
                         "component, which must be restarted if it hangs",
                         ", ".join(unreached),
                     )
+                if self.call_log is not None:
+                    self.call_log.connected()
                 self.component.on_activate()
                 self._timers.start(
                     (period, partial(self.run, name, call))
@@ -276,12 +338,27 @@ class Runtime:
                     self.component.on_cleanup()
                 self.component.on_shutdown()
 
+    def _on_clock_set(self) -> None:
+        if self.call_log is not None:
+            self.call_log.clock_set(self.clock.now())
+        self._timers.on_clock_set()
+
     def _deactivate(self) -> None:
         self._ports.drain()
         self.component.on_deactivate()
         self._ports.unsubscribe()
         self._timers.stop()
         self._problems = {}
+
+    def _logged(self, record: Record, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Make one call, and log it."""
+        if self.call_log is None:
+            return call(*arguments)
+        return self.call_log.call(record, call, *arguments)
+
+    def _open_call_log(self) -> CallLog:
+        topic = full_name(self.launch.context.robot, call_log_topic(self.name))
+        return CallLog(self.node, topic, self.name, self.launch.incarnation, self._system_clock)
 
     def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Make one call, shown in the status; an exception in it becomes a `_Failure`."""
@@ -320,11 +397,7 @@ class Runtime:
             recovered = self._call("on_error", self.component.on_error, failure.error)
         except _Failure as second:
             self.log.error("on_error failed: %s", _text(second.error), exc_info=second.error)
-        if (
-            recovered
-            and not last
-            and self._recovery_limit.allow(self._system_clock.now(), self.log)
-        ):
+        if recovered and not last and self._recovery_limit.allow(self._recovery_time(), self.log):
             self._state = LifecycleState.UNCONFIGURED
             self._ports.reset()
             self.heartbeat.publish()
@@ -332,6 +405,12 @@ class Runtime:
         self._state = LifecycleState.FINALIZED
         self._ended(ExitReport(False, self._reason))
         return False
+
+    def _recovery_time(self) -> int:
+        time = self._system_clock.now()
+        if self.call_log is not None:
+            self.call_log.add(RecordKind.TIME, time)
+        return time
 
     def _describe_error(self, error: Exception) -> str:
         if isinstance(error, MemoryError):
@@ -362,6 +441,10 @@ class Runtime:
         try:
             self.heartbeat.publish()
             self.heartbeat.close()
+            if self.call_log is not None:
+                report = {"normal": end.normal, "reason": end.reason}
+                self.call_log.add(RecordKind.ENDED, json.dumps(report))
+                self.call_log.flush(last=True)
             self.node.close()
         finally:
             self._scheduler.stop()
@@ -380,6 +463,26 @@ def _config(component: type[Component], launch: LaunchRequest) -> Config:
         return component.config_class().model_validate(dict(launch.spec.parameters))
     except ValueError as error:
         raise CairnError(f"{launch.name}: invalid parameters: {error}") from error
+
+
+def _start(launch: LaunchRequest, config: Config) -> dict[str, Any]:
+    """Return what is needed to construct a component again as it was launched."""
+    context, spec = launch.context, launch.spec
+    return {
+        "name": launch.name,
+        "plugin": spec.plugin,
+        "parameters": spec.parameters,
+        "topics": spec.topics,
+        "children": list(spec.children),
+        "incarnation": launch.incarnation,
+        "robot": context.robot,
+        "seed": context.seed,
+        "simulated_time": context.simulated_time,
+        "lockstep": context.lockstep,
+        "read_paths": [read.name for read in marked_parameters(config, ReadPathMark)],
+        "paths": {name: str(path) for name, path in path_parameters(config).items()},
+        "files": [vars(file) for file in input_files(config)],
+    }
 
 
 def _text(error: BaseException) -> str:

@@ -72,9 +72,24 @@ class Supervisor(Component):
 
     def adopt(self, launch: LaunchRequest, host: SupervisorHost) -> None:
         """Take over the children of the deployment; called by the placement before `configure`."""
-        self._host = host
-        on_exit = partial(host.post, self._reconcile)
-        self.children = ChildGroup(launch, host, self.log, on_exit)
+        from cairn.supervision.logged_children import LoggedChildren
+
+        self._launch = launch
+        self._post: Callable[[Callable[[], None]], None] = host.post
+        on_exit = partial(host.post, self.reconcile)
+        log = self._context.call_log
+        if log is None:
+            self.children = ChildGroup(launch, host, self.log, on_exit)
+        else:
+            self.children = LoggedChildren(launch, host, self.log, on_exit, log)
+
+    def adopt_recorded(
+        self, children: "ChildGroup", post: Callable[[Callable[[], None]], None]
+    ) -> None:
+        """Take over children of which a call log has what they answered, for a re-run."""
+        self._launch = self._context.launch
+        self._post = post
+        self.children = children
 
     def on_activate(self) -> None:
         """Start the children."""
@@ -96,7 +111,13 @@ class Supervisor(Component):
         return False
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Load, unload, restart the child `name`, or hold it in a `state`; return its state."""
+        """Load, unload, restart the child `name`, or hold it in a `state`; return its state.
+
+        The root answers `run` with the deployment (JSON), the seed, and whether it is lockstep.
+        """
+        if verb == "run" and not arguments and not self._launch.parent:
+            run = self._launch.context
+            return {"deployment": run.deployment, "seed": run.seed, "lockstep": run.lockstep}
         expected = {"load": {"name"}, "unload": {"name"}, "restart": {"name"}}
         expected["hold"] = {"name", "state"}
         if set(arguments) != expected.get(verb):
@@ -108,7 +129,7 @@ class Supervisor(Component):
             getattr(self.children, verb)(name)
         except Escalate as error:
             # The request is answered, but the failure is the supervisor's own.
-            self._host.post(partial(_raise, error))
+            self._post(partial(_raise, error))
             raise CairnError(f"{self.name}: {error}") from error
         return {status.name: status.state for status in self.children.status()}[name]
 
@@ -116,9 +137,10 @@ class Supervisor(Component):
     def check_children(self) -> None:
         """Kill children that hang, restore those that deviate, and restart what has ended."""
         self.children.check()
-        self._reconcile()
+        self.reconcile()
 
-    def _reconcile(self) -> None:
+    def reconcile(self) -> None:
+        """Stop and start children as the restart policy decides; end with a significant one."""
         self.children.reconcile()
         self._finish_if_done()
 

@@ -233,11 +233,16 @@ class Launching:
     def write(
         self, components: str, robot: str = "robot", bus: Mapping[str, Any] | None = None
     ) -> Path:
-        """Write a deployment file with these components; by default on a socket of its own."""
+        """Write a deployment file with these components; by default on a socket of its own.
+
+        The text may have the keys of a deployment, too; its `cairn` and `robot` take precedence.
+        """
         file = self._folder / f"deployment{len(self.runs)}.yaml"
-        bus = bus or {"socket": str(new_socket())}
-        head = f"cairn: 1\nrobot: {robot}\nbus: {json.dumps(bus)}\n"
-        file.write_text(head + dedent(components), encoding="utf-8")
+        text = dedent(components)
+        head = {"cairn": 1, "robot": robot, "bus": bus or {"socket": str(new_socket())}}
+        given = set(re.findall(r"^(cairn|robot):", text, re.MULTILINE))
+        lines = [f"{key}: {json.dumps(value)}\n" for key, value in head.items() if key not in given]
+        file.write_text("".join(lines) + text, encoding="utf-8")
         return file
 
 

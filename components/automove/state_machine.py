@@ -178,7 +178,7 @@ class NavigatorStateMachine:
         elif plan.outcome == Plan.FOUND:
             self.state, self.reason = NavigationStatus.DRIVING, NO_REASON
             self._restart_timers(now_s)
-        elif plan.outcome == Plan.OUTSIDE_MAP:
+        elif plan.outcome in (Plan.OUTSIDE_MAP, Plan.GOAL_IMPOSSIBLE):
             self.fail(_no_path(plan))
         else:
             self.reason = _no_path(plan)

@@ -29,6 +29,7 @@ from cairn.components.hokuyo.sensor import Measurement, StampedScan
 from cairn.driver.device_names import TCP
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
+from cairn.planar.braille import BrailleCanvas
 from cairn.runtime.parameters import error_reason
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -39,11 +40,6 @@ _Scans = queue.Queue[StampedScan | Exception]
 _PICTURES_PER_S = 8
 _FIRST_SCAN_S = 5.0
 _OTHER_LINES = 6  # of the terminal, which the picture leaves free
-# The picture consists of Braille characters: cells of 2 by 4 dots.
-_ACROSS, _DOWN = 2, 4
-# Bits of Unicode's Braille patterns, row by row.
-_BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-_EMPTY = 0x2800
 _ROBOT = "+"
 _SHOWN_SHARE = 0.98  # of the ranges that the picture shows, unless --reach is given
 
@@ -236,17 +232,10 @@ def draw_scan(
     ranges, angles = scan.ranges[hit], angles[hit]
     if reach is None:
         reach = 1.05 * float(np.quantile(ranges, _SHOWN_SHARE)) if ranges.size else scan.range_max
-    # A dot is as wide as high in most terminals: a cell is twice as high as wide.
-    dots = np.array([columns * _ACROSS, lines * _DOWN])
+    canvas = BrailleCanvas(columns, lines)
+    dots = np.array(canvas.dots)
     meter = 0.5 * (dots.min() - 1) / reach
-    across = np.rint(0.5 * (dots[0] - 1) - meter * ranges * np.sin(angles)).astype(int)
-    down = np.rint(0.5 * (dots[1] - 1) - meter * ranges * np.cos(angles)).astype(int)
-    inside = (across >= 0) & (across < dots[0]) & (down >= 0) & (down < dots[1])
-    across, down = across[inside], down[inside]
-    cells = np.zeros((lines, columns), int)
-    np.bitwise_or.at(
-        cells, (down // _DOWN, across // _ACROSS), _BITS[down % _DOWN, across % _ACROSS]
-    )
-    text = [[chr(_EMPTY + cell) for cell in row] for row in cells.tolist()]
-    text[lines // 2][columns // 2] = _ROBOT
-    return "\n".join("".join(row) for row in text), math.ceil(reach * 100) / 100
+    ahead = np.column_stack((np.sin(angles), np.cos(angles)))
+    canvas.add(0.5 * (dots - 1) - meter * ranges[:, None] * ahead)
+    canvas.put(dots[0] // 2, dots[1] // 2, _ROBOT)
+    return canvas.text(), math.ceil(reach * 100) / 100

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,14 +23,16 @@ from cairn.components.map_builder.why import (
     describe_state,
     find_landmark,
     history_of,
+    object_row,
+    step_rows,
     summarize,
+    time_text,
 )
 from cairn.files import explain_os_error
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.visual_map.landmark_store import open_landmarks
-from cairn.visual_map.landmarks import LandmarkRecord
 from cairn.visual_map.sqlite_file import side_files
 
 DEFAULT_MAP = Path("visual_map.cairn")
@@ -127,7 +127,7 @@ def show(
         _show_grid(file, as_json)
         return
     with open_landmarks(file, read_only=True) as store:
-        objects = [_object_row(landmark) for landmark in store.landmarks()]
+        objects = [object_row(landmark) for landmark in store.landmarks()]
         changes = [_change_row(*change) for change in store.history()] if history else []
         version = store.version()
     if as_json:
@@ -156,10 +156,8 @@ def why(
         landmark = find_landmark(store, called)
         chain = history_of(store, landmark)
     if as_json:
-        rows = [asdict(step) | {"time": _time(step.stamp_ns)} for step in chain]
-        print_json(
-            {"object": _object_row(landmark), "now": describe_state(landmark), "steps": rows}
-        )
+        shown_object = {"object": object_row(landmark), "now": describe_state(landmark)}
+        print_json({**shown_object, "steps": step_rows(chain)})
         return
     line(f"object {landmark.object_id} ({landmark.name}) {describe_state(landmark)}")
     shown = chain if whole else summarize(chain)
@@ -168,7 +166,7 @@ def why(
         shown = shown[-last:]
     for step in shown:
         times = f" ({step.times} times)" if step.times > 1 else ""
-        line(f"{_time(step.stamp_ns) or 'initially':>29}  {step.text}{times}")
+        line(f"{time_text(step.stamp_ns) or 'initially':>29}  {step.text}{times}")
 
 
 def _show_grid(file: Path, as_json: bool) -> None:
@@ -226,34 +224,12 @@ def _prepare(out: Path) -> None:
         raise CairnError(f"{out} cannot be written: {explain_os_error(error)}") from error
 
 
-def _object_row(landmark: LandmarkRecord) -> dict[str, Any]:
-    position, found = landmark.position, landmark.candidate
-    return {
-        "object_id": landmark.object_id,
-        "name": landmark.name,
-        "x": position.x if position else None,
-        "y": position.y if position else None,
-        "reliability": landmark.reliability,
-        "state": landmark.state.name.lower(),
-        "evidence_count": landmark.evidence_count,
-        "candidate_x": found.position.x if found else None,
-        "candidate_y": found.position.y if found else None,
-        "candidate_reliability": found.reliability if found else None,
-    }
-
-
-def _time(stamp_ns: int) -> str | None:
-    if not stamp_ns:
-        return None
-    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).isoformat(sep=" ", timespec="milliseconds")
-
-
 def _change_row(
     version: int, stamp_ns: int, object_id: int, kind: str, reliability: float, reason: str
 ) -> dict[str, Any]:
     return {
         "version": version,
-        "time": _time(stamp_ns),
+        "time": time_text(stamp_ns),
         "stamp_ns": stamp_ns,
         "object_id": object_id,
         "kind": kind.lower(),

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from cairn import (
     RELIABLE,
     SECOND,
     SENSOR,
+    CairnError,
     Component,
     Config,
     In,
@@ -30,6 +33,7 @@ from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates
 from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedChange
 from cairn.components.map_builder.landmark_rule import rule_named
 from cairn.components.map_builder.posed_scans import PosedScans
+from cairn.components.map_builder.why import explain
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
@@ -65,6 +69,9 @@ _SAVE_S = 10.0
 # Evidence that is at most this much older than a relocalization was made by the lost robot; the
 # localizer drops observations that are later than 1 s.
 _IN_TRANSIT_NS = 2 * SECOND
+# Steps of an object's history in one reply, by default and at most: 1 MiB would have some 3,000.
+_STEPS: Final = 30
+_MOST_STEPS: Final = 1000
 
 
 class MapBuilder(Component):
@@ -75,6 +82,8 @@ class MapBuilder(Component):
     """
 
     config: MapBuilderConfig
+    request_roles = MappingProxyType({"why": "view"})
+
     object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200), optional=True)
     relocalized: In[Relocalization] = In(optional=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
@@ -132,6 +141,26 @@ class MapBuilder(Component):
         raise ParameterRejected(
             "the map builder's parameters can only be set when it is configured"
         )
+
+    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
+        """Answer `why` with the chain of evidence about `object` (number or name), as far as saved.
+
+        It has the `last` newest steps, by default 30.
+        """
+        if verb != "why" or not {"object"} <= set(arguments) <= {"object", "last"}:
+            return super().on_request(verb, arguments)
+        called, last = str(arguments["object"]), arguments.get("last", _STEPS)
+        if type(last) is not int or not 1 <= last <= _MOST_STEPS:
+            raise CairnError(
+                f"{self.name}: why: last {last!r} is not a number of steps; give 1 to {_MOST_STEPS}"
+            )
+        keeper = self._open_landmarks() if self.clock.now() > 0 else None
+        if keeper is None or keeper.store is None:
+            raise CairnError(
+                f"{self.name}: has no visual map to read now; check the parameter map_file, and "
+                "`cairn ps` for what keeps the map from being saved"
+            )
+        return explain(keeper.store, called, last)
 
     @on("object_evidence")
     def on_object_evidence(self, message: ObjectEvidenceArray) -> None:

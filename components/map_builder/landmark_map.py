@@ -188,6 +188,11 @@ class LandmarkKeeper:
         return [self._map.landmarks[key] for key in sorted(self._map.landmarks)]
 
     @property
+    def store(self) -> LandmarkStore | None:
+        """The open file, with what was saved; None while it cannot be written."""
+        return self._store
+
+    @property
     def is_saved(self) -> bool:
         """Whether the file has everything."""
         return self._store is not None and not self._unsaved

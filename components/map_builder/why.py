@@ -1,11 +1,12 @@
-"""`cairn map why`: the chain of evidence and changes of an object, in words."""
+"""The chain of evidence and changes of an object, in words: `cairn map why`, request `why`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 from cairn import SECOND, CairnError
 from cairn.visual_map.evidence_history import EvidenceSummary
@@ -28,6 +29,51 @@ class HistoryStep:
     verdict: str = ""
     similarity: float | None = None
     times: int = 1
+
+
+def explain(store: LandmarkStore, called: str, last: int) -> dict[str, Any]:
+    """Return what the map holds of an object and its `last` newest summarized steps, as JSON.
+
+    `left_out` is the number of earlier steps. Raises `CairnError` if the map has no such object.
+    """
+    landmark = find_landmark(store, called)
+    steps = summarize(history_of(store, landmark))
+    return {
+        "object": object_row(landmark),
+        "now": describe_state(landmark),
+        "steps": step_rows(steps[-last:]),
+        "left_out": max(0, len(steps) - last),
+    }
+
+
+def step_rows(steps: Sequence[HistoryStep]) -> list[dict[str, Any]]:
+    """Return steps as JSON, with their time."""
+    return [asdict(step) | {"time": time_text(step.stamp_ns)} for step in steps]
+
+
+def object_row(landmark: LandmarkRecord) -> dict[str, Any]:
+    """Return what the map holds of a landmark, as JSON; positions in [m]."""
+    position, found = landmark.position, landmark.candidate
+    return {
+        "object_id": landmark.object_id,
+        "name": landmark.name,
+        "x": position.x if position else None,
+        "y": position.y if position else None,
+        "reliability": landmark.reliability,
+        "state": landmark.state.name.lower(),
+        "evidence_count": landmark.evidence_count,
+        "candidate_x": found.position.x if found else None,
+        "candidate_y": found.position.y if found else None,
+        "candidate_reliability": found.reliability if found else None,
+    }
+
+
+def time_text(stamp_ns: int) -> str | None:
+    """Return a time [ns since 1970] in UTC; None for 0, which stands for the import."""
+    if not stamp_ns:
+        return None
+    at = datetime.fromtimestamp(stamp_ns / SECOND, UTC)
+    return at.isoformat(sep=" ", timespec="milliseconds")
 
 
 def find_landmark(store: LandmarkStore, called: str) -> LandmarkRecord:

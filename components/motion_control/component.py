@@ -37,7 +37,7 @@ from cairn.components.motion_control.moving_obstacles import MovingObstacleTrack
 from cairn.components.motion_control.safety_stop import SafetyStop
 from cairn.components.motion_control.scan_memory import NearbyObstacles, ScanMemory
 from cairn.components.motion_control.velocity_limits import STAND, Command, CommandLimiter
-from cairn.planar.messages import planar_pose, planar_poses
+from cairn.planar.messages import packed_poses, planar_pose, planar_poses
 from cairn.planar.odometry import OdometryChange, time_went_back
 from cairn.planar.pose_tracker import PoseTracker
 from cairn.planar.poses import Pose
@@ -51,7 +51,7 @@ from cairn.schemas.cairn_nav_msgs import (
     ReasonCode,
     VelocityGateStatus,
 )
-from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.geometry_msgs import PoseArray, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -88,6 +88,7 @@ class MotionControl(Component):
     velocity_gate_status: In[VelocityGateStatus] = In(qos=LATCHED, optional=True)
     cmd_vel: Out[Twist] = Out(qos=SENSOR)
     motion_status: Out[MotionStatus]
+    moving_obstacles: Out[PoseArray]
 
     def on_configure(self) -> None:
         """Start without a command."""
@@ -186,6 +187,10 @@ class MotionControl(Component):
         self._safety.scan_informative = rays.informative
         self._memory.add(stamp, sweep.start, rays)
         self._memory.set_predictions(self._movers.add_scan(stamp, rays, self._tracker.turn))
+        if self.moving_obstacles.has_subscribers:
+            header = Header(stamp=scan.header.stamp, frame_id="odom")
+            moving = packed_poses(self._movers.moving())
+            self.moving_obstacles.publish(PoseArray(header=header, poses=moving))
         self._view = _field_of_view(scan, self._mount)
         self._drive()
 

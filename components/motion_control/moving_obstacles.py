@@ -91,6 +91,18 @@ class MovingObstacleTracker:
         self._predictions = np.empty((0, 3))
         self._newest = -1
 
+    def moving(self) -> Array:
+        """Return what moves, as last seen: x, y [m] and direction of motion [rad] (n, 3).
+
+        Positions and directions are in the odometry frame.
+        """
+        rows = []
+        for thing in self._tracked:
+            vx, vy = thing.velocity()
+            if _SLOWEST <= math.hypot(vx, vy) <= _FASTEST:
+                rows.append((*thing.positions[-1][1:], math.atan2(vy, vx)))
+        return np.array(rows).reshape(-1, 3)
+
     def add_scan(self, stamp: int, rays: Rays, turn: float) -> Array:
         """Add the scan of `stamp` [ns] while the robot turns by `turn` [rad/s].
 

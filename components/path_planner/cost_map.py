@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,6 +31,9 @@ from cairn.planar.shortest_path import (
 
 BLOCKED = 255
 """Cost of a cell in which the robot itself does not fit, even without its margin."""
+
+WALL_M = 2.0
+"""An obstacle that extends so far [m] is a wall: what people move is smaller. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +145,27 @@ class CostMap:
     def is_obstacle(self, cell: Cell) -> bool:
         """Return whether a cell of the map is an obstacle."""
         return bool(self._values[cell] >= OCCUPIED_FROM)
+
+    def is_at_wall(self, cell: Cell) -> bool:
+        """Return whether the robot does not fit into a cell because of a wall of the map.
+
+        A wall is what reaches at least `WALL_M` away from the cell without a free cell between:
+        obstacles, and unknown space unless that may be passed.
+        """
+        resolution = self.frame.resolution
+        near = (self.costs.radius + 0.5 * resolution) / resolution
+        far = WALL_M / resolution
+        reach = math.ceil(max(near, far)) + 1
+        top, left = max(0, cell[0] - reach), max(0, cell[1] - reach)
+        around = self._values[top : cell[0] + reach + 1, left : cell[1] + reach + 1]
+        solid = around >= OCCUPIED_FROM
+        if not self.costs.allow_unknown:
+            solid |= around < 0
+        _, labels = cv2.connectedComponents(solid.astype(np.uint8))
+        rows, columns = np.ogrid[: around.shape[0], : around.shape[1]]
+        apart = np.hypot(rows - (cell[0] - top), columns - (cell[1] - left))
+        beside = np.unique(labels[apart <= near])
+        return bool(np.isin(labels[apart >= far], beside[beside > 0]).any())
 
     def cell(self, x: float, y: float) -> Cell | None:
         """Return the cell at the position x, y [m]; None if it is outside the map."""

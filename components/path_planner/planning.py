@@ -40,6 +40,7 @@ class PlanOutcome(IntEnum):
     GOAL_BLOCKED = 3
     OUTSIDE_MAP = 4
     UNREACHABLE = 5
+    GOAL_IMPOSSIBLE = 6
 
 
 @dataclass(frozen=True)
@@ -129,9 +130,11 @@ class Planner:
             )
         goal_cell = self._goal_cell(costs, goal, target)
         if goal_cell is None:
+            obstacle = _permanent_obstacle(costs, target)
+            blocked = PlanOutcome.GOAL_IMPOSSIBLE if obstacle else PlanOutcome.GOAL_BLOCKED
             return self._nearest_reachable(
-                costs, start_cell, goal, PlanOutcome.GOAL_BLOCKED,
-                f"{_format(goal)} {_closed_reason(costs, target)}",
+                costs, start_cell, goal, blocked,
+                f"{_format(goal)} {obstacle or _closed_reason(costs, target)}",
             )  # fmt: skip
         search = self._search.find(costs.cell_costs, start_cell, goal_cell)
         if search.cells is None:
@@ -284,6 +287,19 @@ def _closed_reason(costs: CostMap, cell: Cell) -> str:
     fits = costs.cell_costs[cell[0] + MARGIN, cell[1] + MARGIN] < BLOCKED
     near = costs.costs.radius + (costs.costs.margin if fits else 0.0)
     return f"is nearer than {near:g} m to an obstacle"
+
+
+def _permanent_obstacle(costs: CostMap, cell: Cell) -> str:
+    """Return why the map excludes a goal in this cell for good; empty if it may be free some day.
+
+    Furniture may have been moved since it was mapped, and its inside is unknown: from near, the
+    robot sees that it is gone.
+    """
+    if not costs.is_at_wall(cell):
+        return ""
+    if costs.is_unknown_space(cell):
+        return "is in unknown space"
+    return "is in a wall" if costs.is_obstacle(cell) else "is too near to a wall"
 
 
 def _positions(costs: CostMap, points: Array) -> tuple[Array, Array]:

@@ -42,7 +42,7 @@ from cairn.planar.odometry import OdometryChange, time_went_back
 from cairn.planar.pose_tracker import PoseTracker
 from cairn.planar.scans import rays_of
 from cairn.schemas.cairn_nav_msgs import ReasonCode, TeleoperationCommand, VelocityGateStatus
-from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.geometry_msgs import Point32, Polygon, PolygonStamped, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Bool, Header
@@ -96,6 +96,7 @@ class VelocityGate(Component):
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True, exclusive=True)
     cmd_vel: Out[Twist] = Out(qos=SENSOR, exclusive=True)
     velocity_gate_status: Out[VelocityGateStatus] = Out(qos=LATCHED)
+    footprint: Out[PolygonStamped] = Out(qos=LATCHED)
 
     # Times [ns] of the newest scan, odometry and message of the button, None before them; stamp of
     # the operator's command.
@@ -183,8 +184,11 @@ class VelocityGate(Component):
         self._status_at: int | None = None
 
     def on_activate(self) -> None:
-        """Publish the first status."""
+        """Publish the first status, and the outline of the robot."""
         self._stepped_at = self._published_at = self.clock.now()
+        corners = tuple(Point32(x=x, y=y) for x, y in self.config.outline().polygon())
+        header = Header(stamp=from_ns(self._stepped_at), frame_id="base_link")
+        self.footprint.publish(PolygonStamped(header=header, polygon=Polygon(points=corners)))
         if self._stop.problem:
             self._warnings.warn("file", self._stop.problem)
         if self._stop.engaged:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
 import time
 from collections.abc import Iterator, Sequence
@@ -93,8 +94,8 @@ def locate(
         }
         if not any(topic.endswith(f"/{_POSE_TOPIC}") for topic in subscribed):
             raise CairnError(
-                f"nothing subscribes to {_POSE_TOPIC}: the localizer is loaded with the first "
-                "goal; until then its parameter `start` sets the robot's pose"
+                f"nothing subscribes to {_POSE_TOPIC}: no localizer runs; `cairn load localizer` "
+                "starts it, or AutoMove with its parameter `load_plugins: on_activation`"
             )
         message = PoseWithCovarianceStamped(
             header=Header(frame_id="map"),
@@ -143,6 +144,7 @@ def _print_progress(goal: NavigationGoal, *, as_json: bool) -> NavigationStatus:
     status = NavigationStatus()
     printed: tuple[int | str, ...] | None = None
     printed_at = 0.0
+    cause = ""  # printed last
     for status in goal:
         now = time.monotonic()
         loading = status.reason if status.state == NavigationStatus.LOADING else ""
@@ -150,7 +152,8 @@ def _print_progress(goal: NavigationGoal, *, as_json: bool) -> NavigationStatus:
         is_due = news != printed or now - printed_at >= _REPEAT_S
         if is_due and not as_json and not goal.ended:
             printed, printed_at = news, now
-            line(_sentence(status))
+            line(progress_line(status, cause))
+            cause = cause_of(status)
     return status
 
 
@@ -214,12 +217,28 @@ def _poses_text(poses: Sequence[Sequence[float]]) -> str:
     return f"{text} and {more} more" if more > 0 else text
 
 
-def _sentence(status: NavigationStatus) -> str:
+def cause_of(status: NavigationStatus) -> str:
+    """Return what keeps the robot from its goal: the reason without the recovery behavior."""
+    if status.state == NavigationStatus.RECOVERING:
+        return status.reason.partition("): ")[2] or status.reason
+    return status.reason
+
+
+def _without_numbers(cause: str) -> str:
+    """Return a cause without its ages and distances, which change while the cause does not."""
+    return re.sub(r"\d+(\.\d+)?", "#", cause)
+
+
+def progress_line(status: NavigationStatus, printed_cause: str = "") -> str:
+    """Return the progress as a line; a cause that was printed last is not repeated."""
     of = f"goal {status.goal + 1} of {status.goals}: " if status.goals > 1 else ""
     left = ""
     if status.state == NavigationStatus.DRIVING and status.distance_left > 0.0:
         left = f": {status.distance_left:.1f} m left, about {status.time_left:.0f} s"
-    why = f"{', but' if left else ':'} {status.reason}" if status.reason else ""
+    reason, cause = status.reason, cause_of(status)
+    if cause and _without_numbers(cause) == _without_numbers(printed_cause):
+        reason = reason.removesuffix(cause).removesuffix(": ")
+    why = f"{', but' if left else ':'} {reason}" if reason else ""
     return f"{status.elapsed:6.1f} s  {of}{NAVIGATION_STATES[status.state]}{left}{why}"
 
 

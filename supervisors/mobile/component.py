@@ -74,8 +74,8 @@ class MobileSupervisor(Supervisor):
     """Keeps the base, the range scanner and AutoMove running (paper, step 1).
 
     Accepts missions (requests `go` and `cancel`, topic `goal_pose`, parameter `mission`; the
-    request `mission` returns the last one), loads AutoMove with the first, and keeps each mission
-    until it has its result, so that an AutoMove that was restarted continues it.
+    request `mission` returns the last one), loads AutoMove for the first unless it is loaded, and
+    keeps each mission until it has its result, so that an AutoMove that was restarted continues it.
     """
 
     config: MobileSupervisorConfig

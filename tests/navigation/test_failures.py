@@ -14,7 +14,7 @@ from cairn import SENSOR, CairnError
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from cairn.schemas.sensor_msgs import LaserScan
-from tests.navigation.driving import DEPLOY, STOPS_S, LockstepRobot
+from tests.navigation.driving import DEPLOY, ON_REQUEST, STOPS_S, LockstepRobot
 
 pytestmark = pytest.mark.slow
 
@@ -172,12 +172,6 @@ def test_restarted_supervisor_without_a_mission_leaves_the_robot_standing(
     assert robot.request("mobile_supervisor", "mission") is None
 
 
-AT_START = (
-    "components.mobile_supervisor.children.automove.load=at_start",
-    "components.mobile_supervisor.children.automove.parameters.load_plugins=on_activation",
-)
-
-
 def no_map(folder: Path) -> Path:
     return folder / "nowhere.yaml"
 
@@ -208,7 +202,7 @@ def no_picture(folder: Path) -> Path:
 def test_invalid_map_fails_the_deployment_at_once(
     drive: RobotFactory, tmp_path: Path, make: Callable[[Path], Path], cause: str
 ) -> None:
-    robot = drive(f"settings.map={make(tmp_path)}", *AT_START)
+    robot = drive(f"settings.map={make(tmp_path)}")
 
     with pytest.raises(CairnError, match=cause):
         robot.run_for(1.0)
@@ -220,7 +214,7 @@ def test_invalid_map_fails_the_deployment_at_once(
 
 
 def test_invalid_map_fails_the_mission_at_once(drive: RobotFactory, tmp_path: Path) -> None:
-    robot = drive(f"settings.map={no_map(tmp_path)}")
+    robot = drive(f"settings.map={no_map(tmp_path)}", ON_REQUEST)
     robot.go(3.0, 1.2)
 
     end = robot.await_end(5.0)

@@ -19,6 +19,9 @@ components:
     parameters: {directory: "${report}"}
     restart: transient
     stop_timeout_s: 60
+  mobile_supervisor:
+    children:
+      automove: {parameters: {load_plugins: on_request}}
 """
 SAVED_AGAIN = ("visual map", "mission", "report journal", "state of the world", "last pose")
 

@@ -12,6 +12,7 @@ import pytest
 
 from cairn.testing.launching import CAIRN, LIMIT_S
 from tests.commands import cairn
+from tests.navigation.driving import ON_REQUEST
 from tests.navigation.processes import ObservedRobot, robot_in
 from tests.wording import assert_words
 
@@ -22,7 +23,7 @@ pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.proces
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
     """A robot that all tests share, in their sequence: the first one needs it without a goal."""
     hangs = "components.mobile_supervisor.hang_timeout_s=2"
-    with robot_in(tmp_path_factory.mktemp("robot"), hangs) as robot:
+    with robot_in(tmp_path_factory.mktemp("robot"), hangs, ON_REQUEST) as robot:
         yield robot
 
 
@@ -37,7 +38,7 @@ def test_locate_is_rejected_without_a_localizer(robot: ObservedRobot) -> None:
 
     assert answer.code == 1
     assert answer.err.startswith(
-        "cairn: nothing subscribes to initialpose: the localizer is loaded with the first goal"
+        "cairn: nothing subscribes to initialpose: no localizer runs; `cairn load localizer`"
     )
 
 

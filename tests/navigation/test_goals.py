@@ -8,14 +8,14 @@ import pytest
 
 from cairn import CairnError
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
-from tests.navigation.driving import STOPS_S, LockstepRobot
+from tests.navigation.driving import ON_REQUEST, STOPS_S, LockstepRobot
 from tests.wording import words_in_order
 
 RobotFactory = Callable[..., LockstepRobot]
 
 
 def test_mission_publishes_its_states_and_ends_at_the_goal(drive: RobotFactory) -> None:
-    robot = drive()
+    robot = drive(ON_REQUEST)
     robot.run_for(1.0)
 
     robot.go(7.5, 5.0, math.radians(90))

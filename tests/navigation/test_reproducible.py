@@ -28,6 +28,7 @@ def test_two_processes_give_bitwise_equal_runs(tmp_path: Path) -> None:
 
         assert open_to_others(tmp_path / folder) == []
 
-    for name in ("pose.json", "map.pgm", "report.json", "world.jsonl"):
+    equal = ("pose.json", "map.pgm", "report.json", "world.jsonl", "trajectory.tum", "truth.tum")
+    for name in equal:
         one, other = (tmp_path / folder / name for folder in ("one", "other"))
         assert one.read_bytes() == other.read_bytes(), name

@@ -27,13 +27,16 @@ LICENSES = {
     "cycler": "BSD-3-Clause",
     "eclipse-zenoh": "EPL-2.0 OR Apache-2.0",
     "fonttools": "MIT",
+    "h11": "MIT",
     "kiwisolver": "BSD-3-Clause",
     "lz4": "BSD-3-Clause",
     "markdown-it-py": "MIT",
     "matplotlib": "Matplotlib license (like PSF-2.0)",
+    "mcap": "MIT",
     "mdurl": "MIT",
     "numba": "BSD-2-Clause",
     "opencv-python-headless": "Apache-2.0",
+    "plotext": "MIT",
     "psutil": "BSD-3-Clause",
     "pyserial": "BSD-3-Clause",
     "pyyaml": "MIT",
@@ -88,7 +91,8 @@ LIBRARIES = {
 
 _HEAD = """# Third-party software
 
-Cairn itself is licensed under [Apache-2.0](LICENSE) and contains no code of others; pictures and
+Cairn itself is licensed under [Apache-2.0](LICENSE). Code of others is in it only [where the
+console's page needs it](#javascript-of-the-consoles-page); pictures and
 recordings of others are in `deploy/worlds/textures` and `deploy/recordings`, each with its source
 and license in `SOURCE.md`. `pip install` adds the packages below from their own wheels. Each wheel
 brings its license texts in its folder `*.dist-info`. Development tools are not listed: they are not
@@ -121,6 +125,20 @@ Some packages are linked statically with further software, which their license f
 (IPP, libjpeg-turbo, OpenEXR, protobuf, TBB and others: `LICENSE-3RD-PARTY.txt`), llvmlite (LLVM),
 eclipse-zenoh and pydantic-core (Rust crates), apsw (SQLite), simplejpeg (libjpeg-turbo), NumPy
 and SciPy (`LICENSE.txt`), lz4, xxhash and backports-zstd (the libraries of these names).
+"""
+
+
+_JAVASCRIPT = """
+## JavaScript of the console's page
+
+`cairn/console/static/vendor` has these files unchanged, with their license texts, so that the page
+needs no internet:
+
+| package of npm | version | license | files |
+|---|---|---|---|
+| htm | 3.1.1 | Apache-2.0 | `preact-htm.js` (`preact/standalone.module.js`) |
+| preact, inside htm's file | 10 | MIT | `preact-htm.js` |
+| uplot | 1.6.32 | MIT | `uplot.js` (`dist/uPlot.esm.js`), `uplot.css` (`dist/uPlot.min.css`) |
 """
 
 
@@ -173,7 +191,7 @@ def notices() -> str:
             for library, files in projects.items()
             if "LGPL" in library.license
         ]
-    return _HEAD + "\n".join(rows) + "\n" + _LGPL.format(lines="\n".join(lgpl))
+    return _HEAD + "\n".join(rows) + "\n" + _LGPL.format(lines="\n".join(lgpl)) + _JAVASCRIPT
 
 
 def _requirements(package: Distribution) -> Iterator[str]:

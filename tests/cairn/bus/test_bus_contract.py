@@ -377,3 +377,17 @@ def test_pending_messages_are_bounded_by_their_bytes(
 
     assert eventually(lambda: reader.subscription.dropped == 2)
     assert [word.data[0] for word in reader.pending()] == ["c", "d"]
+
+
+def test_subscriber_gets_identity_of_message(pair: Pair) -> None:
+    writer = node(pair.writers, "writer")
+    reader = Reader(node(pair.readers, "reader"), TOPIC, String, RELIABLE)
+    publisher = writer.advertise(TOPIC, String, RELIABLE)
+    pair.wait_for_peers()
+    assert reader.subscription.taken is None
+    sent = [publisher.publish(String(data=word)) for word in ("one", "two")]
+    reader.next_of(2)
+    assert sent == [1, 2]
+    assert reader.subscription.taken == (publisher.gid, 2)
+    publisher.close()
+    assert publisher.publish(String(data="late")) == 0

@@ -1,11 +1,18 @@
 """Endpoints are paths of Unix sockets or network addresses; the default one is the user's own."""
 
+import socket
 from pathlib import Path
 
 import pytest
 
 from cairn import CairnError
-from cairn.bus.endpoints import endpoint_for, is_loopback, parse_endpoint
+from cairn.bus.endpoints import (
+    default_domain,
+    endpoint_for,
+    is_loopback,
+    listening_domains,
+    parse_endpoint,
+)
 
 
 @pytest.mark.parametrize(
@@ -32,6 +39,27 @@ def test_paths_and_addresses_are_endpoints(text: str, endpoint: str, loopback: b
 def test_other_text_is_rejected(text: str) -> None:
     with pytest.raises(ValueError, match="is not an endpoint; write protocol/host:port"):
         parse_endpoint(text)
+
+
+@pytest.mark.parametrize("text", ["233", "-1", "one", "0x3"])
+def test_invalid_domain_variable_is_rejected(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+
+    with pytest.raises(CairnError, match=f"ROS_DOMAIN_ID='{text}' is not a domain"):
+        default_domain()
+
+
+def test_error_without_a_router_names_the_domains_that_have_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CAIRN_RUNTIME_DIR", str(tmp_path))
+    (tmp_path / "domain-4.sock").touch()  # of a run that was killed
+    with socket.socket(socket.AF_UNIX) as router:
+        router.bind(str(tmp_path / "domain-3.sock"))
+        router.listen()
+
+        assert listening_domains() == [3]
+    assert listening_domains() == []
 
 
 def test_default_endpoint_is_the_socket_of_the_domain(

@@ -1,6 +1,9 @@
 """What a client keeps of the samples that it receives is bounded."""
 
+import subprocess
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -53,3 +56,45 @@ def test_false_cache_that_replies_without_end_does_not_fill_the_memory_of_a_clie
     client.close()
     queryable.undeclare()
     network.close()
+
+
+_READ_AND_ASK = """
+import os, threading, time
+from cairn.bus.graph import read_graph
+from cairn.client.connection import Connection
+from tests.cairn.bus.network import Network
+
+network = Network()
+bus = network.bus()
+tokens = [bus.session.liveliness().declare_token(f"@ros2_lv/0/x/{i}") for i in range(200)]
+client = Connection.open(network.endpoint)
+assert client.is_alive()
+
+def read():
+    while True:
+        read_graph(client.session, "@ros2_lv/0/**")
+
+for _ in range(3):
+    threading.Thread(target=read, daemon=True).start()
+end = time.monotonic() + 0.5
+while time.monotonic() < end:
+    assert client.is_alive()
+other = Connection.open(network.endpoint)
+other.close()
+assert not other.is_alive()
+os._exit(0)
+"""
+
+
+@pytest.mark.processes
+def test_connection_is_checked_while_other_threads_read_the_graph() -> None:
+    # In a process of its own: a deadlock with the GIL would stop the time limit of the test, too.
+    root = Path(__file__).parents[3]
+    done = subprocess.run(
+        [sys.executable, "-c", _READ_AND_ASK],
+        cwd=root,
+        timeout=60.0,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr

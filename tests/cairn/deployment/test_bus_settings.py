@@ -13,6 +13,7 @@ from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.deployment.problems import DeploymentError
+from tests.wording import assert_words
 
 USERS = {"anna": {"role": "operate", "password_file": "anna.password"}}
 MUTUAL = {
@@ -169,6 +170,7 @@ def test_viewers_read_everything_in_their_domain_and_change_nothing() -> None:
     assert allowed(one, "view", "ingress", "declare_subscriber") == {"3/**", "3/**/@adv/**"}
     assert allowed(one, "view", "ingress", "query") == {
         "3/**/@adv/**",
+        "@cairn/3/component/rover/root/run",
         "@cairn/3/component/rover/mobile/mission",
         "@cairn/3/component/rover/mobile/parameters",
         "@cairn/3/component/rover/localizer/parameters",
@@ -271,3 +273,45 @@ def test_each_secret_or_certificate_that_cannot_be_used_is_a_problem_of_the_depl
     assert "No such file" in found["bus.users.carl.password_file"][0]
     assert "No such file" in found["bus.tls.certificate"][0]
     assert "hunter2" not in str(caught.value)
+
+
+def test_all_problems_of_the_bus_are_reported_at_once(tmp_path: Path) -> None:
+    file = tmp_path / "lab.yaml"
+    file.write_text(
+        dedent(
+            f"""
+            cairn: 1
+            bus:
+              listen: [tcp/127.0.0.1:7447, tls/0.0.0.0:7448]
+              allow_remote: sometimes
+              socket: relative.sock
+              group: no_such_group
+              users: {{anna: {{role: view, password_file: {tmp_path}/missing}}}}
+            components: {{talker: {{plugin: test_talker}}}}
+            """
+        )
+    )
+
+    with pytest.raises(DeploymentError) as rejected:
+        load_deployment(file)
+
+    paths = [problem.path for problem in rejected.value.problems]
+    for path in ("allow_remote", "socket", "group", "users.anna.password_file"):
+        assert f"bus.{path}" in paths
+
+
+def test_all_conflicts_within_the_bus_are_reported_at_once() -> None:
+    bus = {
+        "user": "anna",
+        "listen": ["tcp/0.0.0.0:7447", "tls/127.0.0.1:7448"],
+        "users": {},
+    }
+    with pytest.raises(ValidationError) as rejected:
+        BusSettings.model_validate(bus)
+    text = str(rejected.value)
+    assert rejected.value.error_count() == 3
+    assert_words(text, "0.0.0.0:7447", "allow_remote", "tls/127.0.0.1:7448", "certificate")
+
+    with pytest.raises(ValidationError) as rejected:
+        BusSettings.model_validate({"user": "anna", "users": USERS})
+    assert rejected.value.error_count() == 3

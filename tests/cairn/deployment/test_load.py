@@ -46,17 +46,21 @@ def test_settings_replace_references_and_keep_their_type(write: Write) -> None:
     assert deployment.settings["file"] == parameters["map_file"]
 
 
-def test_names_are_read_without_plugins_and_with_overlays_and_sets(write: Write) -> None:
+def test_names_are_read_without_plugins_and_with_overlays_and_sets(
+    write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = write("""
         cairn: 1
         robot: ${name}
         settings: {name: rover}
         components:
-          boss: {plugin: not_installed, children: {base: {plugin: not_installed}}}
+          boss: {plugin: "cairn:Supervisor", children: {base: {plugin: "cairn:Component"}}}
         """)
     overlay = write("domain: 7", "overlay.yaml")
 
-    assert read_names(file) == ("rover", 0, ("boss", "base"))
+    monkeypatch.setenv("ROS_DOMAIN_ID", "3")
+    assert read_names(file) == ("rover", 3, ("boss", "base"))
+    assert load_deployment(file, import_plugins=False).domain == 3
     assert read_names(file, [overlay], ["name=tower"]) == ("tower", 7, ("boss", "base"))
     with pytest.raises(DeploymentError, match="there is no setting nam"):
         read_names(file, sets=["nam=tower"])

@@ -1,6 +1,7 @@
 """A component follows its life cycle and does only what its state allows."""
 
 import logging
+from collections.abc import Iterator
 
 import pytest
 
@@ -90,9 +91,16 @@ def test_status_is_published_at_each_transition_and_at_the_end() -> None:
     assert ports == {"word": ("/robot/word", 2), "echo": ("/robot/echo", 1)}
 
 
-def test_reason_with_nul_or_surrogates_is_published(caplog: pytest.LogCaptureFixture) -> None:
-    # What pytest captures goes to another process where tests run in parallel: UTF-8 only.
-    caplog.set_level(logging.CRITICAL + 1, "cairn")
+@pytest.fixture
+def no_log() -> Iterator[None]:
+    """Nothing is logged: pytest passes what it captures between processes, in UTF-8 only."""
+    logging.disable(logging.CRITICAL)
+    yield
+    logging.disable(logging.NOTSET)
+
+
+@pytest.mark.usefixtures("no_log")
+def test_reason_with_nul_or_surrogates_is_published() -> None:
 
     class Odd(RecordingComponent):
         def step(self, name: str) -> None:

@@ -108,7 +108,7 @@ def test_live_parameters_change_all_or_none() -> None:
 
     assert harness.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
     assert {one["name"]: one["value"] for one in harness.request("parameters")} == {
-        "gain": 0.75, "limits.high": 2.0
+        "gain": 0.75, "limits.high": 2.0, "log_level": "info"
     }  # fmt: skip
 
 
@@ -137,3 +137,29 @@ def test_component_that_rejects_parameters_keeps_the_old_ones() -> None:
 def test_invalid_parameters_are_reported_before_construction() -> None:
     with pytest.raises(CairnError, match=r"base: invalid parameters: (.|\n)*gain"):
         ComponentHarness(Base, {"gain": 7}, name="base")
+
+
+def test_log_level_is_a_parameter_of_every_component(caplog: pytest.LogCaptureFixture) -> None:
+    harness = ComponentHarness(Base)
+    harness.component.log.debug("hidden")
+    harness.request("set_parameters", log_level="debug")
+    harness.component.log.debug("shown")
+    with pytest.raises(ParameterRejected) as rejected:
+        harness.request("set_parameters", log_level="loud", gain=0.7)
+
+    assert "shown" in caplog.messages
+    assert "hidden" not in caplog.messages
+    assert_words(str(rejected.value), "log_level", "'loud'", "debug, info, warning, error")
+    assert harness.component.config.gain == 0.5
+    assert harness.request("parameters")[-1]["value"] == "debug"
+
+
+def test_configuration_may_not_have_a_parameter_of_that_name() -> None:
+    class OwnLevel(Config):
+        log_level: str = ""
+
+    class Loud(Base):
+        config: OwnLevel  # type: ignore[assignment]
+
+    with pytest.raises(CairnError, match="log_level already"):
+        Loud.config_class()

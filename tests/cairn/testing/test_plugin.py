@@ -154,7 +154,7 @@ def test_deployment_that_does_not_start_is_described_and_leaves_no_session_open(
 def test_status_after_a_transition_is_that_of_the_reply(
     deploy: Callable[..., RunningDeployment],
 ) -> None:
-    robot = deploy("components: {talker: {plugin: test_talker}}")
+    robot = deploy("robot: rover\ndomain: 7\ncomponents: {talker: {plugin: test_talker}}")
 
     for _ in range(10):
         assert robot.request("talker", "deactivate") == robot.status("talker").state == "inactive"

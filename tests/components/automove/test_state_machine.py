@@ -209,9 +209,10 @@ def test_missing_path_fails_with_the_reason_of_the_planner(outcome: int, tries: 
     )
 
 
-def test_goal_outside_the_map_fails_at_once() -> None:
+@pytest.mark.parametrize("outcome", [Plan.OUTSIDE_MAP, Plan.GOAL_IMPOSSIBLE])
+def test_impossible_goal_fails_at_once(outcome: int) -> None:
     robot = ScriptedRobot()
-    robot.plan = {"outcome": Plan.OUTSIDE_MAP, "reason": "the goal is outside the map"}
+    robot.plan = {"outcome": outcome, "reason": "the goal is outside the map"}
     robot.run(0.3)
     assert robot.states == [NavigationStatus.PLANNING, NavigationStatus.FAILED]
     assert_words(robot.navigator.reason.text, "no path", "the goal is outside the map")

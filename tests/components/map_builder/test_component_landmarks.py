@@ -23,7 +23,7 @@ from cairn.testing.lockstep import ComponentHarness
 from cairn.visual_map.landmark_store import open_landmarks
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import fill, room_for, small_disk
-from tests.wording import assert_words
+from tests.wording import assert_words, words_in_order
 
 
 @pytest.fixture
@@ -86,6 +86,23 @@ def test_moved_landmark_is_removed_and_registered(map_file: Path) -> None:
     assert changes[1].old_x == 2.0
     assert changes[1].new_x == pytest.approx(3.5, abs=0.05)
     assert states(it)[7] == VisualObject.LIVE
+
+
+def test_why_returns_the_chain_of_evidence_and_counts_the_steps_before(map_file: Path) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+    for step in range(4):
+        it.publish("object_evidence", frame(step, 0.9 if step else 0.1, 3.5))
+
+    answer = it.request("why", object="landmark 7", last=2)
+
+    assert answer["object"]["object_id"] == 7
+    assert "is at (3.50, 1.00) m" in answer["now"]
+    assert "REGISTERED" in " ".join(step["text"] for step in answer["steps"])
+    assert (len(answer["steps"]), answer["left_out"] > 2) == (2, True)
+    with pytest.raises(CairnError, match=words_in_order("99", "7 (landmark 7)")):
+        it.request("why", object=99)
+    with pytest.raises(CairnError, match=words_in_order("last", "-1", "1 to")):
+        it.request("why", object=7, last=-1)
 
 
 def test_restarted_map_builder_keeps_its_changes(map_file: Path) -> None:

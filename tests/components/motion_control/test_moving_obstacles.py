@@ -39,6 +39,23 @@ def test_position_of_a_walking_person_is_predicted() -> None:
     assert np.abs(last[:, 0] - 1.8).max() < 0.3
 
 
+def test_moving_things_are_listed_with_position_and_direction() -> None:
+    def person_and_pillar(time: float) -> list[Disc]:
+        return [(2.0, -1.5 + 1.0 * time, 0.25), (-3.0, 1.0, 0.2)]
+
+    world, robot, movers = World(HALL, person_and_pillar), (0.0, 0.0, 0.0), MovingObstacleTracker()
+    for time in np.arange(0, 1.5, 0.1).tolist():
+        rays = rays_from(robot, ANGLES, world.ranges(time, robot, ANGLES, np.zeros(ANGLES.size)))
+        movers.add_scan(round(time * SECOND), rays, 0.0)
+
+    ((x, y, direction),) = movers.moving()
+
+    assert math.hypot(x - 1.8, y + 0.1) < 0.2
+    assert abs(direction - math.pi / 2) < 0.2
+    movers.forget()
+    assert movers.moving().shape == (0, 3)
+
+
 def test_walking_person_is_detected_within_half_a_second() -> None:
     def person(time: float) -> list[Disc]:
         return [(2.0, -1.5 + 1.0 * time, 0.25)]

@@ -158,10 +158,20 @@ def test_goal_in_the_margin_of_a_wall_can_be_reached_and_left() -> None:
 
 
 def test_goal_too_near_to_an_obstacle_is_rejected_as_such() -> None:
-    answer = plan(room(), goal=(8.8, 3.0, 0.0))
+    answer = plan(room([(5.0, 2.5, 5.8, 3.5)]), goal=(5.95, 3.0, 0.0))
 
     assert answer.outcome is PlanOutcome.GOAL_BLOCKED
     assert_words(answer.reason, "0.22 m", "obstacle")
+
+
+@pytest.mark.parametrize(
+    ("x", "reason"), [(8.98, "is in a wall"), (8.8, "is too near to a wall")], ids=["in", "beside"]
+)
+def test_goal_at_a_wall_is_impossible(x: float, reason: str) -> None:
+    answer = plan(room(), goal=(x, 3.0, 0.0))
+
+    assert answer.outcome is PlanOutcome.GOAL_IMPOSSIBLE
+    assert_words(answer.reason, "goal", reason, "nearest reachable position")
 
 
 def test_nearest_position_for_an_impossible_goal_is_reachable() -> None:
@@ -223,7 +233,7 @@ def test_unknown_space_is_passed_only_if_allowed() -> None:
 
     assert closed.outcome is PlanOutcome.UNREACHABLE
     assert opened.outcome is PlanOutcome.FOUND
-    assert into.outcome is PlanOutcome.GOAL_BLOCKED
+    assert into.outcome is PlanOutcome.GOAL_IMPOSSIBLE
     assert "is in unknown space" in into.reason
 
 

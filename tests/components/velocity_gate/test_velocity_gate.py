@@ -101,6 +101,26 @@ class GatedRobot:
         )
 
 
+@pytest.mark.parametrize(
+    ("parameters", "corners", "reach"),
+    [
+        ({"radius": 0.3}, 32, 0.3),
+        ({"footprint": [[0.4, 0.3], [-0.4, 0.3], [-0.4, -0.3], [0.4, -0.3]]}, 4, 0.5),
+    ],
+)
+def test_outline_of_the_robot_is_published(
+    parameters: dict[str, Any], corners: int, reach: float
+) -> None:
+    robot = GatedRobot(**parameters)
+
+    (outline,) = robot.gate.take("footprint")
+
+    assert outline.header.frame_id == "base_link"
+    points = [(point.x, point.y) for point in outline.polygon.points]
+    assert len(points) == corners
+    assert [math.hypot(*point) for point in points] == pytest.approx([reach] * corners)
+
+
 def test_command_passes_and_ceases_with_its_source() -> None:
     robot = GatedRobot()
     robot.step(("navigator_cmd_vel", AHEAD), seconds=1.0)

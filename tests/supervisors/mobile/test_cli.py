@@ -8,7 +8,8 @@ import pytest
 from cairn import CairnError
 from cairn.client import Connection, navigation
 from cairn.client.navigation import Navigator
-from cairn.supervisors.mobile.cli import parse_goals
+from cairn.schemas.cairn_nav_msgs import NavigationStatus
+from cairn.supervisors.mobile.cli import cause_of, parse_goals, progress_line
 from cairn.testing.launching import new_endpoint
 from tests.cairn.bus.network import router_at
 from tests.commands import cairn
@@ -55,6 +56,20 @@ def test_goals_are_parsed(words: list[str], goals: list[list[float]]) -> None:
 def test_invalid_goal_is_rejected(words: list[str], why: str) -> None:
     with pytest.raises(CairnError, match=why):
         parse_goals(words)
+
+
+def test_a_cause_is_printed_once() -> None:
+    cause, printed, lines = "no path: a person 1.5 m ahead", "", []
+    for words in ("wait (1 of 4)", "give way (2 of 4)", "go near (3 of 4)"):
+        status = NavigationStatus(state=NavigationStatus.RECOVERING, reason=f"{words}: {cause}")
+        lines.append(progress_line(status, printed))
+        printed, cause = cause_of(status), cause.replace("1.5", "1.4")
+
+    assert lines == [
+        "   0.0 s  recovering: wait (1 of 4): no path: a person 1.5 m ahead",
+        "   0.0 s  recovering: give way (2 of 4)",
+        "   0.0 s  recovering: go near (3 of 4)",
+    ]
 
 
 def test_goal_together_with_cancel_is_rejected() -> None:
