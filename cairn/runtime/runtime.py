@@ -237,9 +237,10 @@ class Runtime:
         self._finish_if_requested()
 
     def publish_heartbeat(self) -> None:
-        """Publish the status, and the calls logged since the last heartbeat; from any thread."""
+        """Publish the status and, every second time, the logged calls; from any thread."""
         self.heartbeat.publish()
-        if self.call_log is not None:
+        self._heartbeats += 1
+        if self.call_log is not None and self._heartbeats % 2 == 0:
             self.call_log.flush()
 
     def progress(self, what: str) -> None:
@@ -300,6 +301,7 @@ class Runtime:
                 self.log.error,
             )
         self.heartbeat = StatusPublisher(self.node, robot, self.status)
+        self._heartbeats = 0
 
     def _step(self, transition: Transition) -> None:
         match transition:

@@ -49,7 +49,7 @@ def test_lockstep_recording_has_everything_and_is_repeatable(tmp_path: Path) -> 
         "robot": "turtle", "domain": 0, "seed": 3, "lockstep": True, "clock": "system",
     }  # fmt: skip
     assert "ticker" in attached["deployment.json"]["components"]
-    assert attached["parameters.json"]["recorder"]["compression"] == "zstd"
+    assert attached["parameters.json"]["recorder"]["compression"] == "lz4"
     contents = [contents_of(tmp_path / name / "run.mcap") for name in ("a", "b")]
     assert contents[0] == contents[1]
 
