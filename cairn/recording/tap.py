@@ -29,7 +29,7 @@ EVERY_TOPIC = ("/**",)
 
 _RING = 4096
 """Samples that wait for the tap's thread, which holds none of them up."""
-_PAUSE_S = 0.01
+_PAUSE_S = 0.02
 """Pause in which samples gather: waking the thread for each one takes twice the processor time."""
 
 _MAX_PUBLISHERS = 20_000
@@ -44,7 +44,7 @@ class Sample(NamedTuple):
     `topic` is its full name, `payload` its CDR. `gid` is the 16-byte identity of its publisher,
     which counts its messages in `sequence`, from 1. A foreign publisher that sends neither has one
     made of the key expression, and its messages are counted as they arrive. `sent_ns` and
-    `received_ns`, which is up to 10 ms late, are in nanoseconds since 1970-01-01 UTC; in lockstep
+    `received_ns`, which is up to 20 ms late, are in nanoseconds since 1970-01-01 UTC; in lockstep
     both are virtual time.
     """
 
