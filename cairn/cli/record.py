@@ -60,7 +60,9 @@ def record(
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="End after this time [s].")
     ] = None,
-    compression: Annotated[str, typer.Option(help="lz4, zstd (smaller, slower) or none.")] = _DEFAULTS.compression,
+    compression: Annotated[
+        str, typer.Option(help="lz4, zstd (smaller, slower) or none.")
+    ] = _DEFAULTS.compression,
     split_size: Annotated[
         int, typer.Option(help="Continue in a new file when one is longer [MiB].")
     ] = _DEFAULTS.split_mb,

@@ -124,6 +124,8 @@ class StatusMonitor:
     ) -> list[dict[str, Any]]:
         """Return the components of a robot, those that are not loaded included.
 
+        Siblings are in the order of the deployment.
+
         Args:
             robot: its name.
             graph: who publishes what; a component that publishes its status exists.
@@ -165,7 +167,9 @@ class StatusMonitor:
                 rows[name] = _empty_row(name, parents[name], "not loaded")
         others = {key: since for key, since in self._awaited.items() if key[0] != robot}
         self._awaited = others | awaited
-        return list(rows.values())
+        # As in the deployment; statuses arrive in any order.
+        order = {name: number for number, name in enumerate(parents)}
+        return sorted(rows.values(), key=lambda row: (order.get(row["name"], -1), row["name"]))
 
     def topics(self, channels: Iterable[Channel], graph: ConnectionGraph) -> list[dict[str, Any]]:
         """Return all topics with their rates [Hz] and ages [s], None where no port counts them."""

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page, sync_playwright
+from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, sync_playwright
 
 import cairn.client
 from cairn.deployment.shipped import deployment_file
@@ -96,6 +96,14 @@ class Tab:
         tab = self.page.get_by_role("tab", name=panel, exact=True)
         if tab.get_attribute("aria-selected") != "true":
             tab.click()
+
+    def component(self, name: str) -> Locator:
+        """Open a component's row of the panel Components, and return it."""
+        row = self.page.get_by_role("listitem").filter(
+            has=self.page.locator(".component-name", has_text=re.compile(f"^{name}$"))
+        )
+        row.locator(".component-row").click()
+        return row
 
     def picture(self, name: str) -> None:
         """Keep a picture of the page."""

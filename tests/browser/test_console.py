@@ -75,11 +75,9 @@ def test_restart_by_click(robot: RunningRobot, tab: Tab) -> None:
     before = robot.client.components()["path_planner"].pid
     tab.take_lease()
     tab.show("Components")
-    row = tab.page.get_by_text("path_planner", exact=True).first
-    row.click()
-    tab.page.get_by_role("button", name="Restart").first.click()
-    confirm = tab.page.get_by_role("alertdialog").get_by_role("button", name="Restart")
-    confirm.click()
+    row = tab.component("path_planner")
+    row.get_by_role("button", name="Restart", exact=True).click()
+    row.get_by_role("alertdialog").get_by_role("button", name="Restart").click()
     _await(lambda: _has_restarted(robot, before))
 
 

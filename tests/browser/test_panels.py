@@ -51,8 +51,7 @@ def test_restart_states_its_consequences_and_can_be_canceled(robot: RunningRobot
     tab.take_lease()
     tab.show("Components")
     tab.page.get_by_text(re.compile(r"(\d+) of \1 loaded")).first.wait_for()
-    tab.page.get_by_text("range_scanner", exact=True).first.click()
-    tab.page.get_by_role("button", name="Restart").first.click()
+    tab.component("range_scanner").get_by_role("button", name="Restart", exact=True).click()
     question = tab.page.get_by_role("alertdialog", name="Restart range_scanner?")
     question.get_by_text("motion depends on it").wait_for()
 

@@ -77,6 +77,19 @@ def test_components_are_listed_with_those_that_are_not_loaded_or_do_not_answer()
     assert states == {"base": "no answer", "other": "not loaded"}
 
 
+def test_siblings_are_in_the_order_of_the_deployment_whichever_reports_first() -> None:
+    bench = Bench()
+    localizer = ComponentStatus(
+        header=Header(), component="localizer", parent="boss", state="active", pid=9
+    )
+    for one in (localizer, replace(SUPERVISOR, children=("absent", "base", "localizer")), BASE):
+        bench.receive(one, 1.0)
+
+    rows = bench.rows(graph_of("boss", "base", "localizer"), 1.0)
+
+    assert list(rows) == ["boss", "absent", "base", "localizer"]
+
+
 def test_rates_and_ages_follow_from_the_counters_also_after_a_restart() -> None:
     bench = Bench()
     channels = [Channel(1, "/robot/odom", "nav_msgs/msg/Odometry", "")]
