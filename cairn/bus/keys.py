@@ -7,7 +7,7 @@ understand them. Keys that begin with `@cairn` are Cairn's own, which ROS 2 does
 import re
 import struct
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import xxhash
 
@@ -16,6 +16,9 @@ from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
 from cairn.errors import CairnError
 from cairn.schemas.message import type_name
+
+if TYPE_CHECKING:
+    import zenoh
 
 TOKENS = "@ros2_lv"
 """First chunk of every liveliness token of rmw_zenoh."""
@@ -82,6 +85,17 @@ class Attachment(NamedTuple):
             )
         sequence, sent_ns, _, gid = _ATTACHMENT.unpack_from(data)
         return cls(sequence, sent_ns, gid, proof)
+
+    @classmethod
+    def of(cls, sample: "zenoh.Sample") -> "Attachment | None":
+        """Return a sample's attachment; None if a foreign publisher sent none of this form."""
+        data = sample.attachment
+        if data is None or len(data) > LONGEST_ATTACHMENT:
+            return None
+        try:
+            return cls.decode(data.to_bytes())
+        except WireFormatError:
+            return None
 
 
 @dataclass(frozen=True)

@@ -369,7 +369,7 @@ class ZenohSubscription:
     @property
     def taken(self) -> MessageId | None:
         """Which message was taken last; None before, and if its publisher does not number them."""
-        attachment = None if self._taken is None else _attachment(self._taken)
+        attachment = None if self._taken is None else keys.Attachment.of(self._taken)
         return None if attachment is None else MessageId(attachment.gid, attachment.sequence)
 
     def take(self) -> Any | None:
@@ -417,13 +417,13 @@ class ZenohSubscription:
             if self._pending.put((payload, sample), size):
                 self._wake()
             # Last, because the wake-up may run the handler, which should not wait for this.
-            attachment = _attachment(sample)
+            attachment = keys.Attachment.of(sample)
             if attachment is not None:  # otherwise a peer without rmw_zenoh's numbering
                 self._in_transit.received(attachment.gid, attachment.sequence)
 
     def _reject_long(self, sample: zenoh.Sample, size: int) -> None:
         self._too_long += 1
-        attachment = _attachment(sample)
+        attachment = keys.Attachment.of(sample)
         self._long_messages.add(
             _publisher(self._graph, attachment),
             lambda named: too_long(self._topic, named, size, self._max_bytes),
@@ -442,7 +442,7 @@ class _ExclusiveGate:
 
     def verified(self, sample: zenoh.Sample) -> bytes | None:
         """Return the payload of a sample from the entitled writer; None if it is refused."""
-        attachment = _attachment(sample)
+        attachment = keys.Attachment.of(sample)
         try:
             if attachment is None:
                 raise Refused("it is not signed")
@@ -463,17 +463,6 @@ def _publisher(graph: GraphWatcher, attachment: keys.Attachment | None) -> str:
     """Return the name of the node that a sample claims to come from."""
     endpoint = None if attachment is None else graph.endpoint(attachment.gid)
     return "a publisher that is not in the graph" if endpoint is None else endpoint.node.name
-
-
-def _attachment(sample: zenoh.Sample) -> keys.Attachment | None:
-    """Return a sample's attachment; None if it has none of rmw_zenoh's form."""
-    data = sample.attachment
-    if data is None or len(data) > keys.LONGEST_ATTACHMENT:
-        return None
-    try:
-        return keys.Attachment.decode(data.to_bytes())
-    except keys.WireFormatError:
-        return None
 
 
 def _declare_publisher(

@@ -17,6 +17,7 @@ import typer
 import yaml
 
 from cairn.bounded_yaml import parse_yaml
+from cairn.bus import keys
 from cairn.bus.codec import to_plain
 from cairn.cli import completion
 from cairn.cli.fields import FieldPath, field_path, message_of
@@ -26,7 +27,6 @@ from cairn.cli.plugins import find_message
 from cairn.cli.topic_plot import plot_topic
 from cairn.client import NoMessageError, Robot, Subscription
 from cairn.client import connect as connect_to
-from cairn.client.connection import attachment_of
 from cairn.clock import from_ns
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import PortStatus
@@ -249,7 +249,7 @@ def measure_topic(
                     break
                 arrivals.append(time.monotonic())
                 sizes.append(len(sample.payload))
-                sent = attachment_of(sample)
+                sent = keys.Attachment.of(sample)
                 if sent is not None:
                     lost += max(0, sent.sequence - last.get(sent.gid, sent.sequence - 1) - 1)
                     last[sent.gid] = sent.sequence

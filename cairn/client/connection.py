@@ -199,7 +199,7 @@ class Connection:
                     sample = samples.get(timeout=max(0.0, deadline - time.monotonic()))
                 except queue.Empty:
                     break
-                sent = attachment_of(sample)
+                sent = keys.Attachment.of(sample)
                 if sent is None or len(sample.payload) > _STATUS_BYTES:
                     continue  # a foreign publisher without rmw_zenoh's numbering
                 with suppress(InvalidMessage):  # components count these at their ports
@@ -366,16 +366,6 @@ def _runs_here(zid: str) -> bool:
     """Return whether a session id names a process that exists on this machine."""
     pid = process_id(zid)
     return pid is not None and Path(f"/proc/{pid}").exists()
-
-
-def attachment_of(sample: Any) -> keys.Attachment | None:
-    """Return number, time and publisher of a sample; None if a foreign publisher omits them."""
-    if sample.attachment is None:
-        return None
-    try:
-        return keys.Attachment.decode(sample.attachment.to_bytes())
-    except keys.WireFormatError:
-        return None
 
 
 def check_robot(robot: str, known: Iterable[str]) -> None:

@@ -21,7 +21,6 @@ from cairn.client.connection import (
     KEPT_BYTES,
     STATUS_TOPIC,
     Connection,
-    attachment_of,
     check_robot,
     resolve,
 )
@@ -542,5 +541,5 @@ class Subscription(Generic[M]):
 
 
 def _sent_ns(sample: Any) -> int:
-    sent = attachment_of(sample)
+    sent = keys.Attachment.of(sample)
     return 0 if sent is None else sent.sent_ns

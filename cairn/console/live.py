@@ -21,7 +21,7 @@ import zenoh
 
 from cairn.bus import keys
 from cairn.bus.message_limits import MAX_MESSAGE_SIZE, ring_length
-from cairn.client.connection import Connection, attachment_of
+from cairn.client.connection import Connection
 from cairn.console.message_types import MessageTypes
 from cairn.console.source import Channel, ConnectionGraph, Message
 from cairn.errors import CairnError
@@ -347,7 +347,7 @@ class _Reader:
         """Pass samples to the event loop one by one, those that are not older than the last."""
         with self._passing:
             for sample in samples:
-                sent = attachment_of(sample)
+                sent = keys.Attachment.of(sample)
                 gid = b"" if sent is None else sent.gid
                 if sent is not None:
                     if sent.sequence <= self._last.get(gid, 0):
@@ -448,7 +448,7 @@ class _GraphReader:
 
 
 def _sent(sample: Any) -> int:
-    sent = attachment_of(sample)
+    sent = keys.Attachment.of(sample)
     return 0 if sent is None else sent.sent_ns
 
 

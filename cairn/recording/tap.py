@@ -187,7 +187,7 @@ class ZenohTap:
         if parsed is None or sample.kind != zenoh.SampleKind.PUT:
             self.refused += 1
             return
-        attachment = _attachment(sample)
+        attachment = keys.Attachment.of(sample)
         gid = keys.gid(key) if attachment is None else attachment.gid
         number = 0 if attachment is None else attachment.sequence
         with self._lock:
@@ -342,16 +342,6 @@ class LockstepTap:
         cls, now = publisher.message, self._now()
         payload = self._codec.encode(message)
         self._receive(Sample(topic, type_name(cls), type_hash(cls), payload, gid, number, now, now))
-
-
-def _attachment(sample: zenoh.Sample) -> keys.Attachment | None:
-    data = sample.attachment
-    if data is None or len(data) > keys.LONGEST_ATTACHMENT:
-        return None
-    try:
-        return keys.Attachment.decode(data.to_bytes())
-    except keys.WireFormatError:
-        return None
 
 
 def _disjoint(patterns: Sequence[str]) -> list[str]:
