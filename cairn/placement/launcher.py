@@ -93,14 +93,17 @@ class ProcessHandle:
     def request(self, verb: Verb, timeout_s: float) -> None:
         """Have it make a transition; see `ChildHandle`. `cancel_start` cuts a start short."""
         self._starting = verb in ("configure", "activate")
-        if self._channel.request(verb):
+        sent = self._channel.request(verb)
+        if sent:
             self._receive_until(lambda: self._channel.answer is not None, timeout_s)
         answer = self._channel.answer
         if answer is None:
             if self._starting and self._canceled:
                 raise CairnError("a stop was requested")
-            # The end of the channel is known before the exit.
-            report = self.wait(_LEAVING_LIMIT_S if self._channel.closed else 0)
+            # A component that has ended by itself takes no requests any more. Then its end of the
+            # channel closes, and then its process exits.
+            leaving_s = 0.0 if sent else min(timeout_s, _LEAVING_LIMIT_S)
+            report = self.wait(_LEAVING_LIMIT_S if self._channel.closed else leaving_s)
             if report is None:
                 raise ChildUnavailable(f"no answer within {timeout_s:.1f} s{self._where()}")
             if not report.normal or verb != "shutdown":

@@ -4,6 +4,7 @@ import faulthandler
 import os
 import re
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +17,9 @@ from cairn.errors import Escalate
 from cairn.placement.component_process import log_stacks_on_signal
 from cairn.placement.launcher import TRACEBACK_SIGNAL, ProcessHandle
 from cairn.runtime.launch_request import LaunchRequest, RunContext
+from cairn.runtime.lifecycle import LifecycleState
 from cairn.supervision.child import ChildHandle
+from cairn.supervision.child_channel import ChildChannel, Heartbeat, Request, TransitionAnswer
 from cairn.supervision.supervisor import ChildGroup
 from cairn.supervision.zygote import Exited, Signal
 from cairn.supervision.zygote_client import ChildProcess
@@ -79,6 +82,68 @@ def test_process_that_neither_joins_the_bus_nor_can_be_killed_is_not_started_twi
         supervisor.start_all()
 
     assert world.spawned == 1
+
+
+class EndingProcess(ChildProcess):
+    """Answers each request, until its component has ended; it ends when it is waited for."""
+
+    def __init__(self) -> None:
+        super().__init__(1, lambda _: None)
+        self._channel: ChildChannel
+        self._thread = threading.Thread(target=self._serve)
+
+    def spawn(self, *_: Any, channel: socket.socket, **__: Any) -> ChildProcess:
+        self._channel = ChildChannel(channel.dup())
+        self._channel.send_heartbeat(Heartbeat(LifecycleState.UNCONFIGURED))
+        self._thread.start()
+        return self
+
+    def end_component(self) -> None:
+        """Do what `component_process` does first when its component has ended."""
+        self._channel.stop_receiving()
+        self._thread.join(LIMIT_S)
+
+    def wait(self, timeout_s: float) -> Exited | None:
+        if timeout_s > 0 and not self._thread.is_alive() and not self.exit.done():
+            self.exit.set_result(Exited(self.pid, 0))
+        return super().wait(0)
+
+    def _serve(self) -> None:
+        while isinstance(request := self._channel.receive(), Request):
+            self._channel.send_answer(TransitionAnswer(request.number))
+
+
+class EndingWorld(World):
+    """Launches that process."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.process = EndingProcess()
+
+    def launch_child(  # type: ignore[override]  # a process, not a scripted child
+        self, launch: LaunchRequest, on_exit: Callable[[], None]
+    ) -> ChildHandle:
+        handle = ProcessHandle(launch)
+        handle.launch(self.process, on_exit)  # type: ignore[arg-type]  # only `spawn` is called
+        return handle
+
+
+def test_stop_of_a_child_that_has_just_ended_by_itself_is_clean(tmp_path: Path) -> None:
+    world = EndingWorld()
+    child = ChildSpec(plugin=f"{__name__}:Unused", interpreter="fresh")
+    launch = LaunchRequest(
+        name="root",
+        spec=ChildSpec(plugin="supervisor", children={"base": child}),
+        context=RunContext(log_folder=str(tmp_path)),
+    )
+    supervisor = ChildGroup(launch, world, world.log.logger, on_exit=lambda: None)
+    supervisor.start_all()
+    world.process.end_component()
+
+    supervisor.stop_all()
+
+    supervisor.check_stops()
+    assert not [line for line in world.log.lines if "stop failed" in line]
 
 
 class BusyProcess(ChildProcess):
