@@ -52,7 +52,7 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     """
     topics, requests = _operator_topics(deployment), _requests(deployment)
     confidential = _input_topics(deployment, "confidential_inputs")
-    if deployment.call_log:  # which has the arguments of requests, such as the tokens of leases
+    if deployment.has_call_log:  # which has the arguments of requests, such as the tokens of leases
         logs = f"{deployment.robot}/{call_log_topic('*')}"
         confidential["call logs"] = (f"{deployment.domain}/{logs}/*/*",)
     roles: Mapping[Role, list[dict[str, Any]]] = {

@@ -18,6 +18,10 @@ LogLevel = Literal["debug", "info", "warning", "error"]
 
 ROOT = "root"
 VIEW = "cairn_up"
+RECORDER = "recorder"
+"""The plugin that records the bus."""
+ALL_TOPICS = "/**"
+"""What a recorder records unless its parameter `topics` says otherwise."""
 _ROOT_PLUGIN = "cairn.supervision.supervisor:Supervisor"
 RESERVED = {
     ROOT: "the root of the tree of components",
@@ -198,10 +202,11 @@ class Deployment(_Section):
     clock: Literal["system", "simulated"] = Field(
         "system", description="System time, or the time on topic `clock`."
     )
-    call_log: bool = Field(
-        False,
+    call_log: bool | None = Field(
+        None,
         description="Whether each component publishes what it is called with on topic "
-        "NAME/call_log, so that a recording of it can be re-run exactly.",
+        "NAME/call_log, so that a recording of it can be re-run exactly; by default if a recorder "
+        "in the deployment records all topics.",
     )
     settings: dict[str, Any] = Field(
         default_factory=dict,
@@ -228,6 +233,13 @@ class Deployment(_Section):
         min_length=1, description="The components in start order."
     )
 
+    @property
+    def has_call_log(self) -> bool:
+        """Whether each component publishes its call log: see `call_log`."""
+        if self.call_log is not None:
+            return self.call_log
+        return any(_records_all_topics(member.spec) for member in self.members())
+
     def root(self) -> ChildSpec:
         """Return the root of the tree: the supervisor of the deployment's components."""
         return ChildSpec(
@@ -247,6 +259,11 @@ class Deployment(_Section):
             if member.name == name:
                 return member
         raise KeyError(name)
+
+
+def _records_all_topics(spec: ChildSpec) -> bool:
+    """Return whether a component is a recorder of all topics, perhaps with exceptions."""
+    return spec.plugin == RECORDER and ALL_TOPICS in spec.parameters.get("topics", (ALL_TOPICS,))
 
 
 def _members(specs: Mapping[str, ChildSpec], parent: str | None, below: str) -> Iterator[Member]:

@@ -43,7 +43,7 @@ class LockstepRun:
             seed=seed,
             stop_limit_s=deployment.stop_limit_s,
             lockstep=True,
-            call_log=deployment.call_log,
+            call_log=deployment.has_call_log,
             log_level=deployment.log_level,
             deployment=deployment.model_dump_json(),
             exclusive_topics=exclusive_topics(deployment),

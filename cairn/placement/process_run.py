@@ -129,7 +129,7 @@ def run_processes(
             endpoints=endpoints(deployment),
             simulated_time=deployment.clock == "simulated",
             seed=seed,
-            call_log=deployment.call_log,
+            call_log=deployment.has_call_log,
             deployment=deployment.model_dump_json(),
             stop_limit_s=deployment.stop_limit_s,
             zygote=str(zygote.socket_path),

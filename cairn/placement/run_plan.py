@@ -17,15 +17,15 @@ from cairn.deployment.access_control import access_control
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
 from cairn.deployment.load import SourceDocument, assemble
-from cairn.deployment.model import ChildSpec, Deployment, Supervision
+from cairn.deployment.model import RECORDER, ChildSpec, Deployment, Supervision
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
 from cairn.deployment.topic_limits import topic_limits
 from cairn.errors import CairnError
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
 
-_RECORDING, _RECORDER = "recording", "recorder"
-"""The components that `--record` adds; the latter is also the plugin's name."""
+_RECORDING = "recording"
+"""The supervisor that `--record` adds, above a component named as the plugin `recorder`."""
 
 
 @dataclass(frozen=True)
@@ -94,26 +94,25 @@ def argument_of_check(
 def with_recorder(deployment: Deployment, file: Path) -> Deployment:
     """Return a deployment with a recorder, which starts before all others and stops after them.
 
-    All components then publish their call logs, so that the recording can be re-run exactly.
     It has a supervisor of its own that nothing depends on: however often the recorder fails, the
     robot continues. Raises `CairnError` if the deployment has a component of such a name.
     """
     names = {member.name for member in deployment.members()}
-    if taken := sorted(names & {_RECORDING, _RECORDER}):
+    if taken := sorted(names & {_RECORDING, RECORDER}):
         raise CairnError(
             f"the deployment has a component {taken[0]} already, a name that --record needs; "
             "start it without --record, or rename that component"
         )
-    recorder = ChildSpec(plugin=_RECORDER, parameters={"file": str(file)})
+    recorder = ChildSpec(plugin=RECORDER, parameters={"file": str(file)})
     group = ChildSpec(
         plugin="supervisor",
         placement="in_process",
         restart="temporary",
         supervision=Supervision(max_restarts=5, within_s=60.0),
-        children={_RECORDER: recorder},
+        children={RECORDER: recorder},
     )
     components = {_RECORDING: group, **deployment.components}
-    return deployment.model_copy(update={"components": components, "call_log": True})
+    return deployment.model_copy(update={"components": components})
 
 
 def plan_of(result: Any) -> RunPlan:

@@ -23,6 +23,7 @@ from pydantic import Field
 
 from cairn.bell import Bell
 from cairn.clock import SECOND
+from cairn.deployment.model import ALL_TOPICS
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
 from cairn.recording.tap import PublisherInfo, Sample, Tap
@@ -54,7 +55,7 @@ class RecorderSettings(Config):
     """What a recorder records, and how."""
 
     topics: tuple[Pattern, ...] = Field(
-        ("/**",),
+        (ALL_TOPICS,),
         min_length=1,
         max_length=100,
         description="Topics to record; * stands for any characters in a name, ** for any levels.",

@@ -69,7 +69,7 @@ def rerun(
         if not starts:
             raise CairnError(
                 f"{files[0]}: nothing can be re-run: it has no call log; record with `cairn up "
-                "--record`, or set `call_log: true` in the deployment"
+                "--record`, by a component `recorder` of all topics, or with `call_log: true`"
             )
         until_ns = None if until is None else _absolute(until, recording.start_ns)
         results = _results(recording.files, starts, until_ns, time_limit)

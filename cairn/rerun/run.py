@@ -170,7 +170,7 @@ def chosen_starts(
             choice = ", ".join(dict.fromkeys(one.component for one in known)) or "none"
             why = (
                 "the recording has no call log of it: it drives a device, or the recording was "
-                "made without `call_log: true`"
+                "made without `call_log`"
                 if any(node.rsplit("/", 1)[-1] == name for node in nodes)
                 else "it is not in the recording"
             )

@@ -1,7 +1,7 @@
 """The call log: what a component was called with, so that exactly these calls can be made again.
 
-It is written when the deployment says `call_log: true`, as topic `<component>/call_log`, and
-recorded like any topic. `cairn.rerun` makes the calls again.
+It is published if the deployment says so (`Deployment.has_call_log`), as topic
+`<component>/call_log`, and recorded like any topic. `cairn.rerun` makes the calls again.
 """
 
 import json

@@ -2,6 +2,7 @@ import itertools
 import json
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -11,6 +12,7 @@ from cairn.deployment.model import ChildSpec, Deployment
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepRun
 from cairn.placement.run_plan import with_recorder
+from cairn.testing.rerun import assert_rerun_equal
 
 TICKER = ChildSpec(
     plugin="tests.components.recorder.ticker:Ticker", restart="transient", significant=True
@@ -61,6 +63,42 @@ def contents_of(path: Path) -> Counter[tuple[object, ...]]:
             (channel.topic, channel.metadata["gid"], one.sequence, one.log_time, one.publish_time)
             for _, channel, one in make_reader(file).iter_messages()
         )
+
+
+@pytest.mark.parametrize(
+    ("parameters", "call_log", "expected"),
+    [
+        ({}, None, True),
+        ({"exclude": ["camera/**"]}, None, True),
+        ({"last_s": 30.0}, None, True),
+        ({"topics": ["scan", "/**"]}, None, True),
+        ({"topics": ["scan", "odom"]}, None, False),
+        ({"topics": ["scan", "odom"]}, True, True),
+        ({}, False, False),
+    ],
+)
+def test_deployment_has_a_call_log_if_it_records_all_topics(
+    tmp_path: Path, parameters: dict[str, Any], call_log: bool | None, *, expected: bool
+) -> None:
+    file = tmp_path / "run.mcap"
+    recorder = ChildSpec(plugin="recorder", parameters={"file": str(file), **parameters})
+    deployment = DEPLOYMENT.model_copy(
+        update={"components": {"keeper": recorder, "ticker": TICKER}, "call_log": call_log}
+    )
+    published: set[str] = set()
+    run = LockstepRun(deployment, seed=3)
+    run.bus.taps.append(lambda publisher, _: published.add(publisher.topic))
+    assert run.run(lambda: None).normal
+    assert ("/turtle/ticker/call_log" in published) is expected
+
+
+def test_recording_of_a_component_recorder_can_be_re_run(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    recorder = ChildSpec(plugin="recorder", parameters={"file": str(file)})
+    components = {"keeper": recorder, "ticker": TICKER}
+    run = LockstepRun(DEPLOYMENT.model_copy(update={"components": components}), seed=3)
+    assert run.run(lambda: None).normal
+    assert_rerun_equal(file, "ticker")
 
 
 def test_second_recorder_of_a_deployment_is_refused(tmp_path: Path) -> None:
