@@ -1,9 +1,11 @@
 """A bus declares and sends in rmw_zenoh's format, as seen by a bare Zenoh session."""
 
+import signal
 import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 
@@ -124,6 +126,28 @@ def test_router_that_does_not_list_the_graph_in_time_is_an_error() -> None:
 
         with pytest.raises(CairnError, match="the router did not list the components within"):
             read_graph(command, tokens_pattern(0), 0.2)
+
+
+def test_images_of_a_stereo_pair_wait_for_a_process_that_is_held_up() -> None:
+    pair = ("/robot/left_image", "/robot/right_image")
+    image = Image(
+        height=480, width=640, encoding="mono8", step=640, data=np.zeros(307200, np.uint8)
+    )
+    with (
+        router_process() as (endpoint, router),
+        open_client([endpoint]) as sender,
+        open_client([endpoint]) as receiver,
+    ):
+        ear, eyes = node(ZenohBus(receiver), "/robot/ear"), node(ZenohBus(sender), "/robot/eyes")
+        readers = [Reader(ear, topic, Image, SENSOR) for topic in pair]
+        writers = [eyes.advertise(topic, Image, SENSOR) for topic in pair]
+        assert eventually(lambda: all(writer.has_subscribers for writer in writers))
+        stop(router)
+        for writer in writers:
+            writer.publish(image)
+        router.send_signal(signal.SIGCONT)
+
+        assert [len(reader.next().data) for reader in readers] == [307200, 307200]
 
 
 def test_domains_are_isolated(network: Network) -> None:
