@@ -93,7 +93,8 @@ $(VENV)/ready: pyproject.toml requirements/dev.txt requirements/pip.txt
 	$(LOCKED) requirements/pip.txt
 	$(LOCKED) requirements/dev.txt
 	$(LOCAL) .
-	$(BIN)/cairn plugins >/dev/null  # compiles the kernels, so that no robot waits for it
+	# Importing all plugins compiles the kernels, so that no robot waits for it, nor each test worker.
+	$(BIN)/python -c "from cairn.deployment.plugins import installed_plugins as plugins; plugins()"
 	@touch $@
 
 # The plugins that the tests run, some of them broken on purpose.
