@@ -18,6 +18,7 @@ from cairn.console.browser import Browser
 from cairn.console.monitoring import StateEvents
 from cairn.console.operations import LIVE_METHODS, Arguments, ConsoleMethod, OfRobot
 from cairn.console.protocol import ERROR
+from cairn.console.recorded_state import MAP_TYPE, state_at
 from cairn.console.source import Channel, ConnectionGraph, Message
 from cairn.errors import CairnError
 from cairn.recording.mcap_file import RecordedChannel, RecordedMessage
@@ -118,7 +119,7 @@ class RecordedSource:
         self.speed = speed
 
     def seek(self, time_ns: int) -> None:
-        """Go to a time; each subscription gets its last messages before it."""
+        """Go to a time; each subscription gets the messages that show its state then."""
         time_ns = min(max(time_ns, self._recording.start_ns), self._recording.end_ns)
         self._set_position(time_ns)
         self._unsent = set(self._subscribed)
@@ -143,7 +144,7 @@ class RecordedSource:
             self._reader.shutdown(wait=False)
 
     def subscribe(self, channel: Channel) -> None:
-        """Read a channel: its last messages first."""
+        """Read a channel: its last messages, which show its state, first."""
         self._subscribed.add(channel.id)
         self._unsent.add(channel.id)
         self._set_position(self.now)
@@ -159,6 +160,9 @@ class RecordedSource:
 
     def kept(self, channel: Channel) -> Sequence[Message]:
         """Return the last messages of a channel that is subscribed already."""
+        if channel.type_name == MAP_TYPE:  # with the updates since: it is read for all again
+            self.subscribe(channel)
+            return []
         return sorted(self._kept[channel.id].values())
 
     async def publish(self, topic: str, type_name: str, payload: bytes) -> None:
@@ -229,7 +233,7 @@ class RecordedSource:
         asked = [one for id_ in sorted(new) for one in self._recorded[id_]]
         last: list[RecordedMessage] = []
         if asked:
-            last = await self.read(lambda recording: recording.last_at(position, asked))
+            last = await self.read(lambda recording: state_at(recording, position, asked))
         if self._is_stale:
             self._unsent |= new & self._subscribed
             return

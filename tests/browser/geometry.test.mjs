@@ -51,6 +51,7 @@ test("a scale bar has a round length", () => {
 
 const grid = () =>
   new GridMap({
+    header: { stamp: { sec: 1, nanosec: 0 } },
     info: { width: 3, height: 2, resolution: 0.5, origin: { position: { x: -1, y: 2 }, orientation: { x: 0, y: 0, z: 0, w: 1 } } },
     data: Int8Array.from([0, 100, -1, -1, -1, -1]),
   });

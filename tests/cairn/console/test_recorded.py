@@ -6,14 +6,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cairn import CairnError
 from cairn.bus.codec import Codec
 from cairn.console.operations import LIVE_METHODS, Operations
 from cairn.console.recorded import RecordedOperations, RecordedSource
+from cairn.console.recorded_state import state_at
+from cairn.recording.reader import McapRecording
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
+from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header, String
 from tests.cairn.console.conftest import Page, Running, running
@@ -111,6 +116,78 @@ def test_recording_plays_in_order_to_its_end_and_from_the_start_again(player: Ru
     assert words(page) == (2, "word 0")
     value(page, "pause")
     page.close()
+
+
+def grid(at_s: int, value: int) -> OccupancyGrid:
+    info = MapMetaData(width=3, height=2, resolution=0.05)
+    return OccupancyGrid(header=stamped(at_s), info=info, data=np.full(6, value, np.int8))
+
+
+def update(at_s: int, x: int, *values: int) -> OccupancyGridUpdate:
+    data = np.array(values, np.int8)
+    return OccupancyGridUpdate(
+        header=stamped(at_s), x=x, y=1, width=len(values), height=1, data=data
+    )
+
+
+def stamped(at_s: int) -> Header:
+    return Header(stamp=Time(sec=BEGIN // SECOND + at_s), frame_id="map")
+
+
+def test_map_has_all_updates_since_it_at_any_time(tmp_path: Path) -> None:
+    messages = [
+        (1, grid(1, 0)), (2, update(2, 0, 10, 20)), (3, update(3, 1, 30, 40)),
+        (4, update(4, 2, 50)),
+        (5, update(5, 2, 1, 1)), (5, update(3, 0, 99)),  # not within the map; older than the last
+        (6, grid(6, 7)), (7, update(7, 0, 60)), (9, String(data="the end")),
+    ]  # fmt: skip
+    topics = {OccupancyGrid: "/robot/map", OccupancyGridUpdate: "/robot/map_updates"}
+    sent = [
+        Sent(topics.get(type(one), "/robot/words"), at_s * SECOND, one, latched=at_s in (1, 6))
+        for at_s, one in messages
+    ]
+    source = RecordedSource(write_recording(tmp_path / "map.mcap", sent))
+    with running(source, "watch", operations=lambda hub: RecordedOperations(hub, source)) as player:
+        page = player.browser()
+        id_ = channels(page)["/robot/map"]
+
+        def cells(page: Page) -> list[int]:
+            return Codec().decode(OccupancyGrid, page.data()[2]).data.tolist()
+
+        page.send(op="subscribe", subscriptions=[{"id": 1, "channelId": id_}])
+        assert cells(page) == [0, 0, 0, 0, 0, 0]
+        shown = []
+        for at_s in (2.5, 3.5, 5.5, 6.5, 8.5, 3.5):
+            value(page, "seek", time_ns=BEGIN + round(at_s * SECOND))
+            shown.append(cells(page))
+        assert [one[:3] for one in shown] == [[0] * 3, [0] * 3, [0] * 3, [7] * 3, [7] * 3, [0] * 3]
+        rows = [one[3:] for one in shown]
+        assert rows == [[10, 20, 0], [10, 30, 40], [10, 30, 50], [7] * 3, [60, 7, 7], [10, 30, 40]]
+
+        other = player.browser()
+        other.send(op="subscribe", subscriptions=[{"id": 5, "channelId": id_}])
+        assert cells(other)[3:] == [10, 30, 40]
+        page.close()
+        other.close()
+
+
+def test_start_shows_what_was_latched_before_the_recorder_received_it(tmp_path: Path) -> None:
+    early = SECOND // 2
+    sent = [
+        Sent("/robot/component_status", 0, status(0), latched=True),
+        Sent("/robot/map", early, text("the map"), latched=True, delay_ns=SECOND),
+        Sent("/robot/path", early, text("sent later"), latched=True),
+        Sent("/robot/words", early, text("not latched"), delay_ns=SECOND),
+        Sent("/robot/end", 9 * SECOND, text("the end")),
+    ]
+    with McapRecording(write_recording(tmp_path / "run.mcap", sent)) as recording:
+
+        def shown(at_ns: int) -> list[str]:
+            state = state_at(recording, BEGIN + at_ns, recording.channels)
+            return [one.channel.topic.removeprefix("/robot/") for one in state]
+
+        assert shown(0) == ["component_status", "map"]
+        assert set(shown(early)) == {"component_status", "map", "path", "words"}
 
 
 def test_states_and_logs_are_those_of_the_time_that_is_shown(player: Running) -> None:

@@ -29,7 +29,7 @@ QOS = (
 
 @dataclass(frozen=True)
 class Sent:
-    """A message, when it arrives after `BEGIN` [ns], and by whom it was sent."""
+    """A message, when it arrives after `BEGIN` [ns], by whom and how long before it was sent."""
 
     topic: str
     at_ns: int
@@ -37,6 +37,7 @@ class Sent:
     node: str = "/robot/test"
     latched: bool = False
     sequence: int = 0
+    delay_ns: int = 1000
 
 
 def text(value: str) -> String:
@@ -84,7 +85,7 @@ def write_recording(
                 channel,
                 BEGIN + one.at_ns,
                 CODEC.encode(one.message),
-                BEGIN + one.at_ns - 1000,
+                BEGIN + one.at_ns - one.delay_ns,
                 counts[channel],
             )
         if close:

@@ -1,6 +1,6 @@
 // The grid map as a picture with one pixel per cell.
 
-import { poseOf } from "./geometry.js";
+import { poseOf, timeOf } from "./geometry.js";
 
 const MOST_CELLS = 25_000_000; // as schemas/nav_msgs.py
 
@@ -9,9 +9,10 @@ export class GridMap {
   #colors = null;
 
   /** Take a nav_msgs/msg/OccupancyGrid. */
-  constructor({ info, data }) {
+  constructor({ header, info, data }) {
     if (info.width * info.height > MOST_CELLS || data.length !== info.width * info.height)
       throw new Error(`a map of ${info.width} x ${info.height} cells with ${data.length} values`);
+    this.time = timeOf(header);
     this.width = info.width;
     this.height = info.height;
     this.resolution = info.resolution;

@@ -152,8 +152,9 @@ export class Scene {
   }
 
   on_map_updates(message) {
-    if (this.grid) this.grid.update(message);
-    else this.#pendingUpdates = [...this.#pendingUpdates.slice(1 - MOST_PENDING_UPDATES), message];
+    if (this.grid) {
+      if (timeOf(message.header) >= this.grid.time) this.grid.update(message); // an older one is in the map
+    } else this.#pendingUpdates = [...this.#pendingUpdates.slice(1 - MOST_PENDING_UPDATES), message];
   }
 
   on_scan(message) {
