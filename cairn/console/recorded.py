@@ -16,8 +16,15 @@ from cairn.bus.codec import Codec, to_plain
 from cairn.clock import SECOND
 from cairn.console.browser import Browser
 from cairn.console.monitoring import StateEvents
-from cairn.console.operations import LIVE_METHODS, Arguments, ConsoleMethod, OfRobot
+from cairn.console.operations import (
+    LIVE_METHODS,
+    Arguments,
+    ConsoleMethod,
+    OfComponent,
+    OfRobot,
+)
 from cairn.console.protocol import ERROR
+from cairn.console.recorded_parameters import PARAMETERS, attached_parameters, parameter_entries
 from cairn.console.recorded_state import MAP_TYPE, state_at
 from cairn.console.source import Channel, ConnectionGraph, Message
 from cairn.errors import CairnError
@@ -49,6 +56,7 @@ class RecordedSource:
     Attributes:
         playing: whether time passes.
         speed: of time; 1 is as recorded.
+        parameters: those that are attached, of each component by dotted name.
     """
 
     def __init__(self, paths: Path | Sequence[Path]) -> None:
@@ -58,6 +66,12 @@ class RecordedSource:
         self._recording = McapRecording(paths)
         if not self._recording.counts:
             raise CairnError(f"{self._recording.files[0]}: the recording has no messages")
+        self._notes: list[str] = []
+        self.parameters: dict[str, dict[str, Any]] = {}
+        try:
+            self.parameters = attached_parameters(self._recording)
+        except CairnError as error:
+            self._notes.append(str(error))
         self.playing = False
         self.speed = 1.0
         self._hub: Hub | None = None
@@ -89,7 +103,8 @@ class RecordedSource:
             "start_ns": self._recording.start_ns,
             "end_ns": self._recording.end_ns,
             "file": f"{files[0].name}{more}",
-            "notes": self._recording.notes[:20],
+            "notes": [*self._notes, *self._recording.notes][:20],
+            "parameters": sorted(self.parameters),
         }
 
     @property
@@ -336,6 +351,7 @@ class RecordedOperations:
             "seek": ConsoleMethod(Seek, self._seek, changes=False),
             "speed": ConsoleMethod(Speed, self._speed, changes=False),
             "logs": ConsoleMethod(OfRobot, self._logs, changes=False),
+            "parameters": ConsoleMethod(OfComponent, self._parameters, changes=False),
         }
         self.methods: Mapping[str, ConsoleMethod] = methods
 
@@ -396,6 +412,12 @@ class RecordedOperations:
             return _log_entries(deque(recorded, maxlen=_MOST_LOGS), of.robot)
 
         return await self._source.read(read)
+
+    async def _parameters(self, _: Browser, of: OfComponent) -> Any:
+        found = self._source.parameters.get(of.component)
+        if found is None:
+            raise CairnError(f"{of.component}: the recording has no {PARAMETERS} of it")
+        return parameter_entries(found)
 
 
 _REFUSAL: Final = "this is a recording, not a running robot: it can be played, not steered"

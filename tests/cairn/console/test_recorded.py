@@ -219,6 +219,34 @@ def test_whatever_would_steer_is_refused_with_the_reason(player: Running) -> Non
     page.close()
 
 
+def test_attached_parameters_are_shown_also_where_a_file_has_none_that_can_be_read(
+    tmp_path: Path,
+) -> None:
+    sent = [Sent("/robot/words", 0, text("word")), Sent("/robot/words", SECOND, text("word"))]
+
+    def shown(content: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
+        attached = {"parameters.json": content}
+        source = RecordedSource(write_recording(tmp_path / "p.mcap", sent, attachments=attached))
+        with running(source, operations=lambda hub: RecordedOperations(hub, source)) as player:
+            page = player.browser()
+            about = page.event("hello")["recording"]
+            answer = page.call("parameters", robot="robot", component="gate")
+            assert_words(page.call("set_parameters")["error"], "set_parameters", "recording")
+            page.close()
+            return about, answer
+
+    about, answer = shown(
+        b'{"gate": {"limits": {"speed": 0.5}, "laws": [], "stop": true}, "a": {}}'
+    )
+    assert about["parameters"] == ["a", "gate"]
+    values = {one["name"]: (one["value"], one["type"]) for one in answer["value"]}
+    assert values == {"limits.speed": (0.5, "float"), "laws": ([], "list"), "stop": (True, "bool")}
+
+    about, answer = shown(b'["not", "those"]')
+    assert_words(about["notes"][0], "parameters.json", "not shown")
+    assert_words(answer["error"], "gate", "parameters.json")
+
+
 def test_methods_of_running_robots_are_all_known(console: Running) -> None:
     operations = console.hub.operations
     assert isinstance(operations, Operations)
