@@ -6,7 +6,7 @@ import { test } from "node:test";
 import { makeDecoder } from "../../cairn/console/static/cdr.js";
 import { distorted, infoTopicOf, outlineOf } from "../../cairn/console/static/panels/camera.js";
 import { asTree, consequence, descendants } from "../../cairn/console/static/panels/components.js";
-import { sortStatuses, takeStatuses } from "../../cairn/console/static/panels/diagnostics.js";
+import { sortStatuses, takeStatuses, toneOf } from "../../cairn/console/static/panels/diagnostics.js";
 import { numberAt, numericFields, parsePath, searchFields } from "../../cairn/console/static/panels/fields.js";
 import { LogBuffer, filterRecords, nextProblem, recordOf } from "../../cairn/console/static/panels/logs.js";
 import { editorOf, grouped, inputText, parseInput } from "../../cairn/console/static/panels/parameters.js";
@@ -224,6 +224,7 @@ test("diagnostics are sorted by urgency; a silent part is not ok", () => {
   const sorted = sortStatuses(statuses.values(), 10_000);
   assert.deepEqual(sorted.map((status) => status.name), ["e", "w", "old", "a", "b"]);
   assert.deepEqual([sorted[1].age, sorted[2].silent], [0.5, true]);
+  assert.deepEqual(sorted.map((status) => toneOf(status)), ["bad", "warning", "warning", "ok", "ok"]);
 });
 
 test("corners of the rectified image are placed in the image as taken", () => {

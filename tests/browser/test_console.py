@@ -295,7 +295,14 @@ def test_recording_is_scrubbed(robot: RunningRobot, open_tab: OpenTab, tmp_path:
         assert math.dist(places[0][:2], places[2][:2]) < 0.3
 
         seek.fill("0")
-        tab.page.get_by_label("Speed").select_option("2")
+        tab.show("Parameters")
+        tab.page.get_by_label("Component", exact=True).select_option("motion_control")
+        tab.page.get_by_text("This is a recording: nothing can be changed.").wait_for()
+        speed = tab.page.get_by_label("speed", exact=True)
+        expected = robot.client.parameters("motion_control")["speed"].value
+        assert (speed.is_disabled(), float(speed.input_value())) == (True, expected)
+
+        tab.page.get_by_label("Speed", exact=True).select_option("2")
         tab.page.get_by_role("button", name="Play").click()
         _await(lambda: float(seek.input_value()) > 1.5)
         tab.page.get_by_role("button", name="Pause").click()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.browser.conftest import RunningRobot, Tab
+from tests.browser.conftest import OpenTab, RunningRobot, Tab, with_map
 
 
 @pytest.fixture
@@ -102,21 +102,35 @@ def test_field_of_the_last_message_is_plotted_by_click(tab: Tab) -> None:
     page.get_by_role("region", name="Plot 1: motion_status clearance").wait_for()
 
 
-def test_hidden_tab_is_not_subscribed(tab: Tab) -> None:
+def test_hidden_tab_is_not_subscribed(robot: RunningRobot, open_tab: OpenTab) -> None:
+    tab = open_tab(robot.url)
     page = tab.page
+    page.add_init_script(
+        """
+        const subscribed = (window.subscribed = new Map());
+        const send = WebSocket.prototype.send;
+        WebSocket.prototype.send = function (data) {
+            const message = JSON.parse(data);
+            if (message.op === "subscribe")
+                for (const one of message.subscriptions) subscribed.set(one.id, one.channelId);
+            if (message.op === "unsubscribe")
+                for (const id of message.subscriptionIds) subscribed.delete(id);
+            return send.call(this, data);
+        };
+        window.turn = (hidden) => {
+            Object.defineProperty(document, "hidden", {value: hidden, configurable: true});
+            document.dispatchEvent(new Event("visibilitychange"));
+        };
+        """
+    )
+    page.reload()
+    with_map(tab)
     tab.show("Status")
     page.get_by_role("region", name="Velocity gate").wait_for()
-    page.evaluate(
-        """() => {
-            window.ended = [];
-            const send = WebSocket.prototype.send;
-            WebSocket.prototype.send = function (data) {
-                const message = JSON.parse(data);
-                if (message.op === "unsubscribe") window.ended.push(...message.subscriptionIds);
-                return send.call(this, data);
-            };
-            Object.defineProperty(document, "hidden", {value: true, configurable: true});
-            document.dispatchEvent(new Event("visibilitychange"));
-        }"""
-    )
-    page.wait_for_function("() => window.ended.length >= 4")
+
+    page.evaluate("turn(true)")
+    page.wait_for_function("() => window.subscribed.size === 0")
+    scan = page.evaluate("cairnConsole.map.scene.scanStamp")
+
+    page.evaluate("turn(false)")
+    page.wait_for_function("(scan) => cairnConsole.map.scene.scanStamp > scan", arg=scan)

@@ -78,8 +78,8 @@ export class MapController {
     this.#scenes.clear();
   }
 
-  /** Show these robots, `chosen` with the layers whose ids are in `visible`. */
-  setRobots(robots, chosen, visible) {
+  /** Show these robots, `chosen` with the layers whose ids are in `visible`; nothing is read unless `isShown`. */
+  setRobots(robots, chosen, visible, isShown) {
     if (chosen !== this.#robot) {
       this.#hasFitted = false;
       this.selected.set(null);
@@ -93,9 +93,10 @@ export class MapController {
       }
     for (const name of robots) {
       if (!this.#scenes.has(name)) this.#scenes.set(name, new Scene(this.#connection, name, () => this.redraw()));
-      this.#scenes.get(name).show(visible, name === chosen);
+      if (isShown) this.#scenes.get(name).show(visible, name === chosen);
+      else this.#scenes.get(name).close();
     }
-    this.redraw();
+    if (isShown) this.redraw();
   }
 
   setTool(tool) {

@@ -1,7 +1,7 @@
 // The map: canvas, tools, layers, and what explains a clicked thing.
 
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact-htm.js";
-import { toast, useApp, useEvent, useInterval, useRobot, useTopic } from "../hooks.js";
+import { toast, useApp, useEvent, useInterval, usePageVisible, useRobot, useTopic } from "../hooks.js";
 import { useSteer } from "../steering.js";
 import { SavedStore, useStore } from "../store.js";
 import { Badge, Empty, Icon } from "../ui.js";
@@ -32,6 +32,7 @@ export function MapView({ robots }) {
   const steer = useSteer();
   const [toolId, setTool] = useState("");
   const canvas = useRef(null);
+  const isShown = usePageVisible();
   const controller = useMemo(() => new MapController(connection), [connection]);
   const isSimulated = useStore(connection.topics).has(`/${robot}/world_geometry`);
   const mayWatchOnly = useStore(connection.hello)?.may === "watch";
@@ -44,7 +45,7 @@ export function MapView({ robots }) {
     if (globalThis.cairnConsole) globalThis.cairnConsole.map = controller;
     return () => controller.detach();
   }, [controller]);
-  useEffect(() => controller.setRobots(robots, robot, visible), [controller, robots.join(), robot, visible]);
+  useEffect(() => controller.setRobots(robots, robot, visible, isShown), [controller, robots.join(), robot, visible, isShown]);
   useEffect(() => {
     const media = matchMedia("(prefers-color-scheme: dark)");
     const refresh = () => controller.refreshColors();

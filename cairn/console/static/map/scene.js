@@ -90,6 +90,7 @@ export class Scene {
     this.#changed("");
   }
 
+  /** End all subscriptions, and keep what was received; `show` begins them again. */
   close() {
     for (const end of this.#ends.values()) end();
     this.#ends.clear();

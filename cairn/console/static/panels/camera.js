@@ -82,6 +82,7 @@ export function Camera() {
 }
 
 function View({ image, objectTopic, infoTopic, rate, outlined }) {
+  const { mode } = useApp();
   const [size, setSize] = useState(null);
   const [error, setError] = useState("");
   const [recognized, setRecognized] = useState([]);
@@ -156,7 +157,7 @@ function View({ image, objectTopic, infoTopic, rate, outlined }) {
     <div class="row muted">
       ${size && html`<span>${size.width} × ${size.height}</span>`}
       ${Number.isFinite(hertz) && html`<span>${hertz.toFixed(1)} Hz</span>`}
-      ${Number.isFinite(age) && age > SILENT_S && html`<${Badge} tone="warning">no image for ${duration(age)}<//>`}
+      ${mode === "live" && Number.isFinite(age) && age > SILENT_S && html`<${Badge} tone="warning">no image for ${duration(age)}<//>`}
       ${error && size && html`<span class="tone-bad">${error}</span>`}
     </div>
     ${outlined && html`

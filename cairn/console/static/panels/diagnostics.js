@@ -4,6 +4,7 @@ import { html, useEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { useApp, useInterval, usePageVisible, useRobot } from "../hooks.js";
 import { useStore } from "../store.js";
 import { Badge, Empty, duration } from "../ui.js";
+import { useClock } from "./shared.js";
 
 const TYPE = "diagnostic_msgs/msg/DiagnosticArray";
 const LEVELS = ["ok", "warning", "error", "stale"];
@@ -24,12 +25,15 @@ export function takeStatuses(statuses, topic, { status }, at) {
 export function sortStatuses(statuses, now) {
   return [...statuses]
     .map((one) => {
-      const age = (now - one.at) / 1000;
+      const age = Math.max(0, now - one.at) / 1000;
       const silent = age > SILENT_S;
       return { ...one, age, silent, shown: silent && one.level === 0 ? 3 : one.level };
     })
     .sort((a, b) => (URGENCY[a.shown] ?? 0) - (URGENCY[b.shown] ?? 0) || (a.name < b.name ? -1 : a.name > b.name ? 1 : 0));
 }
+
+/** Return the tone of a sorted status: what is silent is a warning, in all that is shown of it. */
+export const toneOf = ({ shown }) => TONES[shown] ?? "bad";
 
 export function Diagnostics() {
   const { connection } = useApp();
@@ -41,19 +45,24 @@ export function Diagnostics() {
   const [opened, setOpened] = useState(new Set());
   const key = names.join(" ");
   const visible = usePageVisible();
+  const clock = useRef(null);
+  const shownAt = clock.current?.now ?? 0;
+  clock.current = useClock();
+  if (clock.current.now < shownAt) // a recording has gone back
+    for (const [key, one] of statuses.current) if (one.at > clock.current.now) statuses.current.delete(key);
   useEffect(() => {
     statuses.current = new Map();
   }, [connection, robot]);
   useEffect(() => {
     if (!visible) return undefined;
-    const ends = names.map((name) => connection.subscribe(name, (message) => takeStatuses(statuses.current, name, message, performance.now()), { maxHz: 5 }));
+    const ends = names.map((name) => connection.subscribe(name, (message, info) => takeStatuses(statuses.current, name, message, clock.current.at(info)), { maxHz: 5 }));
     return () => ends.forEach((end) => end());
   }, [connection, robot, key, visible]);
   useInterval(() => render((count) => count + 1), 500);
   if (names.length === 0)
     return html`<div class="panel"><${Empty} icon="diagnostics" title="No diagnostics">
       No component of ${robot || "the robot"} publishes diagnostic messages. Drivers of devices do; simulated devices do not.<//></div>`;
-  const rows = sortStatuses(statuses.current.values(), performance.now());
+  const rows = sortStatuses(statuses.current.values(), clock.current.now);
   if (rows.length === 0) return html`<div class="panel"><${Empty} icon="diagnostics" title="No diagnostics yet">${names.join(", ")}: no message so far.<//></div>`;
   const toggle = (one) =>
     setOpened((current) => {
@@ -70,10 +79,10 @@ export function Diagnostics() {
           <li key=${one.key} class="component">
             <button class="component-row" aria-expanded=${opened.has(one.key)} onClick=${() => toggle(one)}>
               <span class="component-name">${one.name}</span>
-              <${Badge} tone=${TONES[one.shown]}>${LEVELS[one.shown] ?? `level ${one.shown}`}<//>
+              <${Badge} tone=${toneOf(one)}>${LEVELS[one.shown] ?? `level ${one.shown}`}<//>
               <span class=${`component-figures ${one.silent ? "tone-warning" : ""}`}>${one.silent ? `no message for ${duration(one.age)}` : `${duration(one.age)} ago`}</span>
             </button>
-            <p class=${`component-reason ${one.level > 0 ? `tone-${TONES[one.level]}` : "muted"}`}>${one.message}</p>
+            <p class=${`component-reason ${one.shown > 0 ? `tone-${toneOf(one)}` : "muted"}`}>${one.message}</p>
             ${opened.has(one.key) && html`
               <div class="component-details"><dl class="pairs">
                 ${one.hardware_id && html`<dt>Hardware</dt><dd>${one.hardware_id}</dd>`}

@@ -112,11 +112,15 @@ export function Parameters() {
   const chosen = useStore(chosenComponent);
   const [text, setText] = useState("");
   useRequest("parameters", ({ component }) => chosenComponent.set(component));
-  if (!components)
+  const attached = useStore(connection.hello)?.recording?.parameters ?? null;
+  if (attached?.length === 0)
+    return html`<div class="panel"><${Empty} icon="parameters" title="No parameters in this recording">
+      cairn record attaches them, if the deployment that runs is the only one.<//></div>`;
+  if (!components && !attached)
     return html`<div class="panel"><${Empty} icon="parameters" title="No components yet">Parameters appear when a deployment runs.<//></div>`;
-  const names = components.filter((one) => ["active", "inactive"].includes(one.state)).map((one) => one.name);
+  const names = attached ?? components.filter((one) => ["active", "inactive"].includes(one.state)).map((one) => one.name);
   const component = names.includes(chosen) ? chosen : (names.find((name) => name === "motion_control") ?? names[0] ?? "");
-  const absent = chosen && !names.includes(chosen) && components.some((one) => one.name === chosen);
+  const absent = chosen && !names.includes(chosen) && components?.some((one) => one.name === chosen);
   return html`
     <div class="panel">
       <div class="row tools">
@@ -126,7 +130,7 @@ export function Parameters() {
         <${SearchField} label="Filter parameters" value=${text} onInput=${setText} />
       </div>
       <${ReadOnlyNote} readOnly=${readOnly} />
-      ${absent && html`<p class="note">${chosen} is not loaded; these are the parameters of ${component}.</p>`}
+      ${absent && html`<p class="note">${chosen} ${attached ? "has no attached parameters" : "is not loaded"}; these are the parameters of ${component}.</p>`}
       ${component && html`<${ComponentParameters} key=${`${robot} ${component}`} connection=${connection} robot=${robot} component=${component} text=${text} readOnly=${readOnly} />`}
     </div>`;
 }
@@ -175,7 +179,9 @@ function ComponentParameters({ connection, robot, component, text, readOnly }) {
         ${members.map((one) => html`
           <${Parameter} key=${one.name} parameter=${one} former=${former.get(one.name)} readOnly=${readOnly} onSet=${(value) => set(one.name, value)} />`)}
       </section>`)}
-    <p class="muted small-print">Changes hold until the component is restarted; the deployment file has the lasting values.</p>`;
+    <p class="muted small-print">${connection.hello.value?.recording
+      ? "The values with which the recording began; changes during it are not attached."
+      : "Changes hold until the component is restarted; the deployment file has the lasting values."}</p>`;
 }
 
 function Parameter({ parameter, former, readOnly, onSet }) {

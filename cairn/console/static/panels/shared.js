@@ -71,12 +71,25 @@ export const ErrorNote = ({ id, children }) =>
   children && html`<p class="note bad" role="alert" id=${id}><${Icon} name="warning" size=${16} /><span>${children}</span></p>`;
 
 /**
+ * Return the clock [ms] by which ages are measured, {now, at(info)}: `at` is the time of a message.
+ *
+ * In a recording it is the time that is shown, so that nothing ages while it is held.
+ */
+export function useClock() {
+  const { mode } = useApp();
+  const playback = useEvent("playback");
+  if (mode === "recording") return { now: (playback?.time_ns ?? 0) / 1e6, at: (info) => Number(info.receivedNs) / 1e6 };
+  return { now: performance.now(), at: () => performance.now() };
+}
+
+/**
  * Return {message, info, age} of a topic's last message; `age` [s] is the time since it arrived here.
  *
  * It renders with each message, and once per second without one.
  */
 export function useFresh(name, options = {}) {
   const robot = useRobot();
+  const clock = useClock();
   const key = `${robot} ${name}`;
   const last = useRef({ key: "", message: null, info: null, at: 0 });
   const frame = useRef(0);
@@ -84,7 +97,7 @@ export function useFresh(name, options = {}) {
   useSubscription(
     name,
     (message, info) => {
-      last.current = { key, message, info, at: performance.now() };
+      last.current = { key, message, info, at: clock.at(info) };
       if (frame.current) return;
       frame.current = requestAnimationFrame(() => {
         frame.current = 0;
@@ -97,7 +110,7 @@ export function useFresh(name, options = {}) {
   useInterval(() => render((count) => count + 1), 1000);
   const { message, info, at } = last.current;
   if (last.current.key !== key) return { message: null, info: null, age: Infinity };
-  return { message, info, age: (performance.now() - at) / 1000 };
+  return { message, info, age: Math.max(0, clock.now - at) / 1000 };
 }
 
 /**
