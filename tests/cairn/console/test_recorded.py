@@ -152,7 +152,7 @@ def test_map_has_all_updates_since_it_at_any_time(tmp_path: Path) -> None:
         id_ = channels(page)["/robot/map"]
 
         def cells(page: Page) -> list[int]:
-            return Codec().decode(OccupancyGrid, page.data()[2]).data.tolist()
+            return [int(one) for one in Codec().decode(OccupancyGrid, page.data()[2]).data]
 
         page.send(op="subscribe", subscriptions=[{"id": 1, "channelId": id_}])
         assert cells(page) == [0, 0, 0, 0, 0, 0]
