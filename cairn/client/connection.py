@@ -6,7 +6,7 @@ import itertools
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -17,6 +17,7 @@ import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
 
 from cairn.bus import control, keys
+from cairn.bus.caches import query_caches
 from cairn.bus.codec import Codec
 from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.endpoints import default_domain, domains_hint, endpoint_for, socket_path
@@ -244,7 +245,7 @@ class Connection:
         those that do not reply until nothing has arrived for 1 s.
         """
         replies: queue.Queue[zenoh.Reply | None] = queue.Queue()
-        self._query_caches(key, replies.put, lambda: replies.put(None), _CACHE_LIMIT_S)
+        query_caches(self.session, key, replies.put, lambda: replies.put(None), _CACHE_LIMIT_S)
         samples: list[zenoh.Sample] = []
         size, complete = 0, True
         while True:
@@ -273,26 +274,8 @@ class Connection:
                 samples.put(reply.ok)
 
         ended = threading.Event()
-        self._query_caches(key, add, ended.set, _STATUS_LIMIT_S)
+        query_caches(self.session, key, add, ended.set, _STATUS_LIMIT_S)
         return ended
-
-    def _query_caches(
-        self,
-        key: str,
-        on_reply: Callable[[zenoh.Reply], object],
-        on_end: Callable[[], object],
-        timeout_s: float,
-    ) -> None:
-        """Ask the caches of the latched publishers of a key, without waiting."""
-        handler: Any = zenoh.handlers.Callback(on_reply, on_end, indirect=False)
-        self.session.get(
-            keys.cached_samples_key(key),
-            handler,
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            accept_replies=zenoh.ReplyKeyExpr.ANY,  # they carry the publisher's key
-            timeout=timeout_s,
-        )
 
     def publisher(self, key: str, encoding: zenoh.Encoding) -> zenoh.Publisher:
         """Declare a publisher, and wait until it reaches a subscriber.

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import zenoh
 
 from cairn.bus import keys
+from cairn.bus.caches import query_caches
 from cairn.bus.codec import Codec
 from cairn.bus.lockstep_bus import LockstepBus, LockstepPublisher
 from cairn.bus.qos import Qos
@@ -249,16 +250,8 @@ class ZenohTap:
             if reply.ok is not None and not self._closed:
                 self._deliver(reply.ok, cached=True)
 
-        handler: Any = zenoh.handlers.Callback(add, indirect=False)
         with suppress(zenoh.ZError):  # the session is closed
-            self._session.get(
-                keys.cached_samples_key(key),
-                handler,
-                target=zenoh.QueryTarget.ALL,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                accept_replies=zenoh.ReplyKeyExpr.ANY,  # they carry the publisher's key
-                timeout=_CACHE_LIMIT_S,
-            )
+            query_caches(self._session, key, add, lambda: None, _CACHE_LIMIT_S)
 
 
 class _Numbers:
