@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import queue
+import secrets
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -333,6 +335,37 @@ class Connection:
             return self.session.declare_subscriber(key, handler)
         history = HistoryConfig(detect_late_publishers=True)
         return declare_advanced_subscriber(self.session, key, handler, history=history)
+
+
+class Publishers:
+    """The publishers of a client, declared when they are first needed; from any thread."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._gid = secrets.token_bytes(16)
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._sent: Counter[str] = Counter()
+        self._lock = threading.Lock()  # messages have numbers in the order of publication
+
+    def reaches_subscriber(self, key: str) -> bool:
+        """Return whether something subscribes to a key that was published on before."""
+        known = self._publishers.get(key)
+        # zenoh's stub says that the status is a bool, but it is an object, which is always true
+        return known is not None and cast("Any", known.matching_status).matching
+
+    def put(self, key: str, ros_type: str, payload: bytes) -> None:
+        """Publish CDR of a message type on a key.
+
+        Raises `CairnError` if it reaches no subscriber within 2 s, `zenoh.ZError` if the session is
+        closed.
+        """
+        with self._lock:
+            if key not in self._publishers:
+                encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(ros_type)
+                self._publishers[key] = self._connection.publisher(key, encoding)
+            self._sent[key] += 1
+            sent = keys.Attachment(self._sent[key], time.time_ns(), self._gid)
+            self._publishers[key].put(payload, attachment=sent.encode())
 
 
 def _is_status_publisher(

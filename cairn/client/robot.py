@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-import secrets
 import threading
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Generic, Self, TypeVar, cast
+from typing import Any, Generic, Self, TypeVar
 
 import zenoh
 
@@ -21,6 +20,7 @@ from cairn.client.connection import (
     KEPT_BYTES,
     STATUS_TOPIC,
     Connection,
+    Publishers,
     check_robot,
     resolve,
 )
@@ -117,9 +117,7 @@ class Robot:
         self._robot = robot
         self._notify = notify
         self._codec = Codec()
-        self._gid = secrets.token_bytes(16)
-        self._published: Counter[str] = Counter()
-        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._publishers = Publishers(connection)
         self._subscriptions: set[Subscription[Any]] = set()
 
     def __enter__(self) -> Self:
@@ -246,19 +244,13 @@ class Robot:
         user on the network may not publish on it.
         """
         key = keys.message_key(self.connection.domain, topic, type(message))
-        known = self._publishers.get(key) if topic.startswith("/") else None
         # Reading the graph takes longer than publishing: not for each of many messages.
-        if known is not None and cast("Any", known.matching_status).matching:
+        if topic.startswith("/") and self._publishers.reaches_subscriber(key):
             full = topic
         else:
             full = self._subscribed_topic(topic, type(message))
             key = keys.message_key(self.connection.domain, full, type(message))
-            if key not in self._publishers:
-                encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(type(message)))
-                self._publishers[key] = self.connection.publisher(key, encoding)
-        self._published[full] += 1
-        sent = keys.Attachment(self._published[full], time.time_ns(), self._gid)
-        self._publishers[key].put(self._codec.encode(message), attachment=sent.encode())
+        self._publishers.put(key, type_name(type(message)), self._codec.encode(message))
         return full
 
     def _subscribed_topic(self, topic: str, message: type[Any]) -> str:

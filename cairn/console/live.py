@@ -8,10 +8,9 @@ and delays neither the link nor the robot.
 from __future__ import annotations
 
 import asyncio
-import secrets
 import threading
 import time
-from collections import Counter, defaultdict, deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ import zenoh
 
 from cairn.bus import keys
 from cairn.bus.message_limits import MAX_MESSAGE_SIZE, ring_length
-from cairn.client.connection import Connection
+from cairn.client.connection import Connection, Publishers
 from cairn.console.message_types import MessageTypes
 from cairn.console.source import Channel, ConnectionGraph, Message
 from cairn.errors import CairnError
@@ -48,6 +47,7 @@ _LOST: Final = (
     "the connection to the robot is lost: its deployment has ended or is restarting; the console "
     "connects again by itself"
 )
+_NO_CONNECTION: Final = "there is no connection to the robot now; the console tries again"
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,7 @@ class LiveSource:
         self._types = MessageTypes()
         self._learning: asyncio.Task[None] | None = None
         self._ids: dict[tuple[str, str, str, str], int] = {}  # topic, type, hash, schema
-        self._publishers: dict[str, zenoh.Publisher] = {}
-        self._published: Counter[str] = Counter()
-        self._gid = secrets.token_bytes(16)
-        self._publishing = threading.Lock()
+        self._publishers: Publishers | None = None  # of the connection
 
     @property
     def mode(self) -> Literal["live", "recording"]:
@@ -95,7 +92,7 @@ class LiveSource:
     def connection(self) -> Connection:
         """The connection to the bus; `CairnError` if there is none now."""
         if self._connection is None:
-            raise CairnError("there is no connection to the robot now; the console tries again")
+            raise CairnError(_NO_CONNECTION)
         return self._connection
 
     async def run(self, hub: Hub) -> None:
@@ -121,7 +118,7 @@ class LiveSource:
     async def _follow(self, hub: Hub, connection: Connection) -> None:
         """Report the graph until the link is lost."""
         loop = asyncio.get_running_loop()
-        self._connection = connection
+        self._connection, self._publishers = connection, Publishers(connection)
         hub.set_link()
         graph = _GraphReader(connection, loop, self._set_tokens)
         try:
@@ -135,14 +132,9 @@ class LiveSource:
             graph.close()
 
     async def _disconnect(self, connection: Connection) -> None:
-        self._connection = None
+        self._connection = self._publishers = None
         self._set_tokens({})
-        await asyncio.to_thread(self._close, connection)
-
-    def _close(self, connection: Connection) -> None:
-        with self._publishing:
-            self._publishers.clear()
-        connection.close()
+        await asyncio.to_thread(connection.close)
 
     def subscribe(self, channel: Channel) -> None:
         """Read a topic: the latched messages first."""
@@ -180,9 +172,14 @@ class LiveSource:
 
         Over the network, the user's role decides on which topics.
         """
-        connection = self.connection
+        publishers = self._publishers
+        if publishers is None:
+            raise CairnError(_NO_CONNECTION)
         key = self._input_key(topic, type_name, payload)
-        await asyncio.to_thread(self._put, connection, key, type_name, payload)
+        try:
+            await asyncio.to_thread(publishers.put, key, type_name, payload)
+        except zenoh.ZError as error:
+            raise CairnError(f"{topic} is not published: {error}") from error
 
     def _input_key(self, topic: str, type_name: str, payload: bytes) -> str:
         key = self._inputs.get((topic, type_name))
@@ -198,18 +195,6 @@ class LiveSource:
                 f"{known.max_bytes:,} that {type_name} has at most"
             )
         return key
-
-    def _put(self, connection: Connection, key: str, type_name: str, payload: bytes) -> None:
-        with self._publishing:  # in the order of arrival
-            if key not in self._publishers:
-                encoding = zenoh.Encoding.APPLICATION_CDR.with_schema(type_name)
-                self._publishers[key] = connection.publisher(key, encoding)
-            self._published[key] += 1
-            sent = keys.Attachment(self._published[key], time.time_ns(), self._gid)
-            try:
-                self._publishers[key].put(payload, attachment=sent.encode())
-            except zenoh.ZError as error:
-                raise CairnError(f"{key} is not published: {error}") from error
 
     def _set_tokens(self, endpoints: Mapping[str, keys.EndpointEntity]) -> None:
         """Take over all endpoints that exist, by token; for the event loop."""
