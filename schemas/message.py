@@ -10,7 +10,7 @@ import importlib
 import pkgutil
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from math import isfinite
 from operator import attrgetter
@@ -128,6 +128,14 @@ def schema_messages() -> dict[str, type[Any]]:
                 except TypeError:
                     continue  # not a message
     return found
+
+
+def classes_in(message: type[Any]) -> Iterator[type[Any]]:
+    """Yield a message class and those of its fields, at any depth."""
+    yield message
+    for field in fields_of(message):
+        if isinstance(field.element, type):
+            yield from classes_in(field.element)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from inspect import getdoc
 from typing import Annotated, Any
 
@@ -18,7 +17,7 @@ from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import PortSpec, ports_of
-from cairn.schemas.message import fields_of, schema_messages, type_name
+from cairn.schemas.message import classes_in, schema_messages, type_name
 
 schema = typer.Typer(help="The message types: ROS 2 definition text and type hash.")
 
@@ -169,12 +168,5 @@ def _of_plugins() -> dict[str, type[Any]]:
         type_name(message): message
         for plugin in _installed()
         for port in plugin.ports
-        for message in _with_parts(port.message)
+        for message in classes_in(port.message)
     }
-
-
-def _with_parts(message: type[Any]) -> Iterator[type[Any]]:
-    yield message
-    for field in fields_of(message):
-        if isinstance(field.element, type):
-            yield from _with_parts(field.element)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
 from cairn.deployment.exclusive_topics import ports_of_plugin
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
-from cairn.schemas.message import fields_of, schema_messages, type_name
+from cairn.schemas.message import classes_in, schema_messages, type_name
 
 _PACKAGES = {
     "cairn": "cairn-robotics", "zenoh": "eclipse-zenoh", "numpy": "numpy", "numba": "numba",
@@ -81,14 +81,7 @@ class MessageTypes:
         if name not in self._known and self._deployment is not None:
             for member in self._deployment.members():
                 for port in ports_of_plugin(member.spec.plugin):
-                    for message in _with_parts(port.message):
+                    for message in classes_in(port.message):
                         self._known.setdefault(type_name(message), message)
             self._deployment = None
         return self._known.get(name)
-
-
-def _with_parts(message: type[Any]) -> Iterator[type[Any]]:
-    yield message
-    for field in fields_of(message):
-        if isinstance(field.element, type):
-            yield from _with_parts(field.element)
