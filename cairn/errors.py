@@ -5,7 +5,7 @@ class CairnError(Exception):
     """An error whose message says what is wrong, with the value, and what to do about it."""
 
 
-class Escalate(CairnError):  # noqa: N818 - what the owner has to do
+class Escalate(CairnError):
     """A supervisor has given up and stopped all children: it must fail itself."""
 
 

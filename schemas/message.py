@@ -46,7 +46,7 @@ _CONFIG = ConfigDict(extra="forbid", validate_default=True)
 _LONGEST_VALUE = 60
 
 
-class InvalidMessage(ValueError):  # noqa: N818 - a message, not an operation, is at fault
+class InvalidMessage(ValueError):
     """A message breaks its definition: names the type, the path in it, the value and the reason."""
 
     def __init__(self, type_name: str, path: str, value: object, reason: str) -> None:

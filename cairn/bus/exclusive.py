@@ -41,7 +41,7 @@ class Exclusive:
     key: bytes = field(default=b"", repr=False)
 
 
-class Refused(CairnError):  # noqa: N818 - a message, not an operation, is at fault
+class Refused(CairnError):
     """A message does not prove that the entitled writer sent it now."""
 
 

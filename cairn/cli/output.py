@@ -16,7 +16,7 @@ _NOT_WRITTEN = "the output could not be written"
 _WIDE = 10_000  # columns, if the output is not a terminal but perhaps `grep`
 
 
-class OutputLost(CairnError):  # noqa: N818 - names the event
+class OutputLost(CairnError):
     """The output cannot be written: the disk is full, or the terminal was closed."""
 
 

@@ -41,7 +41,7 @@ _STATUS_TYPE: Final = type_name(ComponentStatus)
 _log = logging.getLogger("cairn.console")
 
 
-class TooManyBrowsers(CairnError):  # noqa: N818 - names the reason
+class TooManyBrowsers(CairnError):
     """No further browser is accepted."""
 
 

@@ -7,5 +7,5 @@ class DeviceError(CairnError):
     """A device does not do what it should; its driver logs that and opens the device again."""
 
 
-class LinkLost(DeviceError):  # noqa: N818 - it is an event
+class LinkLost(DeviceError):
     """The line to a device is lost, or could not be opened: unplugged, switched off, refused."""

@@ -84,7 +84,7 @@ class Mount(Config):
         return self.x, self.y, self.theta
 
 
-class ParameterRejected(CairnError):  # noqa: N818 - an event, as `InvalidMessage`
+class ParameterRejected(CairnError):
     """A change of parameters was rejected, by the model or by the component; nothing changed.
 
     A component raises it in `on_parameters`.

@@ -453,7 +453,7 @@ class Runtime:
             self._on_end(end)
 
 
-class _Failure(Exception):  # noqa: N818 - carries the component's own error and where it occurred
+class _Failure(Exception):
     def __init__(self, where: str, error: Exception) -> None:
         super().__init__(where)
         self.where = where

@@ -70,11 +70,11 @@ def stop_share(left_s: float, components: int, remaining: int) -> float:
     return max(0.0, left_s - kept_s)
 
 
-class ZygoteLost(CairnError):  # noqa: N818 - an event as much as an error
+class ZygoteLost(CairnError):
     """The zygote has ended: all processes that it started are killed, none can be started."""
 
 
-class ChildUnavailable(CairnError):  # noqa: N818 - the state of the child
+class ChildUnavailable(CairnError):
     """A child was killed or did not answer in time, and did not report itself why it fails."""
 
 

@@ -77,7 +77,7 @@ _FROM_CHILD: TypeAdapter[TransitionAnswer | Heartbeat] = TypeAdapter(
 _M = TypeVar("_M")
 
 
-class InvalidPacket(CairnError):  # noqa: N818 - reads as what happened
+class InvalidPacket(CairnError):
     """The other side of a channel has sent something that is not a message."""
 
 

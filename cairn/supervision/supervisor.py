@@ -48,11 +48,11 @@ HELD_STATES = ("unconfigured", "inactive", "active")
 """The states of its life cycle in which a child can be held."""
 
 
-class StartFailed(CairnError):  # noqa: N818 - reads as what happened
+class StartFailed(CairnError):
     """A child loaded on request did not become active and is unloaded again."""
 
 
-class UnknownChild(CairnError):  # noqa: N818 - reads as what happened
+class UnknownChild(CairnError):
     """A supervisor has no child of that name."""
 
 

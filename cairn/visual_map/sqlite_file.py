@@ -153,7 +153,7 @@ class MapFileError(CairnError):
     """A map file is missing, foreign, damaged or cannot be written."""
 
 
-class MapNotWritable(MapFileError):  # noqa: N818 - names the condition, which may pass
+class MapNotWritable(MapFileError):
     """The disk of a map file takes no data now: full, over quota, at a size limit, read-only."""
 
 

@@ -50,15 +50,15 @@ _LASER_OFF = "10"
 _VERSION_KEYS = ("VEND", "PROD", "FIRM", "PROT", "SERI")
 
 
-class NoReply(DeviceError):  # noqa: N818 - it is an event
+class NoReply(DeviceError):
     """A sensor has not replied to a command."""
 
 
-class Stopped(DeviceError):  # noqa: N818 - it is an event
+class Stopped(DeviceError):
     """A command was given up because the driver is stopping."""
 
 
-class CommandRefused(DeviceError):  # noqa: N818 - it is an event
+class CommandRefused(DeviceError):
     """A sensor has refused a command; `code` is its status."""
 
     def __init__(self, message: str, code: str) -> None:

@@ -41,7 +41,7 @@ class ScipError(ValueError):
     """Text that SCIP does not allow: damaged on the line, or of another protocol."""
 
 
-class SensorDefect(Exception):  # noqa: N818 - it is a report of the sensor, not of this program
+class SensorDefect(Exception):
     """A sensor reports that its hardware has a defect; `code` is its status."""
 
     def __init__(self, code: str) -> None:

@@ -41,7 +41,7 @@ SETTABLE: Final = (
 """Types of controls that have a number as their value; buttons, strings and arrays have none."""
 
 
-class ControlRejected(Exception):  # noqa: N818 - named like `cairn.ParameterRejected`
+class ControlRejected(Exception):
     """A camera does not accept a value of a control; the text has its bounds."""
 
 

@@ -11,7 +11,7 @@ _SYSTEM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")  # not on a user's p
 _INSTALL_LIMIT_S = 300
 
 
-class CannotRun(Exception):  # noqa: N818 - it is an event
+class CannotRun(Exception):
     """The virtual machine cannot run here: the reason and the remedy."""
 
 
