@@ -278,7 +278,7 @@ class Hub:
                 for one in request.subscriptions:
                     self.subscribe(browser, one)
             case protocol.Unsubscribe():
-                for id_ in request.subscriptionIds:
+                for id_ in request.subscription_ids:
                     self.unsubscribe(browser, id_)
             case protocol.Call():
                 self._spawn(browser, self._call(browser, request))
@@ -286,22 +286,22 @@ class Hub:
                 for channel in request.channels:
                     self._advertise_client(browser, channel)
             case protocol.Unadvertise():
-                for id_ in request.channelIds:
+                for id_ in request.channel_ids:
                     browser.client_channels.pop(id_, None)
             case protocol.GetParameters():
                 self._spawn(browser, self._get_parameters(browser, request))
             case protocol.SetParameters():
                 self._spawn(browser, self._set_parameters(browser, request))
             case protocol.SubscribeParameters():
-                if not request.parameterNames:
+                if not request.parameter_names:
                     browser.parameter_names = None
                 elif browser.parameter_names is not None:
-                    browser.parameter_names.update(request.parameterNames)
+                    browser.parameter_names.update(request.parameter_names)
                     if len(browser.parameter_names) > 10_000:
                         browser.parameter_names = None
             case protocol.UnsubscribeParameters():
                 known = browser.parameter_names or set()
-                names = request.parameterNames
+                names = request.parameter_names
                 browser.parameter_names = known.difference(names) if names else set()
             case protocol.SubscribeGraph():
                 browser.wants_graph = True
@@ -311,7 +311,7 @@ class Hub:
                 browser.wants_graph = False
             case protocol.FetchAsset():
                 reason = f"{request.uri}: this server has no files"
-                browser.send_binary(protocol.asset_refusal(request.requestId, reason))
+                browser.send_binary(protocol.asset_refusal(request.request_id, reason))
 
     def _handle_binary(
         self, browser: Browser, data: protocol.ClientData | protocol.ServiceCall
@@ -345,10 +345,10 @@ class Hub:
 
     def subscribe(self, browser: Browser, request: protocol.SubscribeRequest) -> None:
         """Begin a subscription of a browser."""
-        channel = self.channels.get(request.channelId)
+        channel = self.channels.get(request.channel_id)
         if channel is None:
             browser.send_status(
-                WARNING, f"there is no channel {request.channelId}, or no longer; not subscribed"
+                WARNING, f"there is no channel {request.channel_id}, or no longer; not subscribed"
             )
             return
         if request.id in browser.subscriptions:
@@ -359,7 +359,7 @@ class Hub:
         if request.jpeg and channel.type_name != IMAGE_TYPE:
             raise ProtocolError(f"{channel.topic} has no images of {IMAGE_TYPE} to send as JPEG")
         subscription = BrowserSubscription(
-            request.id, channel, max_hz=request.maxHz, jpeg=request.jpeg
+            request.id, channel, max_hz=request.max_hz, jpeg=request.jpeg
         )
         browser.subscriptions[request.id] = subscription
         subscribers = self._subscribed[channel.id]
@@ -557,7 +557,7 @@ class Hub:
         try:
             if reason:
                 raise CairnError(f"{channel.topic}: {reason}")
-            await self.source.publish(channel.topic, channel.schemaName, payload)
+            await self.source.publish(channel.topic, channel.schema_name, payload)
         except CairnError as error:
             browser.send_status(ERROR, str(error))
 
@@ -579,7 +579,7 @@ class Hub:
         return robot, component, name
 
     async def _get_parameters(self, browser: Browser, request: protocol.GetParameters) -> None:
-        wanted = set(request.parameterNames)
+        wanted = set(request.parameter_names)
         try:
             if wanted:
                 components = {self._component_of(name)[:2] for name in wanted}

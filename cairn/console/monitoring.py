@@ -233,7 +233,7 @@ class StatusReader(Browser):
         for channel in hub.channels.values():
             if channel.type_name == _STATUS_TYPE and channel.id not in known:
                 self._last_id += 1
-                hub.subscribe(self, SubscribeRequest(id=self._last_id, channelId=channel.id))
+                hub.subscribe(self, SubscribeRequest(id=self._last_id, channel_id=channel.id))
 
     def offer(self, subscription: BrowserSubscription, message: Message) -> None:
         """Pass a status on."""

@@ -11,6 +11,7 @@ import struct
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.alias_generators import to_camel
 
 from cairn.bounded_json import parse_json
 from cairn.console.source import Channel
@@ -44,17 +45,19 @@ class ProtocolError(Exception):
 
 
 class _Message(BaseModel):
-    """Unknown fields are ignored: a newer client may send some."""
+    """Its fields are in camel case on the wire. Unknown ones are ignored: of a newer client."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, strict=True)
+    model_config = ConfigDict(
+        extra="ignore", frozen=True, strict=True, alias_generator=to_camel, populate_by_name=True
+    )
 
 
 class SubscribeRequest(_Message):
-    """One subscription: `maxHz` limits its rate, `jpeg` asks for images as JPEG."""
+    """One subscription: `max_hz` limits its rate, `jpeg` asks for images as JPEG."""
 
     id: Id
-    channelId: Id  # noqa: N815 - as the protocol spells it
-    maxHz: Annotated[float, Field(gt=0, le=1000)] | None = None  # noqa: N815
+    channel_id: Id
+    max_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
     jpeg: bool = False
 
 
@@ -69,7 +72,7 @@ class Unsubscribe(_Message):
     """End subscriptions."""
 
     op: Literal["unsubscribe"]
-    subscriptionIds: Annotated[list[Id], Field(max_length=1000)]  # noqa: N815
+    subscription_ids: Annotated[list[Id], Field(max_length=1000)]
 
 
 class ClientChannel(_Message):
@@ -78,7 +81,7 @@ class ClientChannel(_Message):
     id: Id
     topic: Name
     encoding: Name
-    schemaName: Name  # noqa: N815
+    schema_name: Name
 
 
 class Advertise(_Message):
@@ -92,14 +95,14 @@ class Unadvertise(_Message):
     """Withdraw channels of the browser."""
 
     op: Literal["unadvertise"]
-    channelIds: Annotated[list[Id], Field(max_length=100)]  # noqa: N815
+    channel_ids: Annotated[list[Id], Field(max_length=100)]
 
 
 class GetParameters(_Message):
     """Read parameters; all if no name is given."""
 
     op: Literal["getParameters"]
-    parameterNames: Names  # noqa: N815
+    parameter_names: Names
     id: Name | None = None
 
 
@@ -123,14 +126,14 @@ class SubscribeParameters(_Message):
     """Receive changes of parameters; of all if no name is given."""
 
     op: Literal["subscribeParameterUpdates"]
-    parameterNames: Names  # noqa: N815
+    parameter_names: Names
 
 
 class UnsubscribeParameters(_Message):
     """Receive changes of these parameters no longer; of none if no name is given."""
 
     op: Literal["unsubscribeParameterUpdates"]
-    parameterNames: Names  # noqa: N815
+    parameter_names: Names
 
 
 class SubscribeGraph(_Message):
@@ -150,7 +153,7 @@ class FetchAsset(_Message):
 
     op: Literal["fetchAsset"]
     uri: Name
-    requestId: Id  # noqa: N815
+    request_id: Id
 
 
 class Call(_Message):
