@@ -46,6 +46,7 @@ _LARGE_BYTES = 64 << 10  # messages for which only half of the queue is free
 _LATCHED_BYTES = 64 << 20
 _MIB = 1 << 20
 _MOST_FILES = 100_000
+_MOST_TOPICS = 100_000
 _JOIN_S = 3.0  # less than a component has for stopping
 
 Pattern = Annotated[str, Field(pattern=r"^/?[A-Za-z0-9_*]+(/[A-Za-z0-9_*]+)*$")]
@@ -139,7 +140,7 @@ class RecorderStatus:
         lost: number of messages that did not reach the recorder, by topic.
         refused: number of samples that cannot be recorded.
         paused: whether it is paused.
-        problem: why the disk takes nothing at present, "" if it does.
+        problem: why the disk takes nothing at present, or a trigger cannot work; "" if all is well.
     """
 
     files: tuple[Path, ...]
@@ -339,7 +340,7 @@ class Recorder:
             lost={} if tap is None else self._lost(tap),
             refused=self._refused + (0 if tap is None else tap.refused),
             paused=self._paused,
-            problem=self._problem,
+            problem=self._problem or self._triggers.problem,
         )
 
     def close(self) -> RecorderStatus:
@@ -622,7 +623,7 @@ class Recorder:
     def _is_wanted(self, topic: str) -> bool:
         """Return whether a topic is recorded, or a trigger needs it."""
         wanted = self._is_recorded(topic) or self._triggers.needs(topic)
-        if len(self._wanted) < _MOST_FILES:
+        if len(self._wanted) < _MOST_TOPICS:
             self._wanted[topic] = wanted
         return wanted
 
@@ -659,9 +660,7 @@ class _LatchedMessages:
         self._bytes += _memory(sample)
         while len(kept) > depth:
             self._discard(kept)
-        while (
-            self._bytes > _LATCHED_BYTES and self._messages
-        ):  # beginning with the oldest publisher
+        while self._bytes > _LATCHED_BYTES and self._messages:
             first = next(iter(self._messages))
             oldest = self._messages[first]
             self._discard(oldest)

@@ -111,8 +111,7 @@ class Triggers:
             status.append(ROSOUT)
         self._robot = robot
         self._statuses = TopicPatterns(status)
-        self._restarts: dict[bytes, int] = {}
-        self._failed: dict[str, int] = {}
+        self._restarts: dict[str, int] = {}  # by component
         self._codec = Codec()
         self.problem = ""
         """Why a condition cannot be evaluated; "" if all can."""
@@ -164,10 +163,10 @@ class Triggers:
     def _restart(self, robot: str, status: ComponentStatus) -> str | None:
         """Return why the status of a component means that it was restarted since its last one."""
         name = f"/{robot}/{status.component}"
-        before = self._failed.get(name)
-        if len(self._failed) >= 1000:
-            self._failed.clear()
-        self._failed[name] = status.restarts
+        before = self._restarts.get(name)
+        if len(self._restarts) >= 1000:
+            self._restarts.clear()
+        self._restarts[name] = status.restarts
         if before is not None and status.restarts > before:
             return f"{name} was restarted: {status.reason}"
         return None

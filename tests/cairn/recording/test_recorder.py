@@ -220,6 +220,13 @@ def test_topic_condition_writes_what_happened_before_and_after(tmp_path: Path) -
     assert record["trigger"] == "localization.health < 0.3 (it is 0.1)"
 
 
+def test_status_has_the_reason_why_a_condition_cannot_be_evaluated(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, last_s=2.0, triggers=["localization.wealth < 0.3"])
+    bench.send("/robot/localization", "", message=LocalizationEstimate(header=Header()))
+    problem = bench.recorder.close().problem
+    assert "LocalizationEstimate has no number wealth" in problem
+
+
 def test_failure_of_a_component_triggers_unless_it_is_older_than_the_recorder(
     tmp_path: Path,
 ) -> None:
