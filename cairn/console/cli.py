@@ -67,7 +67,7 @@ def console(
     address = Address(host, port, certificate, key, tuple(allow_origin or ()))
     token = new_token() if token_file is None else token_in(token_file)
     if recording:
-        source = RecordedSource(recording[0] if len(recording) == 1 else recording)
+        source = RecordedSource(recording)
         hub = Hub(source, "watch", lambda hub: RecordedOperations(hub, source))
     else:
         hub = Hub(LiveSource(connect, domain), "watch" if watch else "steer")

@@ -19,7 +19,6 @@ from cairn.recording.mcap_file import Progress, RecordedChannel
 from cairn.recording.reader import McapRecording
 from cairn.recording.topics import TopicPatterns
 
-_UNIX_FROM: Final = 100_000_000  # seconds: more than three years of recording
 _COLUMNS: Final = {
     "topic": "topic",
     "type": "type",
@@ -241,8 +240,7 @@ def _time(recording: McapRecording, option: str, text: str) -> int:
             f"--{option} {text[:40]!r} is not a time; give seconds after the start, such as 12.5, "
             "or since 1970"
         ) from error
-    time_ns = int(value * SECOND)
-    return time_ns if value >= _UNIX_FROM else recording.start_ns + time_ns
+    return recording.time_ns(value)
 
 
 def _chosen(

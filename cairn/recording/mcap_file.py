@@ -40,6 +40,9 @@ MOST_CHANNELS: Final = 20_000
 MOST_BLOCKS: Final = 200_000
 """Chunks of a file: more than a day at one every 0.5 s."""
 
+ALL_CHANNELS: Final = -1
+"""The bits of all channels, in `Block.channels`."""
+
 _DEFINITION_BYTES: Final = 64_000_000  # of schemas, channels and metadata together
 _SUMMARY_BYTES: Final = 64_000_000
 _METADATA_BYTES: Final = 1_000_000  # of one record
@@ -49,7 +52,6 @@ _MOST_ATTACHMENTS: Final = 1_000
 _BLOCK_BYTES: Final = 4_000_000  # of messages outside of chunks that are read at once
 _SMALL_BYTES: Final = 64_000_000
 _RATIO: Final = 200  # grids and simulated images compress much better than those of cameras
-_ALL: Final = -1  # the bits of all channels
 
 Progress = Callable[[int, int], None]
 """Is called with the number of bytes that are done, and of all."""
@@ -433,7 +435,7 @@ class McapFile:
 
     def _block(self, record: _Record) -> Iterator[tuple[_Record, bytes, Iterator[_Entry]]]:
         with self._noted(record.at):
-            data = self._bytes_of(Block(record.at, record.end, 0, 0, _ALL))
+            data = self._bytes_of(Block(record.at, record.end, 0, 0, ALL_CHANNELS))
             self._unpacked += len(data)
             most = max(_SMALL_BYTES, _RATIO * self.size)
             if self._unpacked > most:
@@ -524,7 +526,7 @@ class McapFile:
         if known is None:
             self._mask_bytes += channels.bit_length() // 8
             if self._mask_bytes > _MASK_BYTES:
-                return _ALL
+                return ALL_CHANNELS
             known = self._masks[channels] = channels
         return known
 
@@ -600,7 +602,9 @@ class McapFile:
                 one.chunk_start_offset + one.chunk_length,
                 one.message_start_time,
                 one.message_end_time,
-                self._mask(sum(1 << ids[number] for number in one.message_index_offsets) or _ALL),
+                self._mask(
+                    sum(1 << ids[number] for number in one.message_index_offsets) or ALL_CHANNELS
+                ),
             )
             for one in indexes
         ]

@@ -6,13 +6,16 @@ import heapq
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
+from decimal import Decimal
 from itertools import count
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from cairn.bounded_files import megabytes
+from cairn.clock import SECOND
 from cairn.errors import RecordingError
 from cairn.recording.mcap_file import (
+    ALL_CHANNELS,
     Block,
     McapFile,
     Progress,
@@ -26,7 +29,7 @@ MOST_FILES: Final = 10_000
 
 _PENDING_BYTES: Final = 256_000_000
 _MESSAGE_COST: Final = 300  # what a message takes in memory beside its data [bytes]
-_ALL: Final = -1
+_UNIX_FROM_S: Final = 100_000_000  # more than three years of recording
 
 
 class _Part(NamedTuple):
@@ -53,7 +56,7 @@ class McapRecording:
     """
 
     def __init__(self, paths: Path | Sequence[Path], progress: Progress | None = None) -> None:
-        """Open a file, a folder's `*.mcap` files, or several files.
+        """Open a file, a folder's `*.mcap` files, or several of these.
 
         A file that was not closed, because its recorder was killed, is read once as a whole;
         `progress` is called meanwhile. Raises `RecordingError` if a file is not an MCAP file.
@@ -113,6 +116,11 @@ class McapRecording:
         """Return the content of an attachment; raise `RecordingError` if it is damaged."""
         (file,) = (file for file in self._files if file.path == attachment.path)
         return file.read_attachment(attachment)
+
+    def time_ns(self, time_s: Decimal | float) -> int:
+        """Return a time as users give it, in seconds after the start or since 1970, in ns."""
+        given_ns = round(time_s * SECOND)
+        return given_ns if time_s >= _UNIX_FROM_S else self.start_ns + given_ns
 
     def find_attachment(self, name: str) -> bytes | None:
         """Return the content of the newest attachment of a name; None if there is none."""
@@ -213,7 +221,7 @@ class McapRecording:
 
     def _bits(self, channels: Collection[RecordedChannel] | None) -> list[int]:
         if channels is None:
-            return [_ALL] * len(self._files)
+            return [ALL_CHANNELS] * len(self._files)
         return [file.bits(channels) for file in self._files]
 
 
@@ -241,14 +249,14 @@ def mcap_files(folder: Path) -> list[Path]:
 
 
 def _files(paths: Path | Sequence[Path]) -> list[Path]:
-    if not isinstance(paths, Path):
-        files = list(paths)
-    elif paths.is_dir():
-        files = mcap_files(paths)
-        if not files:
-            raise RecordingError(f"{paths}: holds no *.mcap file; give a recording")
-    else:
-        files = [paths]
+    files: list[Path] = []
+    for path in [paths] if isinstance(paths, Path) else paths:
+        if path.is_dir():
+            if not (found := mcap_files(path)):
+                raise RecordingError(f"{path}: holds no *.mcap file; give a recording")
+            files += found
+        else:
+            files.append(path)
     if not 1 <= len(files) <= MOST_FILES:
         raise RecordingError(f"{len(files):,} files are given; give 1 to {MOST_FILES:,}")
     return files

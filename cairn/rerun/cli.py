@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 import typer
 
@@ -20,8 +20,6 @@ from cairn.rerun.engine import RerunResult
 from cairn.rerun.excerpt import save_test
 from cairn.rerun.run import chosen_starts, starts_in
 from cairn.rerun.worker import rerun_in_process
-
-_UNIX_FROM_S: Final = 100_000_000
 
 
 def rerun(
@@ -63,7 +61,7 @@ def rerun(
     names = component or []
     if save_test_in is not None and len(names) != 1:
         raise CairnError("--save-test: choose one component with --component NAME")
-    with McapRecording(files[0] if len(files) == 1 else files) as recording:
+    with McapRecording(files) as recording:
         nodes = {one.node for one in recording.channels}
         starts = chosen_starts(starts_in(recording), names, nodes)
         if not starts:
@@ -71,7 +69,7 @@ def rerun(
                 f"{files[0]}: nothing can be re-run: it has no call log; record with `cairn up "
                 "--record`, by a component `recorder` of all topics, or with `call_log: true`"
             )
-        until_ns = None if until is None else _absolute(until, recording.start_ns)
+        until_ns = None if until is None else recording.time_ns(until)
         results = _results(recording.files, starts, until_ns, time_limit)
         if as_json:
             print_json([_plain(one) for one in results])
@@ -133,8 +131,3 @@ def _print(results: Sequence[RerunResult], start_ns: int) -> None:
 
 def _plain(result: RerunResult) -> dict[str, Any]:
     return {**asdict(result), "equal": result.equal}
-
-
-def _absolute(time_s: float, start_ns: int) -> int:
-    time_ns = round(time_s * SECOND)
-    return time_ns if time_s >= _UNIX_FROM_S else start_ns + time_ns

@@ -123,6 +123,19 @@ def test_merge_puts_files_in_order_of_time(run: Path, tmp_path: Path) -> None:
         assert [one.name for one in merged.attachments] == ["run.json"]
 
 
+def test_folder_is_merged(run: Path, tmp_path: Path) -> None:
+    folder, out = tmp_path / "parts", tmp_path / "whole.mcap"
+    folder.mkdir()
+    cairn("recording", "cut", str(run), str(folder / "run.mcap"), "--end", "1")
+    cairn("recording", "cut", str(run), str(folder / "run_2.mcap"), "--start", "1.000000001")
+
+    answer = cairn("recording", "merge", str(folder), "--out", str(out))
+
+    assert answer.code == 0, answer.err
+    with McapRecording(run) as before, McapRecording(out) as merged:
+        assert list(merged.messages()) == list(before.messages())
+
+
 def test_messages_in_overlapping_files_are_merged_once(run: Path, tmp_path: Path) -> None:
     part, out = str(tmp_path / "part.mcap"), tmp_path / "whole.mcap"
     cairn("recording", "cut", str(run), part, "--end", "1")
