@@ -23,7 +23,7 @@ from cairn.client.connection import Connection
 from cairn.deployment.model import ROOT, Deployment
 from cairn.errors import CairnError
 from cairn.recording.recorder import Recorder, RecorderSettings, RecorderStatus
-from cairn.recording.run_attachments import MessageTypes, as_json, run_attachments, versions
+from cairn.recording.run_attachments import MessageClasses, as_json, run_attachments, versions
 from cairn.recording.tap import ZenohTap
 from cairn.runtime.parameters import error_reason
 
@@ -131,7 +131,7 @@ def record(
     connection = Connection.open(connect, domain)
     try:
         deployment, attachments = _run_of(connection, robot)
-        find = MessageTypes(deployment).find
+        find = MessageClasses(deployment).find
         recorder = Recorder(settings, path, attachments, find, robot=robot)
         with _bell() as (bell, ended):
             tap = ZenohTap(connection.session, domain, recorder.receive, recorder.topics)

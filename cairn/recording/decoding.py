@@ -13,7 +13,7 @@ from rosbags.typesys import TypesysError
 from rosbags.typesys.msg import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
-from cairn.bus.codec import Codec, to_plain
+from cairn.bus.codec import Codec
 from cairn.bus.type_hash import definition, type_hash
 from cairn.errors import RecordingError
 from cairn.recording.mcap_file import RecordedChannel, RecordedMessage
@@ -93,10 +93,6 @@ class MessageDecoder:
                 f"{channel.topic}: its type {channel.type[:100]} is not known: {_text(error)}; "
                 "leave the topic out"
             ) from error
-
-    def decode_plain(self, message: RecordedMessage, longest: int | None = None) -> Any:
-        """Return a message as dictionaries, lists and scalars; raise as `decode`."""
-        return to_plain(self.decode(message), longest)
 
     def message_class(self, channel: RecordedChannel) -> type[Any] | None:
         """Return the class to which a channel's messages are decoded; None for a dictionary."""

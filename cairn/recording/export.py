@@ -25,15 +25,13 @@ from rosbags.interfaces.typing import FieldDesc
 
 from cairn.bounded_images import check_pixels, decode_image, read_header
 from cairn.bus.codec import to_plain
+from cairn.clock import SECOND
 from cairn.errors import CairnError, RecordingError
 from cairn.files import explain_os_error, replace_file, replacing
 from cairn.recording.decoding import Definition, MessageDecoder
 from cairn.recording.mcap_file import Progress, RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording
 from cairn.recording.tum import TUM_HEADER, stamp_text, tum_line
-
-FORMATS: Final = ("csv", "parquet", "tum", "png", "jpeg")
-"""What `export_recording` writes."""
 
 _MOST_TOPICS: Final = 200  # files that are open at once
 _MOST_NAMED: Final = 10
@@ -401,7 +399,7 @@ class _Tum:
 
 
 def _stamp_ns(header: Mapping[str, Any]) -> int:
-    return int(header["stamp"]["sec"]) * 1_000_000_000 + int(header["stamp"]["nanosec"])
+    return int(header["stamp"]["sec"]) * SECOND + int(header["stamp"]["nanosec"])
 
 
 def _numbers(pose: Mapping[str, Mapping[str, float]]) -> list[float]:

@@ -66,7 +66,7 @@ def started_parameters(deployment: Deployment) -> dict[str, Any]:
     return found
 
 
-class MessageTypes:
+class MessageClasses:
     """Finds message classes: those of Cairn, then those of the ports of a deployment's plugins.
 
     The plugins are imported with the first message of another type.

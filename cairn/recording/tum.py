@@ -7,15 +7,15 @@ other tools read it (cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats).
 from collections.abc import Iterable
 from typing import Final
 
+from cairn.clock import SECOND
+
 TUM_HEADER: Final = "# timestamp tx ty tz qx qy qz qw\n"
 """The first line of a file."""
-
-_SECOND: Final = 1_000_000_000
 
 
 def stamp_text(stamp_ns: int) -> str:
     """Return a time as seconds with all its nine decimals, as it was recorded."""
-    seconds, nanoseconds = divmod(stamp_ns, _SECOND)
+    seconds, nanoseconds = divmod(stamp_ns, SECOND)
     return f"{seconds}.{nanoseconds:09d}"
 
 

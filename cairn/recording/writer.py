@@ -39,7 +39,7 @@ Keys are `dropped TOPIC`, which the recorder had no memory for, and `lost TOPIC`
 reach it.
 """
 MAX_CHANNELS: Final = 10_000
-"""Channels of one file, as many as its reader accepts."""
+"""Channels of one file; its reader accepts twice as many."""
 
 _PROFILE, _LIBRARY = "ros2", f"cairn {version('cairn-robotics')}"
 _CHUNK_BYTES = 4 << 20
@@ -63,9 +63,9 @@ class RecordingFile:
         attachments: Mapping[str, bytes],
         find_message: FindMessage,
         *,
-        compression: Compression = "zstd",
-        keep_free: int = 0,
-        metadata: Mapping[str, str] | None = None,
+        compression: Compression,
+        keep_free: int,
+        metadata: Mapping[str, str],
     ) -> None:
         """Create the file, which must not exist; raises `OSError`.
 
@@ -93,7 +93,7 @@ class RecordingFile:
         self._schemas: dict[tuple[str, str], int] = {}
         self._channels: dict[tuple[str, bytes, str], int] = {}
         self._writer.start(_PROFILE, _LIBRARY)
-        self._writer.add_metadata(FORMAT_RECORD, {"format": FORMAT_VERSION, **(metadata or {})})
+        self._writer.add_metadata(FORMAT_RECORD, {"format": FORMAT_VERSION, **metadata})
         for name, data in attachments.items():
             kind = "application/json" if name.endswith(".json") else "application/octet-stream"
             self._writer.add_attachment(started_ns, started_ns, name, kind, data)
@@ -170,7 +170,7 @@ class RecordingFile:
             "node": publisher.node if publisher is not None else "",
             "gid": sample.gid.hex(),
             "type_hash": sample.type_hash,
-            "offered_qos_profiles": qos_profiles(publisher.qos) if publisher else "",
+            "offered_qos_profiles": _qos_profiles(publisher.qos) if publisher else "",
             "latched": "true" if latched else "false",
         }
         return int(self._writer.register_channel(sample.topic, "cdr", schema, metadata))
@@ -225,7 +225,7 @@ class _Output(io.BufferedIOBase):
         super().close()
 
 
-def qos_profiles(qos: Qos) -> str:
+def _qos_profiles(qos: Qos) -> str:
     """Return a QoS as rosbag2 writes it into the metadata of a channel (YAML)."""
     profile = {
         "history": 1,  # keep last

@@ -16,7 +16,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
-from cairn.clock import from_ns
+from cairn.clock import SECOND, from_ns
 from cairn.deployment.model import ChildSpec
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -69,7 +69,7 @@ class Difference:
 
     def __str__(self) -> str:
         where = f"{self.topic}: " if self.topic else ""
-        return f"{where}{self.what}; at {self.time_ns / 1e9:.6f} s, in {self.call}"
+        return f"{where}{self.what}; at {self.time_ns / SECOND:.6f} s, in {self.call}"
 
 
 @dataclass
@@ -281,14 +281,14 @@ class Rerun:
         topic, cls = subscription.topic, subscription.message
         if identity.sequence <= 0:
             raise CannotRerun(
-                f"{topic}: a message at {self.time_ns / 1e9:.6f} s has no number, because its "
+                f"{topic}: a message at {self.time_ns / SECOND:.6f} s has no number, because its "
                 "publisher numbers none, so that it cannot be found in the recording"
             )
         payload = self._messages.find(identity)
         if payload is None:
             raise CannotRerun(
                 f"{topic}: message {identity.sequence} of its publisher, which the component "
-                f"received at {self.time_ns / 1e9:.6f} s, is not in the recording"
+                f"received at {self.time_ns / SECOND:.6f} s, is not in the recording"
             )
         if payload.type_hash and payload.type_hash != type_hash(cls):
             raise CannotRerun(

@@ -15,7 +15,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import Deployment
 from cairn.recording.recorder import Recorder as RecorderCore
 from cairn.recording.recorder import RecorderSettings
-from cairn.recording.run_attachments import MessageTypes, run_attachments, started_parameters
+from cairn.recording.run_attachments import MessageClasses, run_attachments, started_parameters
 from cairn.recording.tap import LockstepTap, Tap, ZenohTap
 from cairn.rerun.files import input_attachments
 
@@ -75,7 +75,7 @@ class Recorder(Component):
             self.config,
             self.config.file,
             attachments,
-            MessageTypes(deployment).find,
+            MessageClasses(deployment).find,
             robot=run.robot,
             now=self.clock.now,
             threaded=not run.lockstep,
