@@ -9,10 +9,9 @@ from dataclasses import asdict
 from typing import Annotated, Any
 
 import typer
-import yaml
 
-from cairn.bounded_yaml import parse_yaml
 from cairn.cli import completion
+from cairn.cli.fields import yaml_value
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, show
 from cairn.client import Parameter
@@ -149,11 +148,7 @@ def set_parameters(
         name, equals, value = change.partition("=")
         if not equals:
             raise CairnError(f"{change!r} is not a change; write NAME=VALUE")
-        try:
-            values[name] = parse_yaml(value)
-        except (yaml.YAMLError, ValueError) as error:
-            reason = " ".join(str(error).split())
-            raise CairnError(f"{name}: {value!r} is not a YAML value: {reason}") from error
+        values[name] = yaml_value(name, value)
     with connect_to(connect, domain, robot) as client:
         client.set_parameters(component, values)
     for name, value in values.items():

@@ -9,7 +9,9 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+import yaml
 
+from cairn.bounded_yaml import parse_yaml
 from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
 from cairn.schemas.message import Field, InvalidMessage, fields_of, type_name
@@ -85,6 +87,15 @@ def message_of(message: type[Any], values: object) -> Any:
     Raises `CairnError` with the field and what is allowed if a value does not fit.
     """
     return _message(message, values, "")
+
+
+def yaml_value(name: str, text: str) -> Any:
+    """Return the value that is given for a name in YAML; `CairnError` if it is not YAML."""
+    try:
+        return parse_yaml(text)
+    except (yaml.YAMLError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise CairnError(f"{name}: {text!r} is not a YAML value: {reason}") from error
 
 
 def _message(message: type[Any], values: object, path: str) -> Any:

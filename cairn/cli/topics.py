@@ -16,11 +16,10 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from cairn.bounded_yaml import parse_yaml
 from cairn.bus import keys
 from cairn.bus.codec import to_plain
 from cairn.cli import completion
-from cairn.cli.fields import FieldPath, field_path, message_of
+from cairn.cli.fields import FieldPath, field_path, message_of, yaml_value
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, print_json, show
 from cairn.cli.plugins import find_message
@@ -159,7 +158,7 @@ def publish_topic(
     robot: RobotName = "",
 ) -> None:
     """Publish a message on a topic that a component subscribes to, once or at a rate."""
-    values = _plain_values(fields)
+    values = _plain_values(topic, fields)
     with connect_to(connect, domain, robot) as client:
         message = find_message(type_ or client.find_topic(topic).type_name)
         refused = _Refusals(client)
@@ -335,7 +334,7 @@ class _Refusals:
 
 
 def _print_fields(message: Any, paths: Sequence[FieldPath], *, as_json: bool) -> None:
-    values = [to_plain_or_none(path.value(message)) for path in paths]
+    values = [_plain_or_none(path.value(message)) for path in paths]
     if as_json:
         line(json_module.dumps(dict(zip((path.text for path in paths), values, strict=True))))
     elif len(values) > 1:
@@ -344,7 +343,7 @@ def _print_fields(message: Any, paths: Sequence[FieldPath], *, as_json: bool) ->
         line(_cell(values[0]))
 
 
-def to_plain_or_none(value: Any) -> Any:
+def _plain_or_none(value: Any) -> Any:
     """Return a value of a field for people and JSON; None for an element that does not exist."""
     return None if value is None else to_plain(value)
 
@@ -379,12 +378,8 @@ def _document(value: Any) -> str:
     return yaml.safe_dump(value, sort_keys=False, default_flow_style=None) + "---"
 
 
-def _plain_values(text: str) -> Mapping[str, Any]:
-    try:
-        values = parse_yaml(text)
-    except (yaml.YAMLError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise CairnError(f"{text!r} is not YAML: {reason}") from error
+def _plain_values(topic: str, text: str) -> Mapping[str, Any]:
+    values = yaml_value(topic, text)
     if not isinstance(values, Mapping):
         raise CairnError(f"{text!r} is not a mapping of fields; write it as '{{data: 1}}'")
     return values
