@@ -130,10 +130,6 @@ class Browser:
         """Send a JSON message."""
         self._queue(to_text(message))
 
-    def send_text(self, text: str) -> None:
-        """Send a JSON message that is encoded already."""
-        self._queue(text)
-
     def send_binary(self, data: bytes) -> None:
         """Send a binary message that must not be dropped."""
         self._queue(data)

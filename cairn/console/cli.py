@@ -11,12 +11,11 @@ import typer
 
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain
 from cairn.cli.output import line
+from cairn.console.companion import ADDRESS, DEFAULT_PORT
 from cairn.console.hub import Hub
 from cairn.console.live import LiveSource
 from cairn.console.recorded import RecordedOperations, RecordedSource
 from cairn.console.server import Address, Console, new_token, token_in
-
-DEFAULT_PORT = 8765
 
 
 def console(
@@ -79,8 +78,8 @@ async def _run(console: Console, token_file: Path | None) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, console.stop)
     if token_file is None:
-        line(f"console: {console.url}")
+        line(f"{ADDRESS}{console.url}")
         line(f"Foxglove: {console.websocket_url}")
     else:  # this output may be kept in a log
-        line(f"console: {console.origin}/#token=TOKEN with the token in {token_file}")
+        line(f"{ADDRESS}{console.origin}/#token=TOKEN with the token in {token_file}")
     await console.run()

@@ -15,9 +15,11 @@ from typing import Final
 
 from cairn.files import explain_os_error
 
-PREFERRED_PORT: Final = 8765
+DEFAULT_PORT: Final = 8765
+ADDRESS: Final = "console: "
+"""Begins the line of `cairn console` with the address."""
+
 _STOP_LIMIT_S: Final = 3.0
-_ADDRESS: Final = "console: "  # begins the line with the address
 # The console is a client: the robot ends without it, and it ends when `cairn up` is killed.
 _BOOT: Final = (
     "import os, signal, sys\n"
@@ -59,8 +61,8 @@ def console_beside(
     def watch() -> None:
         assert process.stdout is not None
         for line in process.stdout:
-            if line.startswith(_ADDRESS):
-                report(line.removeprefix(_ADDRESS).strip())
+            if line.startswith(ADDRESS):
+                report(line.removeprefix(ADDRESS).strip())
         code = process.wait()
         if not ending.is_set():
             note(f"the console has ended (exit code {code}); the robot goes on; see {log}")
@@ -98,7 +100,7 @@ def _port() -> int:
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind(("127.0.0.1", PREFERRED_PORT))
+            probe.bind(("127.0.0.1", DEFAULT_PORT))
         except OSError:
             return 0
-    return PREFERRED_PORT
+    return DEFAULT_PORT

@@ -25,7 +25,7 @@ END_AFTER_NS: Final = 3 * SECOND
 _RELEASE_LIMIT_S: Final = 5.0  # of a request to the gate
 
 Velocity = tuple[float, float]
-_STILL: Final[Velocity] = (0.0, 0.0)
+STILL: Final[Velocity] = (0.0, 0.0)
 
 
 class Teleoperate(Protocol):
@@ -67,10 +67,10 @@ class DeadMan:
         if now - self._heard_at >= STOP_AFTER_NS:
             self._wanted = None
             stops, self._moves = self._moves, False
-            return _STILL if stops else None
+            return STILL if stops else None
         wanted, self._wanted = self._wanted, None
         if wanted is not None:
-            self._moves = wanted != _STILL
+            self._moves = wanted != STILL
         return wanted
 
     def wait_ns(self, now: int) -> int:
@@ -169,7 +169,7 @@ class Driver:
                         drive(*velocity)
                 finally:
                     with suppress(CairnError, zenoh.ZError):
-                        drive(*_STILL)  # the base brakes before the request arrives at the gate
+                        drive(*STILL)  # the base brakes before the request arrives at the gate
         except (CairnError, zenoh.ZError) as error:
             self._error = str(error)
         finally:

@@ -15,14 +15,13 @@ from importlib.metadata import version
 from typing import Any, Final, Literal
 
 from pydantic import ValidationError
-from pydantic_core import PydanticSerializationError
 
 from cairn.bounded_json import parse_json
 from cairn.console import protocol
 from cairn.console.browser import MAX_SUBSCRIPTIONS, Browser, BrowserSubscription, Send
 from cairn.console.images import IMAGE_TYPE, to_jpeg
 from cairn.console.operations import ConsoleMethod, ConsoleOperations, Operations
-from cairn.console.protocol import ERROR, WARNING, ProtocolError, to_text
+from cairn.console.protocol import ERROR, INFO, WARNING, ProtocolError, to_text
 from cairn.console.source import Channel, ConnectionGraph, Message, Source
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
@@ -129,7 +128,7 @@ class Hub:
         self.broadcast("link", link)
         for browser in self.browsers:
             if not browser.is_console:
-                browser.send_status(*((WARNING, reason) if reason else (0, "connected")))
+                browser.send_status(WARNING if reason else INFO, reason or "connected")
         if reason:
             _log.warning("not connected to the robot: %s", reason)
 
@@ -245,13 +244,14 @@ class Hub:
                 browser.send_status(WARNING, self._link["reason"])
 
     def _send_hello(self, browser: Browser) -> None:
-        browser.send_event("hello", _event("hello", {
+        hello = {
             "version": version("cairn-robotics"),
             "mode": self.source.mode,
             "robots": self.robots,
             "may": browser.may,
             "recording": self.source.recording,
-        }))  # fmt: skip
+        }
+        self.send_event(browser, "hello", hello)
 
     async def _read(
         self, browser: Browser, receive: Callable[[], Awaitable[str | bytes | None]]
@@ -439,10 +439,9 @@ class Hub:
         answer: dict[str, Any] = {"op": "result", "id": request.id}
         try:
             answer["value"] = await self._result(browser, request.method, request.arguments)
-            text = to_text(answer)
         except CairnError as error:
-            text = to_text({"op": "result", "id": request.id, "error": str(error)})
-        browser.send_text(text)
+            answer["error"] = str(error)
+        browser.send(answer)
 
     async def _result(self, browser: Browser, name: str, arguments: Mapping[str, Any]) -> Any:
         """Call a method and return its value; `CairnError` says why it failed."""
@@ -467,7 +466,7 @@ class Hub:
             raise CairnError(f"{name}: no answer within {_CALL_LIMIT_S:g} s") from error
         try:
             return json.loads(json.dumps(value, allow_nan=False))
-        except (TypeError, ValueError, PydanticSerializationError) as error:
+        except (TypeError, ValueError) as error:
             raise CairnError(f"{name}: its answer cannot be sent: {error}") from error
 
     # Clients of Foxglove

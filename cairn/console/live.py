@@ -212,7 +212,7 @@ class LiveSource:
             nodes = publishers if one.kind == "MP" else subscribers
             nodes[one.topic].add(one.node.name)
         self._hub.set_channels([topic.channel for topic in self._topics.values()])
-        self._hub.set_graph(ConnectionGraph(_frozen(publishers), _frozen(subscribers)))
+        self._hub.set_graph(ConnectionGraph(publishers, subscribers))
         for id_, reader in list(self._readers.items()):
             if id_ in self._topics:
                 reader.set_publishers(self._topics[id_].publishers)
@@ -435,7 +435,3 @@ class _GraphReader:
 def _sent(sample: Any) -> int:
     sent = keys.Attachment.of(sample)
     return 0 if sent is None else sent.sent_ns
-
-
-def _frozen(nodes: Mapping[str, set[str]]) -> dict[str, frozenset[str]]:
-    return {topic: frozenset(names) for topic, names in nodes.items()}

@@ -25,7 +25,7 @@ from cairn.bus.codec import to_plain
 from cairn.client import Connection, ControlError, NoReplyError, Robot
 from cairn.client.velocity_gate import find_gate
 from cairn.console.browser import Browser
-from cairn.console.driving import Driver
+from cairn.console.driving import STILL, Driver
 from cairn.console.lease import Operator, OperatorLeases
 from cairn.console.monitoring import ProcessMonitor, StateEvents
 from cairn.console.protocol import WARNING
@@ -61,7 +61,6 @@ _PROBES: Final[Mapping[str, tuple[str, str, dict[str, Any]]]] = {
     "mobile_supervisor": ("mission", "cancel", {"mission_id": 0}),
 }
 _GATE_ATTEMPTS: Final = 3  # to read its limits: the computer may be busy
-_STILL: Final = (0.0, 0.0)
 _WORLD, _MAP_BUILDER = "simulated_world", "map_builder"
 _POSE_TOPIC: Final = "initialpose"
 _PERIOD_S: Final = 1.0
@@ -94,7 +93,7 @@ class OfComponent(OfRobot):
     component: Name
 
 
-class SetParameters(OfComponent):
+class ParameterChanges(OfComponent):
     """New values of parameters, by dotted name."""
 
     values: Annotated[dict[str, Any], Field(min_length=1, max_length=1000)]
@@ -228,7 +227,7 @@ class Operations:
             "load": ConsoleMethod(OfComponent, self._load, is_service=True),
             "unload": ConsoleMethod(OfComponent, self._unload, is_service=True),
             "parameters": ConsoleMethod(OfComponent, self._parameters, changes=False),
-            "set_parameters": ConsoleMethod(SetParameters, self._set_parameters),
+            "set_parameters": ConsoleMethod(ParameterChanges, self._set_parameters),
             "logs": ConsoleMethod(OfRobot, self._logs, changes=False),
             "world": ConsoleMethod(WorldRequest, self._world, changes=False, is_service=True),
             "why": ConsoleMethod(WhyRequest, self._why, changes=False, is_service=True),
@@ -311,7 +310,7 @@ class Operations:
         """Return the limits of the velocity gate; None without a gate: nothing can be driven."""
         for _ in range(_GATE_ATTEMPTS):
             with suppress(CairnError):
-                return await self._call(browser, robot, lambda client: _speed_limits(client, robot))
+                return await self._call(browser, robot, lambda client: _gate_limits(client, robot))
         return None
 
     def _operator(self, browser: Browser, name: str | None) -> Operator:
@@ -351,7 +350,7 @@ class Operations:
         if not driver.is_ready:
             wait = driver.wait
             await self._call(browser, robot, lambda _: wait(_GATE_LIMIT_S))
-            stamp = driver.command(None, _STILL)
+            stamp = driver.command(None, STILL)
         return {"stamp": stamp, "limits": self._limits.get(robot)}
 
     def _new_driver(self, browser: Browser, robot: str) -> Driver:
@@ -424,7 +423,7 @@ class Operations:
             lambda robot: [vars(one) for one in robot.parameters(of.component).values()],
         )
 
-    async def _set_parameters(self, browser: Browser, to: SetParameters) -> Any:
+    async def _set_parameters(self, browser: Browser, to: ParameterChanges) -> Any:
         self._leases.require(to.robot, browser.id)
         await self._call(
             browser, to.robot, lambda robot: robot.set_parameters(to.component, to.values)
@@ -545,7 +544,7 @@ def may_operate(client: Robot, robot: str) -> bool:
     return True
 
 
-def _speed_limits(client: Robot, robot: str) -> dict[str, float]:
+def _gate_limits(client: Robot, robot: str) -> dict[str, float]:
     """Return the limits of the velocity gate [m/s, rad/s]."""
     parameters = client.parameters(find_gate(client, robot).name)
     return {

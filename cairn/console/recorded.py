@@ -120,6 +120,10 @@ class RecordedSource:
         passed_s = asyncio.get_running_loop().time() - self._moved_at
         return min(self._recording.end_ns, self._position + round(passed_s * self.speed * SECOND))
 
+    def playback(self) -> dict[str, Any]:
+        """Return the value of the event `playback`."""
+        return {"playing": self.playing, "time_ns": self.now, "speed": self.speed}
+
     def set_playing(self, playing: bool) -> None:
         """Let time pass, or hold it; at the end it begins again."""
         at_end = self.now >= self._recording.end_ns
@@ -149,8 +153,7 @@ class RecordedSource:
         for one in self._ids:
             if one.node:
                 publishers[one.topic].add(one.node)
-        frozen = {topic: frozenset(nodes) for topic, nodes in publishers.items()}
-        hub.set_graph(ConnectionGraph(frozen, {}))
+        hub.set_graph(ConnectionGraph(publishers, {}))
         hub.set_link()
         try:
             await asyncio.gather(self._play(hub), self._report(hub))
@@ -273,12 +276,11 @@ class RecordedSource:
         """Send the event `playback`, and the time to clients of Foxglove."""
         last: dict[str, Any] = {}
         while True:
-            now = self.now
-            state: dict[str, Any] = {"playing": self.playing, "time_ns": now, "speed": self.speed}
+            state = self.playback()
             if state != last:
                 last = state
                 hub.broadcast("playback", state)
-                hub.broadcast_time(now)
+                hub.broadcast_time(state["time_ns"])
             await asyncio.sleep(_EVENT_S)
 
     def _set_position(self, position: int) -> None:
@@ -370,7 +372,7 @@ class RecordedOperations:
     def connected(self, browser: Browser) -> None:
         """Send a new browser the state of the playback, and the last events."""
         if browser.is_console:
-            self._hub.send_event(browser, "playback", self._playback())
+            self._hub.send_event(browser, "playback", self._source.playback())
             self._state.send_last(browser)
 
     def disconnected(self, _: Browser) -> None:
@@ -383,25 +385,21 @@ class RecordedOperations:
         del browser, robot
         return _REFUSAL
 
-    def _playback(self) -> dict[str, Any]:
-        source = self._source
-        return {"playing": source.playing, "time_ns": source.now, "speed": source.speed}
-
     async def _play(self, _: Browser, __: Nothing) -> Any:
         self._source.set_playing(True)
-        return self._playback()
+        return self._source.playback()
 
     async def _pause(self, _: Browser, __: Nothing) -> Any:
         self._source.set_playing(False)
-        return self._playback()
+        return self._source.playback()
 
     async def _seek(self, _: Browser, to: Seek) -> Any:
         self._source.seek(to.time_ns)
-        return self._playback()
+        return self._source.playback()
 
     async def _speed(self, _: Browser, to: Speed) -> Any:
         self._source.set_speed(to.factor)
-        return self._playback()
+        return self._source.playback()
 
     async def _logs(self, _: Browser, of: OfRobot) -> Any:
         now = self._source.now

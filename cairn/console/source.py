@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
@@ -49,8 +49,8 @@ class Message(NamedTuple):
 class ConnectionGraph:
     """Full names of the nodes that publish and subscribe, by topic."""
 
-    publishers: Mapping[str, frozenset[str]]
-    subscribers: Mapping[str, frozenset[str]]
+    publishers: Mapping[str, Set[str]]
+    subscribers: Mapping[str, Set[str]]
 
 
 class Source(Protocol):
