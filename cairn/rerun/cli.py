@@ -49,7 +49,7 @@ def rerun(
         ),
     ] = None,
     time_limit: Annotated[
-        float, typer.Option(metavar="S", min=1, help="Longest time for one component [s].")
+        float, typer.Option(metavar="S", min=1, max=1e6, help="Longest time for one component [s].")
     ] = 600.0,
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,

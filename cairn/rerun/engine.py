@@ -132,6 +132,7 @@ class Rerun:
         messages: RecordedMessages,
         until_ns: int | None = None,
         stop_at_difference: bool = False,
+        on_call: Callable[[int, str], object] = lambda _time_ns, _name: None,
     ) -> None:
         """Prepare to run `start` again.
 
@@ -141,6 +142,7 @@ class Rerun:
             messages: the recorded messages.
             until_ns: make no calls at or after this time [ns].
             stop_at_difference: make no calls after the one with the first difference.
+            on_call: called with time [ns] and name of each call before it is made.
         """
         self.result = RerunResult(start.component, start.incarnation)
         self.ended: ExitReport | None = None
@@ -152,6 +154,7 @@ class Rerun:
         self._messages = messages
         self._until_ns = until_ns
         self._stop_at_difference = stop_at_difference
+        self._on_call = on_call
         self._gids: dict[str, bytes] = {}
         self._call = _CallEnvironment("its start")
         self._call_ns = start.started_ns
@@ -194,6 +197,7 @@ class Rerun:
         self.time_ns, self._call, self._call_ns = call.time_ns, environment, call.time_ns
         if self.ended is not None:
             return True  # the recorded component did nothing more either, or the end is reported
+        self._on_call(call.time_ns, environment.name)
         self._enter(call)
         self._check_rest(environment)
         return not (self._stop_at_difference and self.result.first is not None)
@@ -389,6 +393,16 @@ class Rerun:
 
     def _check_rest(self, environment: "_CallEnvironment") -> None:
         """Report what the recorded call did beyond that of the re-run."""
+        end = self.ended  # first, because it is the cause of what is missing
+        recorded_end = environment.end
+        if end is not None and recorded_end is None and not environment.is_cut:
+            self._differ("", f"the component ends, which the recorded one did not: {end.reason}")
+        elif recorded_end is not None:
+            reason = recorded_end["reason"]
+            if end is None:
+                self._differ("", f"the component does not end; the recorded one did: {reason}")
+            elif end.normal != recorded_end["normal"] or end.reason != reason:
+                self._differ("", f"the component ends: {end.reason}; recorded was: {reason}")
         topics = {port: topic for topic, port in self._ports.items()}
         for port, missing in environment.sent.items():
             sent = [one for one in missing if one.sequence]
@@ -400,16 +414,6 @@ class Rerun:
                 self._differ(topic, f"does not publish {_messages(len(sent))}", time_ns)
         if environment.times:
             self._note(f"reads the clock less often in {environment.name}")
-        end = self.ended
-        recorded_end = environment.end
-        if end is not None and recorded_end is None and not environment.is_cut:
-            self._differ("", f"the component ends, which the recorded one did not: {end.reason}")
-        elif recorded_end is not None:
-            reason = recorded_end["reason"]
-            if end is None:
-                self._differ("", f"the component does not end; the recorded one did: {reason}")
-            elif end.normal != recorded_end["normal"] or end.reason != reason:
-                self._differ("", f"the component ends: {end.reason}; recorded was: {reason}")
 
     def _differ(self, topic: str, what: str, time_ns: int | None = None) -> None:
         self.result.differences += 1

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,10 +125,12 @@ def prepared_rerun(
     until_ns: int | None = None,
     *,
     stop_at_difference: bool = False,
+    on_call: Callable[[int, str], object] = lambda _time_ns, _name: None,
 ) -> Iterator[Rerun]:
     """Provide the re-run of a start, with its files in a folder that is removed afterwards.
 
-    Raises `CairnError` with the reason if the component cannot be re-run.
+    See `Rerun` for the arguments. Raises `CairnError` with the reason if the component cannot be
+    re-run.
     """
     needed = needed_messages(start)
     if needed.has_foreign_calls:
@@ -153,7 +155,7 @@ def prepared_rerun(
                 + (f", and {len(missing) - 1} more" if len(missing) > 1 else "")
             )
         messages = StreamedMessages(recording, needed)
-        yield Rerun(start, info, messages, until_ns, stop_at_difference=stop_at_difference)
+        yield Rerun(start, info, messages, until_ns, stop_at_difference, on_call)
 
 
 def chosen_starts(

@@ -1,5 +1,6 @@
 """Re-runs one start of a component in a process of its own: a crash or a hang ends only that."""
 
+import faulthandler
 import json
 import logging
 import os
@@ -8,19 +9,27 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
+from io import FileIO
 from pathlib import Path
 from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
 from cairn.errors import CairnError
+from cairn.process_exit import end_process
 from cairn.recording.reader import McapRecording
 from cairn.rerun.call_logs import ComponentStart
 from cairn.rerun.engine import RerunResult
 from cairn.rerun.run import prepared_rerun, starts_in
 
 _RESULT = TypeAdapter(RerunResult)
-_SHOWN_LOG: Final = 2000  # bytes
+_SHOWN_LOG: Final = 2000  # characters
+_GRACE_S: Final = 30.0
+"""Beyond its time limit, the process may take so long for its start and end [s]."""
+_LONGEST_CALL: Final = 300  # bytes
+_FATAL, _TIMEOUT, _STACK = "Fatal Python error", "Timeout (0:", "(most recent call first):\n"
+"""What `faulthandler` writes when the process crashes or takes too long."""
 
 
 def rerun_in_process(
@@ -31,18 +40,21 @@ def rerun_in_process(
 ) -> RerunResult:
     """Return the result of a re-run that a new process makes.
 
-    A crash, a hang and an error are in `incomplete`.
+    A crash, a hang and an error are in `incomplete`, with the call in which it was, and the stack.
     """
     result = RerunResult(start.component, start.incarnation)
     with tempfile.TemporaryDirectory(prefix="cairn-rerun-") as folder:
-        answer, log = Path(folder, "result.json"), Path(folder, "log")
+        answer, log, call = (Path(folder, name) for name in ("result.json", "log", "call"))
+        call.touch()
         request = {
             "files": [str(file.absolute()) for file in files],
             "component": start.component,
             "incarnation": start.incarnation,
             "started_ns": start.started_ns,
             "until_ns": until_ns,
+            "time_limit_s": time_limit_s,
             "answer": str(answer),
+            "call": str(call),
         }
         with log.open("wb") as stream:
             process = subprocess.Popen(
@@ -51,27 +63,39 @@ def rerun_in_process(
                 env={**os.environ, "PYTHONFAULTHANDLER": "1"},
             )  # fmt: skip
             try:
-                process.communicate(json.dumps(request).encode(), time_limit_s)
+                process.communicate(json.dumps(request).encode(), time_limit_s + _GRACE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-                result.incomplete = (
-                    f"the re-run took longer than {time_limit_s:g} s; give a longer --time-limit, "
-                    "or see whether a handler hangs"
-                )
-                return result
+                log.write_text(_TIMEOUT)
         try:
             return _RESULT.validate_json(answer.read_bytes())
         except (OSError, ValidationError):
-            end = log.read_bytes()[-_SHOWN_LOG:].decode(errors="replace").strip()
-            result.incomplete = f"its process ended with status {process.returncode}: {end}"
+            text = log.read_text(encoding="utf-8", errors="replace").strip()
+            where = call.read_text(encoding="utf-8", errors="replace").strip()
+            where = where or "before its first call"
+            result.incomplete = _explained(process.returncode, text, where, time_limit_s)
             return result
+
+
+def _explained(status: int, log: str, where: str, time_limit_s: float) -> str:
+    """Return why a process has no result: its exit status, its log, and in which call it was."""
+    if _TIMEOUT in log:
+        stack = log.rpartition(_STACK)[2]  # that of the main thread
+        return (
+            f"the re-run took longer than {time_limit_s:g} s; it was {where}; give a longer "
+            f"--time-limit, or correct the handler if it hangs:\n{stack[:_SHOWN_LOG]}"
+        )
+    _, fatal, rest = log.partition(_FATAL)
+    shown = (fatal + rest)[:_SHOWN_LOG] if fatal else log[-_SHOWN_LOG:]
+    return f"its process ended with status {status}, {where}: {shown}"
 
 
 def main() -> None:
     """Make the re-run that stdin describes, and write its result to a file."""
     logging.basicConfig(level=logging.ERROR)
     request: dict[str, Any] = json.load(sys.stdin)
+    faulthandler.dump_traceback_later(request["time_limit_s"], exit=True)
     name, incarnation = request["component"], request["incarnation"]
     result = RerunResult(name, incarnation)
     try:
@@ -82,12 +106,25 @@ def main() -> None:
                 if (one.component, one.incarnation, one.started_ns)
                 == (name, incarnation, request["started_ns"])
             )
-            with prepared_rerun(recording, start, request["until_ns"]) as rerun:
+            with (
+                Path(request["call"]).open("wb", buffering=0) as calls,
+                prepared_rerun(
+                    recording, start, request["until_ns"], on_call=partial(_note, calls)
+                ) as rerun,
+            ):
                 result = rerun.run()
     except CairnError as error:
         result.incomplete = str(error)
+    faulthandler.cancel_dump_traceback_later()
     Path(request["answer"]).write_text(json.dumps(asdict(result)))
+
+
+def _note(file: FileIO, time_ns: int, call: str) -> None:
+    """Write to a file in which call the process is: it may not return from it."""
+    text = f"in {call}, at {time_ns / 1e9:.6f} s".encode()[:_LONGEST_CALL]
+    os.pwrite(file.fileno(), text.ljust(_LONGEST_CALL), 0)
 
 
 if __name__ == "__main__":
     main()
+    end_process(0)  # also if threads of the component still run

@@ -1,6 +1,7 @@
 """Exact re-runs: what was recorded is published again, and the first difference is named."""
 
 import json
+import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from cairn import to_ns
 from cairn.bus.bus import MessageId
 from cairn.cli.main import build
 from cairn.deployment.load import load_deployment
+from cairn.deployment.model import ChildSpec, Deployment
 from cairn.errors import CairnError
 from cairn.placement.run_plan import with_recorder
 from cairn.recording.reader import McapRecording
@@ -33,7 +35,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import DeploymentHarness
 from cairn.testing.rerun import assert_rerun_equal, rerun_messages
-from tests.cairn.rerun.walkers import Walker
+from tests.cairn.rerun.walkers import CHANGE, Fragile, Walker
 from tests.commands import cairn
 from tests.wording import assert_words
 
@@ -200,6 +202,60 @@ def test_output_is_as_the_documentation_shows_it(
     different = cairn(*command.split())
     assert different.code == 1
     assert f"```text\n{different.out}```" in page, different.out
+
+
+@pytest.fixture(scope="module")
+def fragile_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of 3 s of a component that the environment can break."""
+    out = tmp_path_factory.mktemp("fragile") / "recording.mcap"
+    spec = ChildSpec(plugin=f"{Fragile.__module__}:Fragile")
+    deployment = Deployment(cairn=1, components={"walker": spec})
+    with DeploymentHarness(with_recorder(deployment, out), seed=3) as run:
+        run.run_for(3.0)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("raise", ["walker: DIFFERENT", "at 1.5", "a timer", "the component ends",
+                   "ValueError: it has become fragile"]),
+        ("crash", ["walker: not re-run completely", "status -11", "in a timer, at 1.5",
+                   "Segmentation fault", "walkers.py", "in tick"]),
+    ],
+)  # fmt: skip
+def test_component_that_breaks_while_it_is_re_run_is_reported_with_the_time(
+    fragile_recording: Path, monkeypatch: pytest.MonkeyPatch, change: str, words: list[str]
+) -> None:
+    assert cairn("rerun", str(fragile_recording)).code == 0
+    monkeypatch.setenv(CHANGE, change)
+
+    answer = cairn("rerun", str(fragile_recording))
+
+    assert answer.code == 1
+    assert_words(answer.out, *words)
+
+
+def test_component_that_hangs_while_it_is_re_run_is_ended_at_the_time_limit(
+    fragile_recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CHANGE, "hang")
+
+    answer = cairn("rerun", str(fragile_recording), "--time-limit", "5")
+
+    assert answer.code == 1
+    words = ("took longer than 5 s", "in a timer, at 1.5", "--time-limit", "walkers.py", "in hang")
+    assert_words(answer.out, "walker: not re-run completely", *words)
+
+
+def test_thread_of_a_component_does_not_outlive_its_re_run(
+    fragile_recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subprocess.Popen, "kill", lambda _: pytest.fail("it does not end"))
+
+    answer = cairn("rerun", str(fragile_recording), "--until", "1.0", "--time-limit", "60")
+
+    assert (answer.code, answer.err) == (0, "")
 
 
 def test_damaged_call_log_is_rejected() -> None:

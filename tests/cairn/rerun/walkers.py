@@ -1,5 +1,8 @@
 """Components whose re-run must be exact: with timers, randomness, posts, requests and files."""
 
+import ctypes
+import os
+import threading
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -64,3 +67,67 @@ class Walker(Component):
             header=Header(stamp=from_ns(self.clock.now())),
             twist=Twist(linear=Vector3(x=x, y=self.config.step)),
         )
+
+
+CHANGE = "CAIRN_TEST_FRAGILE"
+"""What this variable of the environment says, a `Fragile` does from 1.5 s of its clock on."""
+
+
+class Fragile(Component):
+    """Publishes the time of its clock, and has a thread; it breaks if the environment says so."""
+
+    position: Out[TwistStamped]
+
+    def on_activate(self) -> None:
+        self._stopped = threading.Event()
+        threading.Thread(target=self._stopped.wait).start()
+
+    def on_deactivate(self) -> None:
+        self._stopped.set()
+
+    @every(hz=10)
+    def tick(self) -> None:
+        now = self.clock.now()
+        if now >= 1_500_000_000:
+            match os.environ.get(CHANGE):
+                case "raise":
+                    raise ValueError("it has become fragile")
+                case "crash":
+                    ctypes.string_at(0)
+                case "hang":
+                    self.hang()
+        self.position.publish(TwistStamped(header=Header(stamp=from_ns(now))))
+
+    def hang(self) -> None:
+        """Wait for what never happens."""
+        threading.Event().wait()
+
+
+class Thermometer(Component):
+    """Drives a device: its clock is that of the device."""
+
+    clock_source = "device"
+    position: Out[TwistStamped]
+
+    @every(hz=10)
+    def measure(self) -> None:
+        self.position.publish(TwistStamped())
+
+
+class Poller(Component):
+    """Has a thread of its own that measures, and posts what it measured."""
+
+    position: Out[TwistStamped]
+
+    def on_activate(self) -> None:
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._measure)
+        self._thread.start()
+
+    def on_deactivate(self) -> None:
+        self._stopped.set()
+        self._thread.join()
+
+    def _measure(self) -> None:
+        while not self._stopped.wait(0.1):
+            self.post(lambda: self.position.publish(TwistStamped()))
