@@ -50,6 +50,7 @@ class Hub:
     Attributes:
         source: where channels and messages come from.
         may: what browsers may do.
+        why_watch: why they may watch only, if that is so.
         operations: the methods.
         browsers: those that are connected.
         channels: those that exist now, by id.
@@ -64,6 +65,7 @@ class Hub:
     ) -> None:
         self.source = source
         self.may = may
+        self.why_watch = "this console may watch only"
         self.browsers: set[Browser] = set()
         self.channels: dict[int, Channel] = {}
         self.graph = ConnectionGraph({}, {})
@@ -177,9 +179,10 @@ class Hub:
             if shown:
                 browser.send(_parameter_values(shown))
 
-    def restrict(self) -> None:
-        """Let browsers only watch from now on."""
+    def restrict(self, reason: str) -> None:
+        """Let browsers only watch from now on, for that reason."""
         self.may = "watch"
+        self.why_watch = reason
         for browser in self.browsers:
             browser.may = "watch"
             self._send_hello(browser)
@@ -452,7 +455,7 @@ class Hub:
             known = ", ".join(sorted(self.operations.methods))
             raise CairnError(f"there is no method {name}; there are: {known}")
         if method.changes and browser.may == "watch":
-            raise CairnError(f"{name} is refused: this console may watch only")
+            raise CairnError(f"{name} is refused: {self.why_watch}")
         try:
             valid = method.arguments.model_validate(dict(arguments))
         except ValidationError as error:
@@ -543,7 +546,7 @@ class Hub:
         if self.source.mode != "live":
             raise ProtocolError(f"{channel.topic}: nothing can be published in a recording")
         if browser.may == "watch":
-            raise ProtocolError(f"{channel.topic}: this console may watch only")
+            raise ProtocolError(f"{channel.topic}: {self.why_watch}")
         if channel.encoding != "cdr":
             raise ProtocolError(f"{channel.topic}: publish as cdr, not {channel.encoding!r}")
         browser.client_channels[channel.id] = channel

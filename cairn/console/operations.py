@@ -60,6 +60,10 @@ _PROBES: Final[Mapping[str, tuple[str, str, dict[str, Any]]]] = {
     "velocity_gate": ("status", "renew_lease", {"lease": 0, "seconds": 1.0}),
     "mobile_supervisor": ("mission", "cancel", {"mission_id": 0}),
 }
+_VIEW_ONLY: Final = (
+    "the role of this console's user on the network allows to watch only; start the console with "
+    "the name of another user (CAIRN_USER)"
+)
 _GATE_ATTEMPTS: Final = 3  # to read its limits: the computer may be busy
 _WORLD, _MAP_BUILDER = "simulated_world", "map_builder"
 _POSE_TOPIC: Final = "initialpose"
@@ -268,7 +272,7 @@ class Operations:
     def refusal(self, browser: Browser, robot: str) -> str:
         """Return why a browser may not publish to a robot now; "" if it may."""
         if browser.may == "watch":
-            return "this console may watch only"
+            return self._hub.why_watch
         try:
             self._leases.require(robot, browser.id)
         except CairnError as error:
@@ -508,7 +512,7 @@ class Operations:
         client = self._client(robots[0])
         self._checked = client.connection
         if not await _run(self._workers, functools.partial(may_operate, client, robots[0])):
-            self._hub.restrict()
+            self._hub.restrict(_VIEW_ONLY)
 
     def _connection_now(self) -> Connection | None:
         try:

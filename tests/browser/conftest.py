@@ -8,7 +8,7 @@ import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, sync_pla
 
 import cairn.client
 from cairn.deployment.shipped import deployment_file
-from cairn.testing.launching import CAIRN, launching
+from cairn.testing.launching import CAIRN, free_port, launching
 
 PICTURES = Path(__file__).parents[2] / "build" / "browser"
 """Where the tests leave pictures of the page."""
@@ -91,6 +91,20 @@ class Tab:
         self.page.get_by_role("button", name="Steer", exact=True).first.click()
         self.page.get_by_text("you steer").wait_for()
 
+    def tab_to(self, name: str, key: str = "Tab") -> None:
+        """Move the focus by the keyboard to the element whose name begins so."""
+        for _ in range(80):
+            self.page.keyboard.press(key)
+            focused = self.page.evaluate(
+                """() => {
+                    const one = document.activeElement;
+                    return (one.ariaLabel ?? one.labels?.[0]?.textContent ?? one.innerText).trim();
+                }"""
+            )
+            if focused.startswith(name):
+                return
+        raise AssertionError(f"{key} does not reach {name}")
+
     def show(self, panel: str) -> None:
         """Open a panel, unless it is open."""
         tab = self.page.get_by_role("tab", name=panel, exact=True)
@@ -125,18 +139,22 @@ def chromium() -> Iterator[Browser]:
 class RunningRobot:
     """A simulated robot, a client of it, and the address of its console's page."""
 
-    def __init__(self, client: cairn.client.Robot, endpoint: str, url: str) -> None:
-        self.client, self.endpoint, self.url = client, endpoint, url
+    def __init__(
+        self, client: cairn.client.Robot, endpoint: str, url: str, viewer: Mapping[str, str]
+    ) -> None:
+        """`viewer` is the environment of a user on the network who may view."""
+        self.client, self.endpoint, self.url, self.viewer = client, endpoint, url, viewer
 
 
 @contextmanager
-def console(*arguments: str) -> Iterator[str]:
+def console(*arguments: str, environment: Mapping[str, str] | None = None) -> Iterator[str]:
     """Run `cairn console`; yield the address of its page."""
     process = subprocess.Popen(
         [CAIRN, "console", "--port", "0", *arguments],
         stdout=subprocess.PIPE,
         stdin=subprocess.DEVNULL,
         text=True,
+        env={**os.environ, **(environment or {})},
     )
     try:
         assert process.stdout is not None
@@ -154,8 +172,17 @@ def console(*arguments: str) -> Iterator[str]:
 @pytest.fixture(scope="session")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningRobot]:
     """The robot of deploy/sim.yaml, located, near where it starts."""
-    with launching(tmp_path_factory.mktemp("robot")) as launch:
-        run = launch(deployment_file("sim"))
+    folder = tmp_path_factory.mktemp("robot")
+    password = folder / "password"
+    password.touch(mode=0o600)
+    password.write_text("correct horse\n")
+    network = f"tcp/127.0.0.1:{free_port()}"
+    users = f"bus.users={{vera: {{role: view, password_file: {password}}}}}"
+    viewer = {
+        "CAIRN_CONNECT": network, "CAIRN_USER": "vera", "CAIRN_PASSWORD_FILE": str(password),
+    }  # fmt: skip
+    with launching(folder) as launch:
+        run = launch(deployment_file("sim"), "--set", users, "--set", f"bus.listen=[{network}]")
         run.await_line("child active: vision_supervisor")
         with (
             cairn.client.connect(run.endpoint) as client,
@@ -163,7 +190,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningRobot]:
         ):
             with client.go(1.5, 1.0) as goal:
                 goal.result(timeout_s=120.0)
-            yield RunningRobot(client, run.endpoint, url)
+            yield RunningRobot(client, run.endpoint, url, viewer)
 
 
 OpenTab = Callable[..., Tab]

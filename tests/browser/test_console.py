@@ -26,6 +26,7 @@ from tests.browser.conftest import (
     console,
     with_map,
 )
+from tests.wording import assert_words
 
 SCAN_TO_PIXELS_MS = 100.0
 STOP_S = 0.3
@@ -348,24 +349,93 @@ def test_page_fits_its_window(
         tab.picture(f"{name.lower()}-{width}-{theme}")
 
 
-def test_goal_is_sent_by_keyboard_alone(robot: RunningRobot, tab: Tab) -> None:
+def test_keyboard_alone_takes_the_lease_sends_a_goal_and_answers_a_dialog(
+    robot: RunningRobot, tab: Tab
+) -> None:
     before = status_of(robot).mission_id
-    page = tab.page
-    for _ in range(40):
-        page.keyboard.press("Tab")
-        if page.evaluate("document.activeElement.getAttribute('aria-label') ?? ''").startswith(
-            "Goal:"
-        ):
-            break
-    page.keyboard.press("Enter")
-    page.locator(".map-canvas").focus()
-    page.evaluate("([x, y]) => Object.assign(cairnConsole.map.view, {x, y})", [1.5, 1.0])
-    page.keyboard.press("]")
-    page.keyboard.press("Enter")
+    page, press = tab.page, tab.page.keyboard.press
+    tab.tab_to("Steer")
+    press("Enter")
+    page.get_by_text("you steer").wait_for()
+
+    tab.tab_to("Goal:")
+    press("Enter")
+    tab.tab_to("Map.", "Shift+Tab")
+    for _ in range(4):
+        press("+")
+    for axis, target, back, forth in (
+        ("x", 1.5, "ArrowLeft", "ArrowRight"),
+        ("y", 1.0, "ArrowDown", "ArrowUp"),
+    ):
+        while abs(off := page.evaluate(f"cairnConsole.map.view.{axis}") - target) > 0.25:
+            press(back if off > 0 else forth)
+    press("]")
+    press("Enter")
     page.get_by_text("Goal sent").wait_for()
     _await(lambda: status_of(robot).mission_id > before)
+    _await(lambda: status_of(robot).state == NavigationStatus.SUCCEEDED)
+
+    tab.tab_to("Drive")
+    press("ArrowDown")
+    press("ArrowDown")
+    press("Enter")
+    tab.tab_to("Filter components", "Shift+Tab")
+    page.keyboard.type("range_scanner")
+    tab.tab_to("range_scanner")
+    press("Enter")
+    tab.tab_to("Restart")
+    press("Enter")
+    question = page.get_by_role("alertdialog", name="Restart range_scanner?")
+    question.wait_for()
+    press("Escape")
+    question.wait_for(state="hidden")
+    assert page.evaluate("document.activeElement.innerText") == "Restart"
+
+
+def test_gamepad_drives_while_its_shoulder_button_is_held(robot: RunningRobot, tab: Tab) -> None:
+    page = tab.page
+    page.evaluate(
+        """() => {
+            const buttons = Array.from({length: 17}, () => ({pressed: false, value: 0}));
+            window.pad = {id: "pad", index: 1, connected: true, axes: [0, 0, -1, 0], buttons};
+            navigator.getGamepads = () => [null, window.pad];
+        }"""
+    )
+    tab.take_lease()
     tab.show("Drive")
-    page.get_by_text("arrived", exact=True).first.wait_for()
+    page.get_by_text("Hold a shoulder button").wait_for()
+    commands: list[float] = []
+
+    def hold(pressed: bool) -> None:
+        page.evaluate("(pressed) => { window.pad.buttons[5].pressed = pressed; }", pressed)
+
+    with robot.client.subscribe("cmd_vel", Twist, lambda one: commands.append(one.angular.z)):
+        _await(lambda: len(commands) >= 20)
+        assert not any(commands)  # the stick alone does not move the robot
+        hold(True)
+        _await(lambda: commands[-1] > 0.7)
+        hold(False)
+        _await(lambda: commands[-1] == 0.0, limit_s=2.0)
+
+
+def test_user_who_may_view_watches_and_is_refused_with_the_reason(
+    robot: RunningRobot, open_tab: OpenTab
+) -> None:
+    with console(environment=robot.viewer) as url:
+        tab = with_map(open_tab(url))
+        tab.page.get_by_text("watch only", exact=True).wait_for()
+        tab.show("Drive")
+        tab.page.get_by_text("This console may watch only").wait_for()
+
+        for request in ("acquire_lease", "stop"):
+            refused = tab.page.evaluate(
+                """async (method) => {
+                    const call = cairnConsole.connection.call(method, {robot: "robot"});
+                    return call.then(() => "", (error) => error.message);
+                }""",
+                request,
+            )
+            assert_words(refused, request, "refused", "role", "CAIRN_USER")
 
 
 def _await(holds: Callable[[], bool], limit_s: float = LIMIT_MS / 1000) -> None:

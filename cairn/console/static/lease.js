@@ -1,7 +1,8 @@
 // The lease: who steers, and how it changes hands.
 
 import { html } from "./vendor/preact-htm.js";
-import { toast, useAction, useEvent } from "./hooks.js";
+import { toast, useAction, useApp, useEvent } from "./hooks.js";
+import { useStore } from "./store.js";
 import { Badge, Icon } from "./ui.js";
 
 const FREE = { holder: "", mine: false, asked_by: "", asked_by_me: false, limits: null };
@@ -13,8 +14,11 @@ export function useLease() {
 
 /** The chip of the top bar: who steers, and the button to take, ask for or give up the lease. */
 export function LeaseControl() {
+  const { connection } = useApp();
   const lease = useLease();
   const act = useAction();
+  if (useStore(connection.hello)?.may === "watch")
+    return html`<span class="chip lease"><span class="label">Lease</span><${Badge} title="This console may not steer">watch only<//></span>`;
   const ask = async () => {
     if ((await act("ask_lease")) !== undefined) toast("info", `Asked ${lease.holder || "the operator"} for the lease.`);
   };

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from textwrap import dedent
 
+import psutil
 import pytest
 
 from cairn.testing.launching import CAIRN, LIMIT_S, Launching, Run
@@ -237,3 +238,14 @@ def everything_from(screen: int) -> str:
             break
     os.close(screen)
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))
+
+
+def test_console_of_a_killed_run_ends_with_it(launch: Launching) -> None:
+    run = launch(ENDLESS, "--console")
+    run.await_line("console: http")
+    commands = [psutil.Process(pid).cmdline() for pid in run.pids()]
+    assert any("console" in command for command in commands)
+
+    run.process.kill()
+
+    run.await_nothing_left()
