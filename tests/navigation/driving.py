@@ -25,6 +25,8 @@ SIM = DEPLOY / "sim.yaml"
 
 ON_REQUEST = "components.automove.parameters.load_plugins=on_request"
 """The navigation is loaded with the first goal."""
+FEW_RECOVERIES = "components.automove.parameters.recoveries=1"
+"""A mission that no recovery helps fails soon."""
 STOPS_S = 0.95
 """Longest time until the robot stands: 0.75 s from full speed; missing inputs are checked ten times
 a second, and a command takes 0.05 s to the wheels."""

@@ -7,7 +7,7 @@ import pytest
 from cairn.planar.poses import distance
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
-from tests.navigation.driving import LockstepRobot, share_occupied
+from tests.navigation.driving import FEW_RECOVERIES, LockstepRobot, share_occupied
 
 pytestmark = pytest.mark.slow
 
@@ -77,7 +77,7 @@ def test_robot_goes_near_an_obstacle_and_finds_it_removed(drive: RobotFactory) -
 
 
 def test_person_who_stays_on_the_goal_fails_the_mission(drive: RobotFactory) -> None:
-    robot = drive()
+    robot = drive(FEW_RECOVERIES)
     robot.request("world", "person", name="guard", waypoints=[[4.0, 1.4]])
     robot.go(4.0, 1.4)
 
@@ -104,7 +104,7 @@ def walled_in(robot: LockstepRobot) -> None:
 
 
 def test_enclosed_robot_fails_with_the_nearest_position(drive: RobotFactory) -> None:
-    robot = drive()
+    robot = drive(FEW_RECOVERIES)
     walled_in(robot)
 
     robot.go(7.0, 3.0)

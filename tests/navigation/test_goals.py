@@ -8,7 +8,7 @@ import pytest
 
 from cairn import CairnError
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
-from tests.navigation.driving import ON_REQUEST, STOPS_S, LockstepRobot
+from tests.navigation.driving import FEW_RECOVERIES, ON_REQUEST, STOPS_S, LockstepRobot
 from tests.wording import words_in_order
 
 RobotFactory = Callable[..., LockstepRobot]
@@ -105,7 +105,7 @@ def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
 def test_blocked_goal_fails_with_the_nearest_position(
     drive: RobotFactory, goal: tuple[float, float], reason: str
 ) -> None:
-    robot = drive()
+    robot = drive(FEW_RECOVERIES)
     robot.go(*goal)
 
     end = robot.await_end(60.0)

@@ -1,14 +1,13 @@
 """Missions of a deployment, which ends when its mission ends."""
 
 import re
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
-from cairn.testing.launching import Launching, Run, launching, new_endpoint
-from tests.navigation.driving import SIM, LockstepRobot
+from cairn.testing.launching import Launching
+from tests.navigation.driving import LockstepRobot
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
@@ -18,12 +17,6 @@ RobotFactory = Callable[..., LockstepRobot]
 REACHABLE = "settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]"
 OUTSIDE = "settings.mission=[[50.0, 1.2, 0.0]]"
 FINISH = "settings.finish=true"
-
-
-@pytest.fixture
-def launch(tmp_path: Path) -> Iterator[Launching]:
-    with launching(tmp_path) as launch:
-        yield launch
 
 
 def test_finished_mission_ends_the_deployment(drive: RobotFactory) -> None:
@@ -79,15 +72,32 @@ def test_preempted_mission_without_finish_ends_nothing(drive: RobotFactory) -> N
     assert robot.end is None
 
 
-@pytest.mark.xdist_group("robots in real time")
-def test_failed_mission_in_processes_exits_with_1(tmp_path: Path, launch: Launching) -> None:
-    endpoint = new_endpoint()
-    sets = ("--set", OUTSIDE, "--set", FINISH, "--set", f"bus.socket={endpoint}")
-    run = Run([str(SIM), *sets], tmp_path / "report", endpoint, {}, None)
-    launch.runs.append(run)
+# Without a simulated robot, whose missions fail in lockstep above: here `cairn up` has to fail.
+FAILING = """
+    components:
+      mobile_supervisor:
+        plugin: mobile_supervisor
+        parameters: {mission: [[1.0, 1.0, 0.0]], finish: true}
+        restart: transient
+        significant: true
+        children:
+          automove:
+            plugin: automove
+            children:
+              base:
+                plugin: test_faulty
+                load: on_request
+                parameters: {fault: raise, where: on_activate}
+    """
+
+
+def test_failed_mission_in_processes_exits_with_1(launch: Launching) -> None:
+    run = launch(FAILING)
 
     assert run.await_end() == 1
 
-    run.await_line("cairn: sim.yaml failed: mobile_supervisor has finished: the mission failed: ")
+    run.await_line(
+        "cairn: deployment0.yaml failed: mobile_supervisor has finished: the mission failed: "
+    )
     assert "killed by" not in str(run)
     assert "restarting" not in str(run)
