@@ -192,6 +192,7 @@ class Recorder:
         now: Callable[[], int] = time.time_ns,
         threaded: bool = True,
         adopt_files: bool = False,
+        log: logging.Logger = _log,
     ) -> None:
         """Prepare a recording in the file `path`; further files are `NAME_2.mcap`, `NAME_3.mcap`.
 
@@ -204,6 +205,7 @@ class Recorder:
             now: time [ns].
             threaded: whether a thread writes (`start`); otherwise `receive` does, in lockstep.
             adopt_files: whether files of an earlier run count for the disk limit, too.
+            log: where to report triggers and failures of the disk.
 
         Raises `CairnError` if a trigger is invalid.
         """
@@ -213,6 +215,7 @@ class Recorder:
         self._find_message = find_message
         self._now = now
         self._threaded = threaded
+        self._log = log
         self._include = TopicPatterns(settings.topics, robot)
         self._exclude = TopicPatterns(settings.exclude, robot)
         self._triggers = Triggers(
@@ -375,7 +378,7 @@ class Recorder:
 
     def _fail(self, error: Exception) -> None:
         self.failure = error
-        _log.error("recording failed: %s", error, exc_info=error)
+        self._log.error("recording failed: %s", error, exc_info=error)
 
     def _step(self, *, ending: bool = False) -> None:
         """Write what waits, and close the chunk."""
@@ -478,12 +481,12 @@ class Recorder:
         now = self._now()
         self._record_until = now + round(self.settings.after_s * SECOND)
         if self._file is not None:
-            _log.info("triggered again: %s", reason)
+            self._log.info("triggered again: %s", reason)
             return
         self._open(reason)
         for sample in self._ring:
             self._write(sample, sample.received_ns)
-        _log.info("triggered: %s: writing %s", reason, self._file.path if self._file else "")
+        self._log.info("triggered: %s: writing %s", reason, self._file.path if self._file else "")
 
     def _on_pause(self) -> None:
         if not self._paused:
@@ -586,7 +589,7 @@ class Recorder:
             self._dropped += file.unsaved
             self._messages -= sum(file.unsaved.values())
             self._problem = f"{file.path} ends early: {explain_os_error(error)}"
-            _log.error("recording incomplete: %s", self._problem)
+            self._log.error("recording incomplete: %s", self._problem)
         self._messages += file.messages
         self._files[file.path] = file.path.stat().st_size if file.path.exists() else 0
 
@@ -600,7 +603,7 @@ class Recorder:
         except OSError as error:
             self._report_disk(error)
             return False
-        _log.info("recording continues: the disk takes data again")
+        self._log.info("recording continues: the disk takes data again")
         self._problem = ""
         return True
 
@@ -609,7 +612,7 @@ class Recorder:
         path = self._file.path if self._file is not None else self._path
         problem = f"{path}: nothing can be written: {explain_os_error(error)}"
         if problem != self._problem:
-            _log.error("recording interrupted: %s; it continues when that is solved", problem)
+            self._log.error("recording interrupted: %s; it continues when that is solved", problem)
         self._problem = problem
 
     def _request(self, call: Callable[[], None]) -> None:

@@ -80,6 +80,7 @@ class Recorder(Component):
             now=self.clock.now,
             threaded=not run.lockstep,
             adopt_files=True,
+            log=self.log,
         )
         if isinstance(bus, ZenohBus):
             tap: Tap = ZenohTap(bus.session, bus.domain, recorder.receive, recorder.topics)

@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -14,9 +15,19 @@ from rosbags.highlevel import AnyReader
 
 from cairn.recording.decoding import MessageDecoder
 from cairn.recording.reader import McapRecording
+from cairn.testing.launching import launching
 from tests.cairn.recording.recordings import BEGIN, SECOND, write_recording
 from tests.cairn.recording.test_tools import drive
 from tests.commands import cairn
+
+NPM = Path(__file__).parent / "npm"
+"""An independent reader of MCAP and decoder of ROS 2 messages, which npm installs."""
+
+TALK = """
+    components:
+      listener: {plugin: test_listener}
+      talker: {plugin: test_talker}
+    """
 
 
 @pytest.fixture(params=["recorded", "cut", "repaired"])
@@ -90,6 +101,84 @@ def test_mcap_command_finds_no_fault_in_a_recording(run: Path) -> None:
     )  # fmt: skip
     rows = [json.loads(line) for line in listed.stdout.splitlines()]
     assert rows[1]["data"]["pose"]["pose"]["position"]["x"] == 0.1
+
+
+@pytest.fixture(scope="module")
+def robot_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `cairn up --record` records of real processes."""
+    with launching(tmp_path_factory.mktemp("robot")) as launch:
+        run = launch(TALK, "--record")
+        run.await_line("listener: received 20")
+        assert run.stop() == 0
+    return run.report / "recording.mcap"
+
+
+def rows_of(path: Path) -> list[tuple[str, str, str]]:
+    """Return the messages as `read_recording.mjs` does: topic, time, and a field of each type."""
+    decoder = MessageDecoder()
+    with McapRecording(path) as recording:
+        assert {one.topic for one in recording.channels} >= {
+            "/robot/words", "/rosout", "/robot/component_status", "/robot/talker/call_log",
+        }  # fmt: skip
+        return sorted(
+            (one.channel.topic, str(one.log_ns), field_of(decoder.decode(one)))
+            for one in recording.messages()
+        )
+
+
+def field_of(message: Any) -> str:
+    if hasattr(message, "linear"):
+        return f"{message.linear.x:g}"
+    return str(getattr(message, "component", getattr(message, "msg", "")))
+
+
+@pytest.mark.processes
+def test_rosbags_reads_a_recording_of_real_processes(robot_recording: Path) -> None:
+    with AnyReader([robot_recording]) as reader:
+        found = sorted(
+            (connection.topic, str(log_ns), field_of(reader.deserialize(raw, connection.msgtype)))
+            for connection, log_ns, raw in reader.messages()
+        )
+
+    assert found == rows_of(robot_recording)
+
+
+@pytest.mark.processes
+def test_mcap_ros2_support_reads_a_recording_of_real_processes(robot_recording: Path) -> None:
+    with robot_recording.open("rb") as stream:
+        found = sorted(
+            (channel.topic, str(message.log_time), field_of(decoded))
+            for _, channel, message, decoded in make_reader(
+                stream, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
+        )
+
+    assert found == rows_of(robot_recording)
+
+
+@pytest.mark.processes
+def test_reader_of_npm_reads_a_recording_of_real_processes(
+    robot_recording: Path, tmp_path: Path
+) -> None:
+    for program in ("node", "npm"):
+        if shutil.which(program) is None:
+            pytest.skip(f"{program} is missing: install the packages nodejs and npm")
+    for name in ("package.json", "package-lock.json", ".npmrc"):
+        shutil.copy(NPM / name, tmp_path)
+    installed = subprocess.run(
+        ["npm", "ci", "--no-audit", "--no-fund"], cwd=tmp_path, capture_output=True, text=True,
+        timeout=250, check=False,
+    )  # fmt: skip
+    if installed.returncode:
+        pytest.skip(f"npm cannot install the independent reader: {installed.stderr[-500:]}")
+
+    done = subprocess.run(
+        ["node", str(NPM / "read_recording.mjs"), str(tmp_path), str(robot_recording)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    assert sorted(map(tuple, json.loads(done.stdout))) == rows_of(robot_recording)
 
 
 def test_span_and_counts_agree_with_the_library(run: Path) -> None:
