@@ -47,6 +47,7 @@ _LATCHED_BYTES = 64 << 20
 _MIB = 1 << 20
 _MOST_FILES = 100_000
 _MOST_TOPICS = 100_000
+_REQUEST_S = 1.0
 _JOIN_S = 3.0  # less than a component has for stopping
 
 Pattern = Annotated[str, Field(pattern=r"^/?[A-Za-z0-9_*]+(/[A-Za-z0-9_*]+)*$")]
@@ -616,9 +617,20 @@ class Recorder:
         self._problem = problem
 
     def _request(self, call: Callable[[], None]) -> None:
+        """Have `call` made by the thread that writes; wait for that, unless the disk is slow."""
+        made = threading.Event()
+
+        def request() -> None:
+            try:
+                call()
+            finally:
+                made.set()
+
         with self._lock:
-            self._queue.append(call)
+            self._queue.append(request)
         self._bell.ring()
+        if self._thread is not None:
+            made.wait(_REQUEST_S)
 
     def _info(self, gid: bytes) -> PublisherInfo | None:
         return None if self._tap is None else self._tap.publisher(gid)

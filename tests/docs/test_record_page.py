@@ -16,6 +16,8 @@ from tests.commands import cairn
 pytestmark = pytest.mark.processes
 
 PAGE = "docs/how-to/record.md"
+STATE_AFTER = {"split": "recording_2.mcap", "pause": "paused:", "resume": "recording:"}
+"""What `cairn recorder` prints of the state that it has brought about."""
 
 
 def test_commands_of_the_page_record_a_running_robot(
@@ -41,6 +43,7 @@ def test_commands_of_the_page_record_a_running_robot(
         answer = cairn(*words, connect=run.endpoint)
         needs_ring = words[1] == "trigger"
         assert (answer.code, "--last" in answer.err) == (int(needs_ring), needs_ring), words
+        assert STATE_AFTER.get(words[1], "") in answer.out, answer.out
     for words in [one for one in commands if one[0] == "record"]:
         answer = cairn(*words, "--duration", "0.6", connect=run.endpoint)
         assert answer.code == 0, (words, answer.err)
