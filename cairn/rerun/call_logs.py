@@ -13,7 +13,8 @@ from cairn.runtime.call_records import CallLogError, Record, RecordDecoder, Reco
 from cairn.schemas.cairn_msgs import CallBatch
 
 MOST_STARTS: Final = 10_000
-_LOG_BYTES: Final = 1 << 30
+LOG_BYTES: Final = 1 << 30
+"""Longest call logs of a recording, of all starts together."""
 
 
 class StartFile(BaseModel):
@@ -76,18 +77,10 @@ class ComponentStart:
     incarnation: int
     started_ns: int
     _parts: dict[int, tuple[int, bytes]] = field(default_factory=dict)
-    _bytes: int = 0
 
     def add(self, batch: CallBatch) -> None:
         """Add a part of the log; one that is there already has no effect."""
-        data = batch.records.tobytes()
-        self._bytes += len(data)
-        if self._bytes > _LOG_BYTES:
-            raise RecordingError(
-                f"{self.component}: its call log has more than {_LOG_BYTES:,} bytes; cut the "
-                "recording with `cairn recording cut`"
-            )
-        self._parts.setdefault(batch.first, (batch.count, data))
+        self._parts.setdefault(batch.first, (batch.count, batch.records.tobytes()))
 
     def contains(self, batch: CallBatch, records: int) -> bool:
         """Return whether a batch is of this start, and begins within the first `records`."""
@@ -175,7 +168,14 @@ class ComponentStart:
 def component_starts(batches: Iterable[CallBatch]) -> list[ComponentStart]:
     """Return the starts of all components in order of time."""
     starts: dict[tuple[str, int, int], ComponentStart] = {}
+    size = 0
     for batch in batches:
+        size += batch.records.nbytes
+        if size > LOG_BYTES:
+            raise RecordingError(
+                f"the call logs have more than {LOG_BYTES:,} bytes; cut the recording with "
+                "`cairn recording cut`"
+            )
         key = (batch.component, to_ns(batch.started), batch.incarnation)
         if key not in starts:
             if len(starts) >= MOST_STARTS:

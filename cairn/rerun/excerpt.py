@@ -18,7 +18,7 @@ from cairn.runtime.input_files import LONGEST_FILE, file_digest
 from cairn.schemas.cairn_msgs import CallBatch
 
 _TEST: Final = '''\
-"""{component} publishes the same as recorded in {source}, for the same calls.
+"""{subject} publishes the same as recorded in {source}, for the same calls.
 
 Written by `cairn rerun --save-test`. A change of behavior makes it fail with the first difference.
 """
@@ -71,12 +71,20 @@ def save_test(
         )  # fmt: skip
         test.write_text(
             _TEST.format(
-                component=start.component, source=source, function=name, recording=excerpt.name
+                subject=_plain(start.component),
+                source=_plain(source),
+                function=name,
+                recording=excerpt.name,
             )
         )
     except OSError as error:
         raise CairnError(f"{folder}: cannot be written: {explain_os_error(error)}") from error
     return excerpt, test
+
+
+def _plain(name: str) -> str:
+    """Return a name without what could end the text in which it is written."""
+    return re.sub(r"[^\w./ -]", "_", name)
 
 
 def _used(start: ComponentStart, until_ns: int | None) -> tuple[set[MessageId], int]:

@@ -5,11 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.rerun.call_logs import StartFile, StartInfo
-from cairn.runtime.input_files import content_digest, file_digest, input_files
+from cairn.runtime.input_files import content_digest, file_digest, input_files, path_parameters
+from cairn.runtime.parameters import ReadPathMark, marked_parameters
 
 ATTACHED: Final = "files/"
 """Attachments with this prefix are input files: `files/DIGEST/NAME`."""
@@ -59,17 +62,21 @@ def with_files(
     Files that the component only reads stay where they are if they are unchanged. All others are
     copied below `folder`: from the log, from what `attached` returns for their digest (None if it
     has none), or from where they were. The second value names what is missing.
+
+    Which parameters are paths follows from the plugin, not from the recording: so a component does
+    not write to a path that a foreign recording names.
     """
     missing = []
+    paths, read_paths = _path_parameters(info)
     unchanged = {file.path for file in info.files if _is_unchanged(file)}
     in_place = {
         path
-        for name, path in info.paths.items()
-        if name in info.read_paths
+        for name, path in paths.items()
+        if name in read_paths
         and all(file.path in unchanged for file in info.files if _is_near(file.path, path))
         and Path(path).exists()
     }
-    moved = set(info.paths.values()) - in_place
+    moved = set(paths.values()) - in_place
     for file in info.files:
         if any(_is_near(file.path, path) for path in in_place) and not any(
             _is_near(file.path, path) for path in moved
@@ -88,13 +95,33 @@ def with_files(
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes(content)
     parameters: dict[str, Any] = dict(info.parameters)
-    for name, path in info.paths.items():
-        if path in in_place:
+    for name, path in paths.items():
+        if path in in_place and name in read_paths:
             continue
         copy = _below(folder, path)
         copy.parent.mkdir(parents=True, exist_ok=True)
         parameters = _with_value(parameters, name.split("."), str(copy))
     return info.model_copy(update={"parameters": parameters}), missing
+
+
+def _path_parameters(info: StartInfo) -> tuple[dict[str, str], set[str]]:
+    """Return the paths in the parameters of a start, and the names of those that are only read.
+
+    Raises `CairnError` if the plugin is missing, or rejects the parameters.
+    """
+    try:
+        config = load_plugin(info.plugin).config_class().model_validate(info.parameters)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise CairnError(
+            f"{info.name}: cannot be re-run: {info.plugin} rejects the recorded parameter {where}: "
+            f"{first['msg']}"
+        ) from error
+    paths = {
+        name: info.paths.get(name, str(path)) for name, path in path_parameters(config).items()
+    }
+    return paths, {one.name for one in marked_parameters(config, ReadPathMark)}
 
 
 def _embedded(file: StartFile) -> bytes | None:
@@ -115,13 +142,14 @@ def _is_unchanged(file: StartFile) -> bool:
         return bool(
             file.digest and path.stat().st_size == file.size and file_digest(path) == file.digest
         )
-    except OSError:
+    except (OSError, ValueError):  # a path with a zero byte is none
         return False
 
 
 def _below(folder: Path, path: str) -> Path:
     """Return where the copy of a file lies; a path with `..` stays below the folder, too."""
-    parts = [part for part in Path(path).parts if part not in ("/", "..")]
+    # pathlib keeps two slashes at the begin: with `//` as a part, the path would be absolute.
+    parts = [part for part in Path(path).parts if part != ".." and not part.startswith("/")]
     return folder.joinpath(*parts)
 
 

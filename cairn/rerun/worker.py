@@ -58,7 +58,7 @@ def rerun_in_process(
         }
         with log.open("wb") as stream:
             process = subprocess.Popen(
-                [sys.executable, "-m", "cairn.rerun.worker"],
+                [sys.executable, "-P", "-m", "cairn.rerun.worker"],  # not from the current folder
                 stdin=subprocess.PIPE, stdout=stream, stderr=stream, start_new_session=True,
                 env={**os.environ, "PYTHONFAULTHANDLER": "1"},
             )  # fmt: skip
@@ -113,7 +113,7 @@ def main() -> None:
                 ) as rerun,
             ):
                 result = rerun.run()
-    except CairnError as error:
+    except (CairnError, OSError) as error:  # a path in the log may be too long for a file
         result.incomplete = str(error)
     faulthandler.cancel_dump_traceback_later()
     Path(request["answer"]).write_text(json.dumps(asdict(result)))

@@ -13,6 +13,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
+from cairn.bounded_files import open_regular
 from cairn.runtime.parameters import Config
 
 MOST_FILES: Final = 2_000
@@ -78,7 +79,7 @@ def input_files(config: Config) -> list[InputFile]:
 def file_digest(file: Path) -> str:
     """Return the digest of a file's content; raises `OSError` if it cannot be read."""
     digest = blake2b(digest_size=16)
-    with file.open("rb") as stream:
+    with open_regular(file) as stream:
         while part := stream.read(1 << 20):
             digest.update(part)
     return digest.hexdigest()

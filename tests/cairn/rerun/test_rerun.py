@@ -1,7 +1,9 @@
 """Exact re-runs: what was recorded is published again, and the first difference is named."""
 
+import ast
 import json
 import subprocess
+from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +24,14 @@ from cairn.placement.run_plan import with_recorder
 from cairn.recording.reader import McapRecording
 from cairn.recording.rewrite import rewrite
 from cairn.rerun import cli
-from cairn.rerun.call_logs import component_starts
+from cairn.rerun.call_logs import StartInfo, component_starts
 from cairn.rerun.comparison import first_difference
 from cairn.rerun.engine import Payload, Rerun, RerunResult
+from cairn.rerun.files import with_files
 from cairn.rerun.run import CALL_BATCH, chosen_starts, prepared_rerun, starts_in
 from cairn.runtime.call_records import RecordEncoder
 from cairn.runtime.call_records import RecordKind as Kind
+from cairn.runtime.input_files import content_digest
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import CallBatch
 from cairn.schemas.geometry_msgs import Twist, TwistStamped, Vector3
@@ -295,6 +299,76 @@ def test_senseless_records_end_the_rerun(record: tuple[Any, ...]) -> None:
     result = Rerun(start, start.info(), NoMessages()).run()
     assert result.calls == 2
     assert "its call log is damaged" in result.incomplete
+
+
+def start_info(**values: Any) -> StartInfo:
+    """Return the start of a walker of a foreign recording."""
+    known = {
+        "name": "w", "plugin": PLUGIN, "parameters": {}, "topics": {}, "incarnation": 1,
+        "robot": "r", "seed": 1, "simulated_time": True, "lockstep": True,
+    }  # fmt: skip
+    return StartInfo.model_validate({**known, **values})
+
+
+@pytest.mark.parametrize("prefix", ["/", "//", "../../../.."])
+def test_file_of_a_foreign_recording_stays_in_the_folder_of_the_rerun(
+    tmp_path: Path, prefix: str
+) -> None:
+    outside = f"{prefix}{tmp_path.relative_to('/')}/outside/planted"
+    content = b"of an attacker"
+    file = {
+        "path": outside, "size": len(content), "digest": content_digest(content),
+        "content": b64encode(content).decode(),
+    }  # fmt: skip
+    with_files(start_info(files=[file]), tmp_path / "inside", lambda _: None)
+    assert not (tmp_path / "outside").exists()
+    (copy,) = (one for one in tmp_path.rglob("*") if one.is_file())
+    assert copy.is_relative_to(tmp_path / "inside")
+    assert copy.read_bytes() == content
+
+
+def test_rerun_writes_to_no_path_that_a_foreign_recording_names(tmp_path: Path) -> None:
+    thesis = tmp_path / "thesis.txt"
+    thesis.write_text("years of work")
+    parameters = {"state_file": str(thesis)}
+    for forged in ({}, {"paths": parameters, "read_paths": ["state_file"]}):
+        info, missing = with_files(
+            start_info(parameters=parameters, **forged), tmp_path / "inside", lambda _: None
+        )
+        assert not missing
+        assert Path(info.parameters["state_file"]).is_relative_to(tmp_path / "inside")
+
+
+def test_files_of_a_foreign_recording_that_never_end_are_not_read() -> None:
+    zero = {"path": "/dev/zero", "size": 0, "digest": "00"}
+    _, missing = with_files(start_info(files=[zero]), Path("/nowhere"), lambda _: None)
+    assert_words(missing[0], "/dev/zero", "not attached")
+
+
+def test_rerun_imports_nothing_from_the_current_folder(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "json.py").write_text("import os; os._exit(77)")
+    monkeypatch.chdir(tmp_path)
+    result = cairn("rerun", str(recording), "--component", "first")
+    assert (result.code, result.err) == (0, ""), result.out
+
+
+def test_names_of_a_foreign_recording_are_not_code_of_the_saved_test(
+    recording: Path, tmp_path: Path
+) -> None:
+    foreign = tmp_path / 'run"""; planted = 1; """.mcap'
+    foreign.write_bytes(recording.read_bytes())
+    result = cairn(
+        "rerun", str(foreign), "--component", "first", "--until", "0.5",
+        "--save-test", str(tmp_path / "tests"),
+    )  # fmt: skip
+    assert result.code == 0, result.err
+    (test,) = (tmp_path / "tests").glob("test_*.py")
+    names = {
+        node.id for node in ast.walk(ast.parse(test.read_text())) if isinstance(node, ast.Name)
+    }
+    assert "planted" not in names
 
 
 class NoMessages:
