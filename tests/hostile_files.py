@@ -551,9 +551,9 @@ def mcap_records(*records: tuple[int, bytes], claim: int | None = None) -> bytes
     return data
 
 
-def summarized_mcap(*records: tuple[int, bytes]) -> bytes:
-    """Return an MCAP file with nothing but a summary of these records."""
-    head = mcap_records((15, bytes(4)))
+def summarized_mcap(*records: tuple[int, bytes], head: bytes = b"") -> bytes:
+    """Return an MCAP file with a summary of these records, and nothing else than the `head`."""
+    head = head or mcap_records((15, bytes(4)))
     summary = b"".join(bytes([kind]) + struct.pack("<Q", len(one)) + one for kind, one in records)
     footer = b"\x02" + struct.pack("<QQQI", 20, len(head), 0, 0)
     return head + summary + footer + b"\x89MCAP0\r\n"
@@ -566,6 +566,66 @@ def _lying_summary(*, attachment: bool) -> bytes:
     chosen = (10, attached) if attachment else (8, index)
     counts = (1, 0, 0) if attachment else (0, 0, 1)  # attachments, metadata, chunks
     return summarized_mcap(chosen, (11, struct.pack("<QHIIIIQQI", 0, 0, 0, *counts, 1, 2, 0)))
+
+
+def _indexed_chunks(size: int, *, chunks: int = 1, repeats: int = 1) -> bytes:
+    """Return chunks without messages that unpack to `size` bytes, and an index of them.
+
+    The index names each chunk `repeats` times.
+    """
+    content = b"\x80" + struct.pack("<Q", size - 9) + bytes(size - 9)
+    packed = zstandard.compress(content)
+    chunk = struct.pack("<QQQII", 1, 2, size, 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    chunk += packed
+    head = mcap_records(*[(6, chunk)] * chunks, (15, bytes(4)))
+    first, length = len(mcap_records()), 9 + len(chunk)
+    indexes = [
+        struct.pack("<QQQQ", 1, 2, first + number * length, length)
+        + struct.pack("<IQIQQ", 0, 0, 0, len(packed), size)
+        for number in range(chunks)
+        for _ in range(repeats)
+    ]
+    return summarized_mcap(
+        *((8, index) for index in indexes),
+        (11, struct.pack("<QHIIIIQQI", 0, 0, 0, 0, 0, len(indexes), 1, 2, 0)),
+        head=head,
+    )
+
+
+def _repeated_metadata() -> bytes:
+    """Return 4 MB whose index names one record of metadata, with 60,000 values, 100,000 times."""
+    values = b"".join(struct.pack("<I", 4) + b"%04x" % k + bytes(4) for k in range(60_000))
+    record = struct.pack("<I", 1) + b"m" + struct.pack("<I", len(values)) + values
+    head = mcap_records((12, record), (15, bytes(4)))
+    index = struct.pack("<QQI", len(mcap_records()), 9 + len(record), 1) + b"m"
+    return summarized_mcap(
+        *[(13, index)] * 100_000,
+        (11, struct.pack("<QHIIIIQQI", 0, 0, 0, 0, 100_000, 0, 1, 2, 0)),
+        head=head,
+    )
+
+
+def _large_latched_messages() -> bytes:
+    """Return 3 MB with 40 latched topics, the last message of each of which has 10 MB."""
+
+    def text(value: bytes) -> bytes:
+        return struct.pack("<I", len(value)) + value
+
+    latched = text(text(b"latched") + text(b"true"))
+    records = [
+        (3, struct.pack("<H", 1) + text(b"a/msg/T") + text(b"ros2msg") + text(b"uint8[] x\n"))
+    ]
+    records += [
+        (4, struct.pack("<HH", number, 1) + text(b"/%d" % number) + text(b"cdr") + latched)
+        for number in range(1, 41)
+    ]
+    data = b"\0\1\0\0" + struct.pack("<I", 10 * MB) + bytes(10 * MB)
+    for number in range(1, 41):
+        message = struct.pack("<HIQQ", number, 1, number, number) + data
+        packed = zstandard.compress(b"\x05" + struct.pack("<Q", len(message)) + message)
+        chunk = struct.pack("<QQQI", number, number, 9 + len(message), 0) + text(b"zstd")
+        records.append((6, chunk + struct.pack("<Q", len(packed)) + packed))
+    return mcap_records(*records, (0x80, bytes(3 * MB)), (15, bytes(4)))
 
 
 def _overlapping_chunks() -> bytes:
@@ -584,6 +644,15 @@ def _many_channels() -> bytes:
         return struct.pack("<HHI", number, 0, 1) + b"x" + struct.pack("<I", 3) + b"cdr" + bytes(4)
 
     return mcap_records(*((4, channel(number)) for number in range(1, 30_000)))
+
+
+def _channels_of_one_topic() -> bytes:
+    def channel(number: int) -> bytes:
+        entry = struct.pack("<I", 1) + b"k" + struct.pack("<I", 5) + b"%05d" % number
+        head = struct.pack("<HHI", number, 0, 1) + b"x" + struct.pack("<I", 3) + b"cdr"
+        return head + struct.pack("<I", len(entry)) + entry
+
+    return mcap_records(*((4, channel(number)) for number in range(1, 19_000)))
 
 
 def zeros_zstd(size: int) -> bytes:
@@ -829,6 +898,17 @@ MCAPS: Final[Mapping[str, HostileFile]] = {
     ),
     "overlap": HostileFile(_bytes("a.mcap", _overlapping_chunks), "belong to one time"),
     "channels": HostileFile(_bytes("a.mcap", _many_channels), "20,000 channels"),
+    "one_topic": HostileFile(_bytes("a.mcap", _channels_of_one_topic), "not closed"),
+    "indexed_bomb": HostileFile(
+        _bytes("a.mcap", lambda: _indexed_chunks(120 * MB, chunks=300)), "unpacks to more than"
+    ),
+    "repeated_chunk": HostileFile(
+        _bytes("a.mcap", lambda: _indexed_chunks(60 * MB, repeats=2_000)), "a chunk twice"
+    ),
+    "repeated_metadata": HostileFile(
+        _bytes("a.mcap", _repeated_metadata), "metadata at byte 25 twice"
+    ),
+    "latched": HostileFile(_bytes("a.mcap", _large_latched_messages), "last messages of its"),
     "garbage": HostileFile(
         _bytes("a.mcap", lambda: b"\x89MCAP0\r\n" + b"\0\xff" * MB), "no record"
     ),

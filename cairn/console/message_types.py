@@ -64,8 +64,9 @@ class MessageTypes:
         Another process imports the plugins, which take memory and may run any code.
         """
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", _PROGRAM, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
-        )
+            sys.executable, "-P", "-c", _PROGRAM,  # -P: not from the current folder
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+        )  # fmt: skip
         try:
             async with asyncio.timeout(_LIMIT_S):
                 output, _ = await process.communicate()

@@ -298,6 +298,7 @@ class _Parquet:
             ) from error
         self._arrow = pyarrow
         self._columns = columns
+        self._kinds = 0
         kinds = ["string", "uint32", "uint64", "uint64"]
         fields = [pyarrow.field(name, kind) for name, kind in zip(_HEAD, kinds, strict=True)]
         fields += [pyarrow.field(one.name, self._kind(definition, one.kind)) for one in columns]
@@ -334,6 +335,9 @@ class _Parquet:
         if kind[0] == Nodetype.NAME:
             if depth > _DEEPEST:
                 raise RecordingError(f"{definition.name} is nested deeper than {_DEEPEST} levels")
+            self._kinds += 1
+            if self._kinds > _MOST_COLUMNS:
+                raise RecordingError(f"{definition.name} has more than {_MOST_COLUMNS:,} messages")
             fields = definition.fields(str(kind[1]))
             return arrow.struct(
                 [(name, self._kind(definition, of, depth + 1)) for name, of in fields]

@@ -17,6 +17,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple, TypeVar
 from zlib import crc32
@@ -46,6 +47,7 @@ ALL_CHANNELS: Final = -1
 _DEFINITION_BYTES: Final = 64_000_000  # of schemas, channels and metadata together
 _SUMMARY_BYTES: Final = 64_000_000
 _METADATA_BYTES: Final = 1_000_000  # of one record
+_LEAST_BYTES: Final = 1_000  # as which a shorter one counts
 _MASK_BYTES: Final = 32_000_000  # of the bits of channels of all blocks
 _MOST_NOTES: Final = 1_000
 _MOST_ATTACHMENTS: Final = 1_000
@@ -82,7 +84,12 @@ class RecordedChannel:
     metadata: tuple[tuple[str, str], ...] = ()
 
     def __hash__(self) -> int:
-        return hash(self.topic)  # cached, while the hash of all fields takes microseconds
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        # Of all fields: 20,000 channels of one topic with equal hashes would take minutes.
+        return hash((self.topic, self.type, self.encoding, self.schema, self.metadata))
 
     @cached_property
     def node(self) -> str:
@@ -138,6 +145,7 @@ class Block(NamedTuple):
     """A chunk, or messages outside of chunks: bytes `at` to `end` of the file, times [ns].
 
     `channels` has a bit for each channel of which it has messages; -1 if that is not known.
+    `size` is that of its records, decompressed, -1 if it is not known.
     """
 
     at: int
@@ -145,6 +153,7 @@ class Block(NamedTuple):
     start_ns: int
     end_ns: int
     channels: int
+    size: int = -1
 
 
 class _Entry(NamedTuple):
@@ -437,14 +446,17 @@ class McapFile:
         with self._noted(record.at):
             data = self._bytes_of(Block(record.at, record.end, 0, 0, ALL_CHANNELS))
             self._unpacked += len(data)
-            most = max(_SMALL_BYTES, _RATIO * self.size)
-            if self._unpacked > most:
-                raise RecordingError(
-                    f"{self.path}: unpacks to more than {megabytes(most)} MB, the limit for a file "
-                    f"of its size ({megabytes(_SMALL_BYTES)} MB, or {_RATIO} times the size); if "
-                    "it is genuine, decompress it with `mcap compress --compression none`"
-                )
+            self._check_unpacked(self._unpacked)
             yield record, data, self._entries(data, record.at)
+
+    def _check_unpacked(self, size: int) -> None:
+        most = max(_SMALL_BYTES, _RATIO * self.size)
+        if size > most:
+            raise RecordingError(
+                f"{self.path}: unpacks to more than {megabytes(most)} MB, the limit for a file "
+                f"of its size ({megabytes(_SMALL_BYTES)} MB, or {_RATIO} times the size); if "
+                "it is genuine, decompress it with `mcap compress --compression none`"
+            )
 
     def _bytes_of(self, block: Block) -> bytes:
         """Return the records of a block, decompressed."""
@@ -455,6 +467,8 @@ class McapFile:
                 raise ValueError("there is no chunk")
             return self._read(block.at, size)
         chunk: records.Chunk = _parse(records.Chunk.read, self._content(record))
+        if block.size not in (-1, chunk.uncompressed_size):
+            raise ValueError(f"it unpacks to {chunk.uncompressed_size:,} bytes, not {block.size:,}")
         data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size)
         if chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
             raise ValueError("its checksum differs")
@@ -550,8 +564,7 @@ class McapFile:
                 raise ValueError(f"metadata of more than {megabytes(_METADATA_BYTES)} MB")
             content = self._content(record)
             found: records.Metadata = _parse(records.Metadata.read, content)
-            if found.name not in self.metadata:
-                self._definitions.count(_METADATA_BYTES)
+            self._definitions.count(max(_LEAST_BYTES, len(content)))
             self.metadata[found.name] = found.metadata  # the last one of a name counts
 
     def _attach(self, name: str, media_type: str, log_ns: int, size: int, at: int) -> None:
@@ -596,7 +609,7 @@ class McapFile:
             raise ValueError("it names channels that it does not define")
         for number, count in statistics.channel_message_counts.items():
             self._counts[ids[number]] += count
-        return [
+        blocks = [
             Block(
                 one.chunk_start_offset,
                 one.chunk_start_offset + one.chunk_length,
@@ -605,9 +618,15 @@ class McapFile:
                 self._mask(
                     sum(1 << ids[number] for number in one.message_index_offsets) or ALL_CHANNELS
                 ),
+                one.uncompressed_size,
             )
             for one in indexes
         ]
+        # Otherwise a small file could name a chunk many times, and take any time to read.
+        if any(after.at < before.end for before, after in pairwise(sorted(blocks))):
+            raise ValueError("it names a chunk twice, or chunks that overlap")
+        self._check_unpacked(sum(block.size for block in blocks))
+        return blocks
 
     def _summarized(
         self, summary: bytes
@@ -615,6 +634,7 @@ class McapFile:
         """Read definitions, statistics, attachments, metadata and chunks from a summary."""
         statistics: records.Statistics | None = None
         indexes: list[records.ChunkIndex] = []
+        described: set[int] = set()
         at = 0
         while at < len(summary):
             if at + _RECORD.size > len(summary):
@@ -639,6 +659,9 @@ class McapFile:
                 self._attach(one.name, one.media_type, one.log_time, one.data_size, one.offset)
             elif kind == Opcode.METADATA_INDEX:
                 index: records.MetadataIndex = _parse(records.MetadataIndex.read, content)
+                if index.offset in described:
+                    raise ValueError(f"it names the metadata at byte {index.offset:,} twice")
+                described.add(index.offset)
                 self._describe(self._record(index.offset))
         return statistics, indexes
 

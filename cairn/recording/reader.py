@@ -28,6 +28,7 @@ MOST_FILES: Final = 10_000
 """Files of a recording."""
 
 _PENDING_BYTES: Final = 256_000_000
+_LAST_BYTES: Final = 256_000_000  # of the last messages of all topics
 _MESSAGE_COST: Final = 300  # what a message takes in memory beside its data [bytes]
 _UNIX_FROM_S: Final = 100_000_000  # more than three years of recording
 
@@ -191,6 +192,7 @@ class McapRecording:
         again, only the messages of the last process are among them.
         """
         found: dict[RecordedChannel, RecordedMessage] = {}
+        kept = 0
         missing = {one for one in channels if self.counts[one]}
         bits = self._bits(missing)
         newest_found = -1  # of those that are missing, because an earlier block may end later
@@ -212,6 +214,12 @@ class McapRecording:
             for message in self._files[part.file].load(part.block, bits[part.file], 0, time_ns):
                 known = found.get(message.channel)
                 if known is None or known.log_ns <= message.log_ns:
+                    kept += len(message.data) - (0 if known is None else len(known.data))
+                    if kept > _LAST_BYTES:
+                        raise RecordingError(
+                            f"{self._files[part.file].path}: the last messages of its topics have "
+                            f"more than {megabytes(_LAST_BYTES)} MB; choose fewer topics"
+                        )
                     found[message.channel] = message
                     newest_found = max(newest_found, message.log_ns)
         newest: dict[tuple[str, str], RecordedMessage] = {}

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from PIL import Image as Picture
 from pyarrow import parquet
 
@@ -26,7 +27,7 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header
 from tests.cairn.recording.recordings import BEGIN, SECOND, Sent, text, write_recording
-from tests.cairn.recording.test_reader import texts
+from tests.cairn.recording.test_reader import LINE, texts
 from tests.commands import cairn
 
 STAMP = Time(sec=1_700_000_000, nanosec=7)
@@ -212,6 +213,24 @@ def test_tables_hold_images_on_request(run: Path, tmp_path: Path) -> None:
 
     (row,) = parquet.read_table(tmp_path / "robot.left_image.parquet").to_pylist()
     assert row["data"] == bytes(image(9).data)
+
+
+def test_definition_that_grows_with_every_level_is_refused(tmp_path: Path) -> None:
+    levels = [b"".join(b"T%d[] x%d\n" % (k + 1, n) for n in range(10)) for k in range(12)]
+    parts = [LINE + b"MSG: a/T%d\n" % k + level for k, level in enumerate(levels) if k]
+    definition = levels[0] + b"".join(parts) + LINE + b"MSG: a/T12\nint8 end\n"
+    file = tmp_path / "hostile.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "other")
+        schema = writer.register_schema("a/msg/T0", "ros2msg", definition)
+        writer.add_message(writer.register_channel("/x", "cdr", schema), 1, bytes(44), 1)
+        writer.finish()
+
+    answer = cairn("recording", "export", str(file), "-f", "parquet", "-o", str(tmp_path / "out"))
+
+    assert answer.code == 1
+    assert "a/msg/T0 has more than 2,000 messages" in answer.err
 
 
 def test_parquet_without_pyarrow_is_an_error(
