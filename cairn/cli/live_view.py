@@ -29,6 +29,9 @@ _MAX_COMPONENTS = 200  # further ones, of forged statuses, are not shown
 _PERIOD_S = 0.25
 _LOAD_PERIOD_S = 1.0
 _STYLES = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim"}
+_COLUMNS = ("component", "state", "CPU %", "in", "out", "dropped", "restarts", "pid", "handler")
+_TEXTS = frozenset({"component", "state", "handler"})
+_LEFT_OUT_FIRST = ("handler", "pid", "out", "in")  # if the terminal is too narrow for all
 _NOT_LOADED = "not loaded"
 
 
@@ -118,38 +121,57 @@ class LiveView:
         return Rule(Text(text), align="left")
 
     def _table(self, components: list[tuple[str, int]]) -> Table:
+        """Return the table with the columns that fit: a number that is cut off would mislead."""
         self._load.update({status.pid for status in self._statuses.values() if status.pid})
+        rows = self._rows(components)
+        widths = {
+            title: max([len(title), *(row[title].cell_len for row in rows if title in row)])
+            for title in _COLUMNS
+        }
+        widths["handler"] = len("handler")  # the only one that may be cut off
+        for title in _LEFT_OUT_FIRST:
+            if sum(widths.values()) + len(widths) - 1 > self._console.width:
+                del widths[title]
         table = Table(box=None, pad_edge=False)
-        table.add_column("component", no_wrap=True, overflow="ellipsis")
-        table.add_column("state", no_wrap=True)
-        for column in ("CPU %", "in", "out", "dropped", "restarts", "pid"):
-            table.add_column(column, justify="right", no_wrap=True)
-        table.add_column("handler", no_wrap=True, overflow="ellipsis")
+        for title in widths:
+            right = title not in _TEXTS
+            least = widths[title] if title != "handler" else None
+            table.add_column(
+                title, justify="right" if right else "left", no_wrap=True, min_width=least
+            )
+        for row in rows:
+            table.add_row(*(row.get(title, "") for title in widths))
+        return table
+
+    def _rows(self, components: list[tuple[str, int]]) -> list[dict[str, Text]]:
+        """Return what the columns show of components."""
+        rows: list[dict[str, Text]] = []
         measured: set[int] = set()  # components in one process share its load
         for name, depth in components:
             label = Text("  " * depth + printable(name))
             status = self._statuses.get(name)
             if status is None:
                 label.stylize("dim")
-                table.add_row(label, Text(_NOT_LOADED, style="dim"))
+                rows.append({"component": label, "state": Text(_NOT_LOADED, style="dim")})
                 continue
             inputs = [port for port in status.ports if port.direction == port.IN]
             outputs = [port for port in status.ports if port.direction == port.OUT]
             dropped = sum(port.dropped for port in inputs)
             load = None if status.pid in measured else self._load.percent.get(status.pid)
             measured.add(status.pid)
-            table.add_row(
+            values = (
                 label,
                 Text(printable(status.state), style=_STYLES.get(status.state, "")),
-                "" if load is None else f"{load:.0f}",
-                f"{sum(port.messages for port in inputs):,}",
-                f"{sum(port.messages for port in outputs):,}",
+                Text("" if load is None else f"{load:.0f}"),
+                Text(f"{sum(port.messages for port in inputs):,}"),
+                Text(f"{sum(port.messages for port in outputs):,}"),
                 Text(f"{dropped:,}", style="red" if dropped else ""),
-                str(status.restarts),
-                str(status.pid),
+                Text(str(status.restarts)),
+                Text(str(status.pid)),
                 Text(printable(status.handler)),
             )
-        return table
+            rows.append(dict(zip(_COLUMNS, values, strict=True)))
+        return rows
 
     def _newest(self, width: int, lines: int) -> list[Text]:
         """Return the lines of the newest records, the newest one last."""

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from cairn.cli.live_view import LiveView
-from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header
 
@@ -18,11 +18,22 @@ def drawn(width: int, height: int, components: int) -> list[str]:
     console = Console(width=width, height=height, file=io.StringIO(), force_terminal=False)
     view = LiveView(console, "sim.yaml: robot robot", {"listens at:": "a.sock", "report:": REPORT})
     names = [f"component_{number}" for number in range(components)]
+    port = PortStatus(
+        port="scan", topic="scan", direction=PortStatus.IN, messages=1_234_567, dropped=89
+    )
     root = ComponentStatus(header=Header(), component="root", state="active", pid=1)
     view.status(ComponentStatus(**{**vars(root), "children": tuple(names)}))
     for name in names[:-1]:
         view.status(
-            ComponentStatus(header=Header(), component=name, parent="root", state="active", pid=1)
+            ComponentStatus(
+                header=Header(),
+                component=name,
+                parent="root",
+                state="finalized",
+                pid=4_194_304,
+                handler="a handler with a long name",
+                ports=(port,),
+            )  # fmt: skip
         )
     for number in range(50):
         view.log(Log(level=Log.INFO, name="robot.root", msg=f"event {number}: {'x' * 200}"))
@@ -48,3 +59,15 @@ def test_newest_records_are_in_view_at_any_size(size: tuple[int, int], component
 
 def test_components_that_are_not_loaded_are_shown_as_such() -> None:
     assert any("component_4" in line and "not loaded" in line for line in drawn(90, 30, 5))
+
+
+@pytest.mark.parametrize("width", [50, 60, 80, 90, 120])
+def test_numbers_are_whole_or_left_out(width: int) -> None:
+    lines = drawn(width, 24, 5)
+    (row,) = (line for line in lines if "component_2" in line)
+    (titles,) = (line for line in lines if line.startswith("component "))
+    assert "…" not in row.partition("a han")[0], row
+    assert row.split()[:2] == ["component_2", "finalized"]
+    assert "89" in row.split()
+    assert ("1,234,567" in row.split()) == (" in " in titles)
+    assert ("4194304" in row.split()) == (" pid" in titles)
