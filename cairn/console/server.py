@@ -28,6 +28,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.frames import Frame
 
 from cairn.bus.credentials import check_pair, check_secret, read_password
 from cairn.console.hub import Hub, TooManyBrowsers
@@ -51,6 +53,11 @@ _UNSENT_BYTES: Final = 128 << 10
 _SEND_BUFFER: Final = 512 << 10
 _FRAME_FACTOR: Final = 4
 """Up to so many times the longest message, a client receives the reason; beyond, TCP's reset."""
+_RECEIVE_BUFFER: Final = 32 << 10  # what a connection sends at once delays the others
+_READ_BYTES: Final = 4 << 10  # after which frames are counted: an empty one has 6 bytes
+_MOST_FRAMES: Final = 100
+"""Pings, pongs, and messages after the end, of a client between two pings of the server."""
+_MOST_FRAGMENTS: Final = 1_000  # of one message
 _DEAD_AFTER_MS: Final = 60_000
 _LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 _HEADERS: Final = (
@@ -209,7 +216,7 @@ class Console:
         return uvicorn.Config(
             _Guard(app, self._address.scheme, names, self._address.origins),
             http=_Http,
-            ws="websockets-sansio",
+            ws=_WebSocket,
             ws_max_size=_FRAME_FACTOR * LONGEST_FRAME,
             ws_ping_interval=10.0,
             ws_ping_timeout=60.0,  # a map may take that long over a slow link
@@ -301,6 +308,48 @@ class _Http(H11Protocol):
             self.transport.close()
 
 
+class _WebSocket(WebSocketsSansIOProtocol):
+    """A WebSocket that limits the number of frames: each takes time, and a pong takes memory."""
+
+    _frames = 0  # of those that the console does not need
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self.close_timeout = _CLOSE_LIMIT_S
+
+    def data_received(self, data: bytes) -> None:
+        for begin in range(0, len(data), _READ_BYTES):
+            if not self.transport.is_closing():
+                super().data_received(data[begin : begin + _READ_BYTES])
+
+    def handle_cont(self, event: Frame) -> None:
+        super().handle_cont(event)
+        if len(self.frames) > _MOST_FRAGMENTS:
+            self.transport.abort()
+
+    def handle_ping(self) -> None:
+        super().handle_ping()
+        self._count()
+
+    def handle_pong(self, event: Frame) -> None:
+        super().handle_pong(event)
+        self._count()
+
+    def send_receive_event_to_app(self) -> None:
+        super().send_receive_event_to_app()
+        if self.close_sent:
+            self._count()
+
+    def send_keepalive_ping(self) -> None:
+        super().send_keepalive_ping()
+        self._frames = 0
+
+    def _count(self) -> None:
+        self._frames += 1
+        if self._frames > _MOST_FRAMES:
+            self.transport.abort()
+
+
 class _Guard:
     """Refuses requests of other sites, and adds the security headers to all answers.
 
@@ -371,6 +420,7 @@ def _listening(address: Address) -> socket.socket:
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _DEAD_AFTER_MS)
         listening.bind((address.host, address.port))

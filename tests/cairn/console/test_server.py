@@ -7,6 +7,7 @@ import ssl
 import stat
 import subprocess
 from collections.abc import Iterator
+from contextlib import suppress
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from cairn import CairnError
 from cairn.console import hub, server
 from cairn.console.protocol import CONSOLE, LONGEST_FRAME
 from cairn.console.server import Address, token_in
-from tests.cairn.console.conftest import FakeSource, Page, Running, running
+from tests.cairn.console.conftest import TOKEN, FakeSource, Page, Running, running
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -110,6 +111,54 @@ def test_oversized_frame_closes_this_connection_only(console: Running) -> None:
     assert (code, "4 MiB" in reason) == (1009, True)
     assert "no method" in other.call("nothing")["error"]
     other.close()
+
+
+EMPTY_MASK = b"\x80" + bytes(4)
+FRAMES: dict[str, tuple[str, bytes, bytes]] = {  # token, first frame, frame that is repeated
+    "pings": (TOKEN, b"", b"\x89" + EMPTY_MASK),
+    "pongs": (TOKEN, b"", b"\x8a" + EMPTY_MASK),
+    "fragments": (TOKEN, b"\x01" + EMPTY_MASK, b"\x00" + EMPTY_MASK),
+    "pings of a stranger": ("wrong", b"", b"\x89" + EMPTY_MASK),
+    "messages of a stranger": ("wrong", b"", b"\x81" + EMPTY_MASK),
+}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_frames_without_end_close_this_connection_only(
+    console: Running, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_CLOSE_LIMIT_S", 10 * LIMIT_S)  # so it is not that limit
+    token, first, repeated = FRAMES[name]
+    other = console.browser()
+
+    with socket.create_connection(("127.0.0.1", console.console.port), LIMIT_S) as hostile:
+        hostile.sendall(
+            f"GET /ws?token={token} HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            f"Sec-WebSocket-Protocol: {CONSOLE}\r\n\r\n".encode()
+        )
+        assert hostile.recv(12) == b"HTTP/1.1 101"
+        with suppress(ConnectionError):
+            hostile.sendall(first + repeated * 2_000)
+        with suppress(ConnectionError):
+            while hostile.recv(65_536):
+                pass
+
+    assert "no method" in other.call("nothing")["error"]
+    other.close()
+
+
+def test_message_in_fragments_and_pings_are_answered(console: Running) -> None:
+    page = console.browser()
+    text = '{"op": "call", "id": 5, "method": "nothing"}' + " " * 500
+
+    for _ in range(50):
+        page.socket.ping()
+    page.socket.send(iter(text))
+
+    assert "no method" in page.text("result", id=5)["error"]
+    page.close()
 
 
 def test_too_many_browsers_are_refused_with_the_reason(
