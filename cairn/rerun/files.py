@@ -142,7 +142,7 @@ def _is_unchanged(file: StartFile) -> bool:
         return bool(
             file.digest and path.stat().st_size == file.size and file_digest(path) == file.digest
         )
-    except (OSError, ValueError):  # a path with a zero byte is none
+    except (OSError, ValueError):  # ValueError: the path has a zero byte
         return False
 
 
