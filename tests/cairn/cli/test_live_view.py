@@ -33,7 +33,7 @@ def drawn(width: int, height: int, components: int) -> list[str]:
                 pid=4_194_304,
                 handler="a handler with a long name",
                 ports=(port,),
-            )  # fmt: skip
+            )
         )
     for number in range(50):
         view.log(Log(level=Log.INFO, name="robot.root", msg=f"event {number}: {'x' * 200}"))
