@@ -76,7 +76,8 @@ _GATE_LIMIT_S: Final = 8.0  # to find the gate and to acquire its lease
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Heading = Annotated[float, Field(ge=-1e3, le=1e3)]
-OperatorName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[^\x00-\x1f\x7f]*$")]
+# No characters that control a terminal, or the direction of a text.
+OperatorName = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\P{C}*$")]
 
 
 class Arguments(BaseModel):
@@ -273,6 +274,10 @@ class Operations:
         """Return why a browser may not publish to a robot now; "" if it may."""
         if browser.may == "watch":
             return self._hub.why_watch
+        if not robot:
+            return (
+                "no robot has this topic; a robot's topics begin with its name, as in /robot/scan"
+            )
         try:
             self._leases.require(robot, browser.id)
         except CairnError as error:

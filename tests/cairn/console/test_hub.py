@@ -264,6 +264,26 @@ def test_garbage_is_answered_and_the_connection_goes_on(
     page.close()
 
 
+@pytest.mark.parametrize("name", ["a\x1b[2Jb", "a\u202eb", "a\nb"])
+def test_name_of_an_operator_does_not_change_how_a_text_is_shown(
+    idle_console: Running, name: str
+) -> None:
+    page = idle_console.browser()
+    assert "name" in page.call("acquire_lease", robot="robot", name=name)["error"]
+    assert "no robot" in page.call("acquire_lease", robot="robot", name="Zoë 2")["error"]
+    page.close()
+
+
+@pytest.mark.parametrize("topic", ["robot/scan", "//robot/scan", "/rosout", ""])
+def test_message_on_a_topic_without_robot_is_refused(idle_console: Running, topic: str) -> None:
+    client = idle_console.browser("foxglove.sdk.v1")
+    channel = {"id": 1, "topic": topic, "encoding": "cdr", "schemaName": "std_msgs/msg/String"}
+    client.send(op="advertise", channels=[channel])
+    client.socket.send(struct.pack("<BI", 1, 1) + bytes(8))
+    assert "no robot has this topic" in client.text("status", level=2)["message"]
+    client.close()
+
+
 def test_subscriptions_of_a_browser_are_limited(
     console: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
