@@ -81,7 +81,7 @@ def test_moved_object_is_distinguished_from_static_ones(mode: str) -> None:
     run = Run(landmarks(o3=(1.3, 0.4)), mode)
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)
 
-    run.through(drive(125.0))
+    run.through(drive(65.0))
 
     lowered = [
         (j.object_id, j.corroborated)

@@ -108,51 +108,65 @@ def test_kidnap_moves_the_robot(world: World) -> None:
     assert pose_of(listed(world)["robot"]) == pytest.approx((5.0, 1.0, 0.5 * 3.14159), abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("command", "message"),
-    [
-        (["kidnap", "0.1", "2"], "cannot be at (0.10, 2.00): wall 1 is 0.10 m from there"),
-        (["kidnap", "-3", "2"], "outside the walls"),
-        (["move", "sofa", "1", "1"], "sofa does not exist; there are ada, object_1, table"),
-        (["move", "table", "north", "1"], "'north' is not a number"),
-        (["move", "table", "nan", "1"], "nan is not a finite number"),
-        (["move", "table", "0.1", "1"], "table overlaps wall 1 at (0.00, 1.00)"),
-        (["add", "table", "1", "1"], "table exists already; choose another name"),
-        (["add", "it", "1", "1", "--size", "big"], "--size big: write it as WIDTH,DEPTH"),
-        (["add", "it", "3", "1", "--size", "0,1"], "size[0] = '0.0': must be greater than 0"),
-        (["add", "it", "3", "1", "--size", "nan,1"], "(nan is not a finite number)"),
-        (["add", "it", "3", "1", "--size", "1"], "--size 1: write it as WIDTH,DEPTH"),
-        (
-            ["add", "it", "50", "50", "--size", "1,1"],
-            "it cannot be at (50.00, 50.00): the position is out",
-        ),
-        (
-            ["move", "table", "50", "50"],
-            "table cannot be at (50.00, 50.00): the position is outside",
-        ),
-        (["add", "it", "3", "0", "--object", "31", "--size", "1,1"], "--size is for furniture"),
-        (["person", "eve", "1,nan"], "(nan is not a finite number)"),
-        (["person", "eve", "1,1", "--speed", "nan"], "--speed nan is not a finite number"),
-        (
-            ["person", "eve", "1,1", "--speed", "4"],
-            "speed = '4.0': must be less than or equal to 3",
-        ),
-        (["person", "eve", "1;2"], "1;2: write a waypoint as X,Y"),
-        (["person", "eve", "0.5,3", "3,3"], "eve cannot walk from (0.5, 3) to (3, 3): table is in"),
-        (["remove", "my desk"], "name = 'my desk': "),
-    ],
-)
-def test_impossible_changes_are_rejected_with_the_reason(
-    world: World, command: list[str], message: str
-) -> None:
-    before = listed(world)["table"]
+class TestImpossibleChanges:
+    @pytest.fixture(autouse=True, scope="class")
+    @classmethod
+    def nothing_changes(cls, simulation: Run) -> Iterator[None]:
+        """Check after all of these tests that the table is where it was before them."""
 
-    answer = world(*command)
+        def table() -> Any:
+            answer = cairn("world", "list", "--json", connect=simulation.endpoint)
+            return next(row for row in answer.json if row["name"] == "table")
 
-    assert answer.code == 1
-    assert message in answer.err
-    assert answer.err.count("\n") == 1
-    assert listed(world)["table"] == before
+        before = table()
+        yield
+        assert table() == before
+
+    @pytest.mark.parametrize(
+        ("command", "message"),
+        [
+            (["kidnap", "0.1", "2"], "cannot be at (0.10, 2.00): wall 1 is 0.10 m from there"),
+            (["kidnap", "-3", "2"], "outside the walls"),
+            (["move", "sofa", "1", "1"], "sofa does not exist; there are ada, object_1, table"),
+            (["move", "table", "north", "1"], "'north' is not a number"),
+            (["move", "table", "nan", "1"], "nan is not a finite number"),
+            (["move", "table", "0.1", "1"], "table overlaps wall 1 at (0.00, 1.00)"),
+            (["add", "table", "1", "1"], "table exists already; choose another name"),
+            (["add", "it", "1", "1", "--size", "big"], "--size big: write it as WIDTH,DEPTH"),
+            (["add", "it", "3", "1", "--size", "0,1"], "size[0] = '0.0': must be greater than 0"),
+            (["add", "it", "3", "1", "--size", "nan,1"], "(nan is not a finite number)"),
+            (["add", "it", "3", "1", "--size", "1"], "--size 1: write it as WIDTH,DEPTH"),
+            (
+                ["add", "it", "50", "50", "--size", "1,1"],
+                "it cannot be at (50.00, 50.00): the position is out",
+            ),
+            (
+                ["move", "table", "50", "50"],
+                "table cannot be at (50.00, 50.00): the position is outside",
+            ),
+            (["add", "it", "3", "0", "--object", "31", "--size", "1,1"], "--size is for furniture"),
+            (["person", "eve", "1,nan"], "(nan is not a finite number)"),
+            (["person", "eve", "1,1", "--speed", "nan"], "--speed nan is not a finite number"),
+            (
+                ["person", "eve", "1,1", "--speed", "4"],
+                "speed = '4.0': must be less than or equal to 3",
+            ),
+            (["person", "eve", "1;2"], "1;2: write a waypoint as X,Y"),
+            (
+                ["person", "eve", "0.5,3", "3,3"],
+                "eve cannot walk from (0.5, 3) to (3, 3): table is in",
+            ),
+            (["remove", "my desk"], "name = 'my desk': "),
+        ],
+    )
+    def test_is_rejected_with_the_reason(
+        self, world: World, command: list[str], message: str
+    ) -> None:
+        answer = world(*command)
+
+        assert answer.code == 1
+        assert message in answer.err
+        assert answer.err.count("\n") == 1
 
 
 def test_missing_running_world_is_reported_with_the_command_that_starts_one(
