@@ -14,7 +14,7 @@ pytestmark = pytest.mark.processes
 
 
 RobotFactory = Callable[..., LockstepRobot]
-REACHABLE = "settings.mission=[[3.0, 1.2, 0.0], [1.2, 1.2, 3.1]]"
+REACHABLE = "settings.mission=[[2.0, 1.2, 0.0], [1.2, 1.2, 3.1]]"
 OUTSIDE = "settings.mission=[[50.0, 1.2, 0.0]]"
 FINISH = "settings.finish=true"
 
@@ -47,8 +47,8 @@ def test_preempted_mission_ends_the_deployment_with_the_new_mission(
     robot = drive(REACHABLE, FINISH)
     robot.await_state(NavigationStatus.DRIVING)
 
-    robot.go(2.0, 1.2)
-    robot.assert_arrives((2.0, 1.2))
+    robot.go(1.6, 1.2)
+    robot.assert_arrives((1.6, 1.2))
 
     robot.run_until(lambda: robot.end is not None, 5.0)
     assert robot.end is not None
@@ -56,7 +56,7 @@ def test_preempted_mission_ends_the_deployment_with_the_new_mission(
     assert not robot.end.success
     assert re.fullmatch(
         r"mobile_supervisor has finished: the mission was preempted by mission \d+, which "
-        r"succeeded: arrived at \(2.00, 1.20\)",
+        r"succeeded: arrived at \(1.60, 1.20\)",
         robot.end.reason,
     )
 
@@ -65,8 +65,8 @@ def test_preempted_mission_without_finish_ends_nothing(drive: RobotFactory) -> N
     robot = drive(REACHABLE)
     robot.await_state(NavigationStatus.DRIVING)
 
-    robot.go(2.0, 1.2)
-    robot.assert_arrives((2.0, 1.2))
+    robot.go(1.6, 1.2)
+    robot.assert_arrives((1.6, 1.2))
 
     robot.run_for(1.0)
     assert robot.end is None

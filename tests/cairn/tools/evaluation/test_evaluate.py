@@ -257,11 +257,9 @@ def test_events_after_the_end_of_a_run_are_reported(
     }
 
 
-def test_failed_run_keeps_the_results_of_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("scripted_runs")
+def test_failed_run_keeps_the_results_of_the_others(tmp_path: Path) -> None:
     trials = [replace(trial(), seed=seed) for seed in (0, 9, 1)]
-    monkeypatch.setattr(cli, "run_trial", scripted_run)
 
     runs = cli._run(trials, tmp_path, 1, quiet=True)
 
