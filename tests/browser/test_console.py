@@ -244,6 +244,27 @@ def test_layers_are_switched(tab: Tab) -> None:
     tab.page.wait_for_function("() => cairnConsole.map.scene.scan?.length > 100")
 
 
+def test_whole_map_stays_in_view_when_the_window_changes_until_it_is_moved(tab: Tab) -> None:
+    page = tab.page
+    page.set_viewport_size({"width": 900, "height": 500})
+    page.wait_for_function(
+        """() => {
+            const {view, scene} = cairnConsole.map;
+            const [x0, y0, x1, y1] = scene.grid.bounds();
+            const [[left, bottom], [right, top]] = [view.toScreen(x0, y0), view.toScreen(x1, y1)];
+            const isInside = left > 0 && right < view.width && top > 0 && bottom < view.height;
+            return view.width < 600 && isInside;
+        }"""
+    )
+
+    page.locator(".map-canvas").focus()
+    page.keyboard.press("ArrowLeft")
+    moved = page.evaluate("cairnConsole.map.view.x")
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.wait_for_function("() => cairnConsole.map.view.width > 700")
+    assert page.evaluate("cairnConsole.map.view.x") == moved
+
+
 def test_scan_is_on_the_screen_in_time(tab: Tab, figure: Figure) -> None:
     tab.page.wait_for_function("() => cairnConsole.map.scanToPixels.length > 5")
     tab.page.evaluate("cairnConsole.map.scanToPixels.length = 0")
@@ -286,6 +307,9 @@ def test_recording_is_scrubbed(robot: RunningRobot, open_tab: OpenTab, tmp_path:
         seek = tab.page.get_by_label("Time", exact=True)
         end = float(seek.get_attribute("max") or 0)
         assert end > 3.0
+        # At the start, before it is played: what was latched when the recorder started.
+        tab.page.wait_for_function("() => globalThis.cairnConsole?.map?.scene?.grid")
+        assert float(seek.input_value()) == 0.0
         places = []
         for time_s in (end - 0.5, 1.0, end - 0.5):
             seek.fill(str(round(time_s, 1)))

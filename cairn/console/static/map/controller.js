@@ -42,6 +42,7 @@ export class MapController {
   #pointers = new Map(); // id -> {x, y}
   #drag = null;
   #hasFitted = false;
+  #fitted = ""; // the view that shows everything, until it is moved
   #keyPose = null; // [x, y, theta] that the keyboard chooses
   #drawnScan = 0;
   #observer = null;
@@ -134,7 +135,12 @@ export class MapController {
     const margins = this.view.width < NARROW_PX ? NARROW_MARGINS : MARGINS;
     if (bounds) this.view.fit(bounds, margins);
     else if (pose) this.view.fit([pose[0] - 4, pose[1] - 4, pose[0] + 4, pose[1] + 4], margins);
+    this.#fitted = this.#shownPart();
     this.redraw();
+  }
+
+  #shownPart() {
+    return `${this.view.x} ${this.view.y} ${this.view.scale}`;
   }
 
   redraw() {
@@ -149,10 +155,10 @@ export class MapController {
     const ratio = devicePixelRatio;
     this.#canvas.width = Math.max(1, Math.round(width * ratio));
     this.#canvas.height = Math.max(1, Math.round(height * ratio));
-    const wasEmpty = this.view.width <= 1;
+    const showedAll = this.view.width <= 1 || this.#fitted === this.#shownPart();
     this.view.width = width;
     this.view.height = height;
-    if (wasEmpty) this.#hasFitted = false;
+    if (showedAll) this.#hasFitted = false;
     this.#draw(); // at once: a resized canvas is empty
   }
 
