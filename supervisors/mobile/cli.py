@@ -116,7 +116,7 @@ def follow(navigator: Navigator, goals: Sequence[Sequence[float]], *, as_json: b
                 mission = goal.send()
             if not as_json:
                 line(f"mission {mission}: go to {_poses_text(goals)}; Ctrl-C cancels")
-            status = _print_progress(goal, as_json=as_json)
+            status = print_progress(goal, as_json=as_json)
         except (KeyboardInterrupt, SystemExit, BrokenPipeError, OutputLost):
             _cancel(goal, as_json=as_json)
             raise
@@ -139,12 +139,12 @@ def parse_goals(words: list[str]) -> list[list[float]]:
     return [_pose(words, "goal")]
 
 
-def _print_progress(goal: NavigationGoal, *, as_json: bool) -> NavigationStatus:
+def print_progress(goal: NavigationGoal, *, as_json: bool) -> NavigationStatus:
     """Print the progress of a goal and return its last status."""
     status = NavigationStatus()
     printed: tuple[int | str, ...] | None = None
     printed_at = 0.0
-    cause = ""  # printed last
+    cause = ""  # of the last one that was printed
     for status in goal:
         now = time.monotonic()
         loading = status.reason if status.state == NavigationStatus.LOADING else ""
@@ -153,7 +153,7 @@ def _print_progress(goal: NavigationGoal, *, as_json: bool) -> NavigationStatus:
         if is_due and not as_json and not goal.ended:
             printed, printed_at = news, now
             line(progress_line(status, cause))
-            cause = cause_of(status)
+            cause = cause_of(status) or cause
     return status
 
 

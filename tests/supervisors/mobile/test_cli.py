@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -9,7 +10,7 @@ from cairn import CairnError
 from cairn.client import Connection, navigation
 from cairn.client.navigation import Navigator
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
-from cairn.supervisors.mobile.cli import cause_of, parse_goals, progress_line
+from cairn.supervisors.mobile.cli import cause_of, parse_goals, print_progress, progress_line
 from cairn.testing.launching import new_endpoint
 from tests.cairn.bus.network import router_at
 from tests.commands import cairn
@@ -70,6 +71,31 @@ def test_a_cause_is_printed_once() -> None:
         "   0.0 s  recovering: give way (2 of 4)",
         "   0.0 s  recovering: go near (3 of 4)",
     ]
+
+
+class Statuses:
+    """A goal whose progress is given."""
+
+    ended = False
+
+    def __init__(self, *statuses: tuple[int, str]) -> None:
+        self._statuses = statuses
+
+    def __iter__(self) -> Iterator[NavigationStatus]:
+        for state, reason in self._statuses:
+            yield NavigationStatus(state=state, reason=reason)
+
+
+def test_a_cause_that_returns_after_a_recovery_is_not_printed_again(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    planning = (NavigationStatus.PLANNING, "no path: the goal is in unknown space")
+    recovering = (NavigationStatus.RECOVERING, f"wait (1 of 4): {planning[1]}")
+    goal: Any = Statuses(planning, recovering, (NavigationStatus.LOCALIZING, ""), planning)
+
+    print_progress(goal, as_json=False)
+
+    assert capsys.readouterr().out.count("unknown space") == 1
 
 
 def test_goal_together_with_cancel_is_rejected() -> None:
