@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,11 +13,10 @@ from cairn.cli.output import line, note, print_json
 from cairn.clock import SECOND
 from cairn.errors import CairnError
 from cairn.recording.reader import McapRecording
-from cairn.rerun.call_logs import ComponentStart
 from cairn.rerun.engine import RerunResult
 from cairn.rerun.excerpt import save_test
 from cairn.rerun.run import chosen_starts, starts_in
-from cairn.rerun.worker import rerun_in_process
+from cairn.rerun.worker import rerun_in_processes
 
 
 def rerun(
@@ -70,7 +67,7 @@ def rerun(
                 "--record`, by a component `recorder` of all topics, or with `call_log: true`"
             )
         until_ns = None if until is None else recording.time_ns(until)
-        results = _results(recording.files, starts, until_ns, time_limit)
+        results = rerun_in_processes(recording.files, starts, until_ns, time_limit)
         if as_json:
             print_json([_plain(one) for one in results])
         else:
@@ -84,18 +81,6 @@ def rerun(
                 note(f"wrote {file}")
     if not all(one.equal for one in results):
         raise typer.Exit(1)
-
-
-def _results(
-    files: Sequence[Path],
-    starts: Sequence[ComponentStart],
-    until_ns: int | None,
-    time_limit_s: float,
-) -> list[RerunResult]:
-    with ThreadPoolExecutor(max(1, min(os.cpu_count() or 1, len(starts)))) as pool:
-        return list(
-            pool.map(lambda one: rerun_in_process(files, one, until_ns, time_limit_s), starts)
-        )
 
 
 def _print(results: Sequence[RerunResult], start_ns: int) -> None:

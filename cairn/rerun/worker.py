@@ -4,10 +4,12 @@ import faulthandler
 import json
 import logging
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
 from io import FileIO
@@ -22,6 +24,7 @@ from cairn.recording.reader import McapRecording
 from cairn.rerun.call_logs import ComponentStart
 from cairn.rerun.engine import RerunResult
 from cairn.rerun.run import prepared_rerun, starts_in
+from cairn.supervision.orphan_cleanup import set_parent_death_signal
 
 _RESULT = TypeAdapter(RerunResult)
 _SHOWN_LOG: Final = 2000  # characters
@@ -32,21 +35,45 @@ _FATAL, _TIMEOUT, _STACK = "Fatal Python error", "Timeout (0:", "(most recent ca
 """What `faulthandler` writes when the process crashes or takes too long."""
 
 
-def rerun_in_process(
+def rerun_in_processes(
+    files: Sequence[Path],
+    starts: Sequence[ComponentStart],
+    until_ns: int | None,
+    time_limit_s: float,
+) -> list[RerunResult]:
+    """Return the results of re-runs, each made by a new process, as many at a time as cores.
+
+    A crash, a hang and an error are in `incomplete`, with the call in which it was, and the stack.
+    """
+    running: set[subprocess.Popen[bytes]] = set()
+
+    def rerun(start: ComponentStart) -> RerunResult:
+        return _rerun(files, start, until_ns, time_limit_s, running)
+
+    with ThreadPoolExecutor(max(1, min(os.cpu_count() or 1, len(starts)))) as pool:
+        try:
+            return list(pool.map(rerun, starts))
+        except BaseException:  # such as Ctrl-C, which must not wait for the time limit
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in tuple(running):
+                process.kill()
+            raise
+
+
+def _rerun(
     files: Sequence[Path],
     start: ComponentStart,
     until_ns: int | None,
     time_limit_s: float,
+    running: set["subprocess.Popen[bytes]"],
 ) -> RerunResult:
-    """Return the result of a re-run that a new process makes.
-
-    A crash, a hang and an error are in `incomplete`, with the call in which it was, and the stack.
-    """
+    """Return the result of one; its process is in `running` meanwhile."""
     result = RerunResult(start.component, start.incarnation)
     with tempfile.TemporaryDirectory(prefix="cairn-rerun-") as folder:
         answer, log, call = (Path(folder, name) for name in ("result.json", "log", "call"))
         call.touch()
         request = {
+            "parent": os.getpid(),
             "files": [str(file.absolute()) for file in files],
             "component": start.component,
             "incarnation": start.incarnation,
@@ -62,12 +89,14 @@ def rerun_in_process(
                 stdin=subprocess.PIPE, stdout=stream, stderr=stream, start_new_session=True,
                 env={**os.environ, "PYTHONFAULTHANDLER": "1"},
             )  # fmt: skip
+            running.add(process)
             try:
                 process.communicate(json.dumps(request).encode(), time_limit_s + _GRACE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
                 log.write_text(_TIMEOUT)
+            running.discard(process)
         try:
             return _RESULT.validate_json(answer.read_bytes())
         except (OSError, ValidationError):
@@ -94,7 +123,10 @@ def _explained(status: int, log: str, where: str, time_limit_s: float) -> str:
 def main() -> None:
     """Make the re-run that stdin describes, and write its result to a file."""
     logging.basicConfig(level=logging.ERROR)
+    set_parent_death_signal(signal.SIGKILL)
     request: dict[str, Any] = json.load(sys.stdin)
+    if os.getppid() != request["parent"]:  # it ended before it could be noticed
+        return
     faulthandler.dump_traceback_later(request["time_limit_s"], exit=True)
     name, incarnation = request["component"], request["incarnation"]
     result = RerunResult(name, incarnation)

@@ -2,7 +2,11 @@
 
 import ast
 import json
+import os
+import signal
 import subprocess
+import sys
+import time
 from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -41,6 +46,7 @@ from cairn.testing.lockstep import DeploymentHarness
 from cairn.testing.rerun import assert_rerun_equal, rerun_messages
 from tests.cairn.rerun.walkers import CHANGE, Fragile, Walker
 from tests.commands import cairn
+from tests.patience import LIMIT_S
 from tests.wording import assert_words
 
 PLUGIN = f"{Walker.__module__}:Walker"
@@ -202,7 +208,7 @@ def test_output_is_as_the_documentation_shows_it(
 
     change_walker(monkeypatch)
     ((*_, result),) = rerun_all(recording, "first")
-    monkeypatch.setattr(cli, "rerun_in_process", lambda *_: result)
+    monkeypatch.setattr(cli, "rerun_in_processes", lambda *_: [result])
     different = cairn(*command.split())
     assert different.code == 1
     assert f"```text\n{different.out}```" in page, different.out
@@ -250,6 +256,21 @@ def test_component_that_hangs_while_it_is_re_run_is_ended_at_the_time_limit(
     assert answer.code == 1
     words = ("took longer than 5 s", "in a timer, at 1.5", "--time-limit", "walkers.py", "in hang")
     assert_words(answer.out, "walker: not re-run completely", *words)
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_interrupted_rerun_leaves_no_process(fragile_recording: Path, number: int) -> None:
+    command = [sys.executable, "-m", "cairn.cli.main", "rerun", str(fragile_recording)]
+    with subprocess.Popen(command, env={**os.environ, CHANGE: "hang"}) as process:
+        deadline = time.monotonic() + LIMIT_S
+        while not (workers := psutil.Process(process.pid).children()):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        process.send_signal(number)
+
+        process.wait(LIMIT_S)
+        assert psutil.wait_procs(workers, LIMIT_S)[1] == []
 
 
 def test_thread_of_a_component_does_not_outlive_its_re_run(
