@@ -19,6 +19,8 @@ from cairn.recording.mcap_file import Progress, RecordedChannel
 from cairn.recording.reader import McapRecording
 from cairn.recording.topics import TopicPatterns
 
+_MOST_SHOWN: Final = 1_000  # topics: a table of more takes long
+_LONGEST_SHOWN: Final = 2_000  # characters
 _COLUMNS: Final = {
     "topic": "topic",
     "type": "type",
@@ -69,14 +71,26 @@ def info(file: Path, as_json: bool) -> None:
     span = contents["span_s"]
     line(f"files: {', '.join(contents['files'])} ({megabytes(contents['bytes'])} MB)")
     line(f"time: {contents['start']} to {contents['end']}, {span:.3f} s")
-    show(contents["topics"], _COLUMNS, as_json=False, nothing="no topic was recorded")
+    topics = contents["topics"]
+    rows = [{key: _shown(value) for key, value in one.items()} for one in topics[:_MOST_SHOWN]]
+    show(rows, _COLUMNS, as_json=False, nothing="no topic was recorded")
+    if len(topics) > _MOST_SHOWN:
+        line(f"and {len(topics) - _MOST_SHOWN:,} more: --json prints all")
     if contents["attachments"]:
         parts = [f"{one['name']} ({one['bytes']:,} bytes)" for one in contents["attachments"]]
-        line(f"attachments: {', '.join(parts)}")
+        line(_shown(f"attachments: {', '.join(parts[:_MOST_SHOWN])}"))
     for name, values in contents["metadata"].items():
-        line(f"{name}: {', '.join(f'{key} {value}' for key, value in values.items())}")
+        line(_shown(f"{name}: {', '.join(f'{key} {value}' for key, value in values.items())}"))
     for text in contents["notes"]:
         note(text)
+
+
+def _shown(value: Any) -> Any:
+    """Return a text of a file as one line of limited length; other values as they are."""
+    if not isinstance(value, str):
+        return value
+    text = " ".join(value.splitlines())
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
 
 
 def contents_of(recording: McapRecording) -> dict[str, Any]:

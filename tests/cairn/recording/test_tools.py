@@ -78,6 +78,28 @@ def test_info_lists_topics_with_publishers_attachments_and_notes(run: Path) -> N
     assert rows["/robot/map"]["latched"] == "yes"
 
 
+def test_names_in_a_foreign_recording_are_shown_in_one_line_of_limited_length(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "foreign.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "other")
+        for name in ("/a\n/forged\x1b[2J", f"/{'x' * 9_000}", *(f"/t{k}" for k in range(1_100))):
+            writer.add_message(writer.register_channel(name, "cdr", 0), 1, b"", 1)
+        writer.add_metadata("m", {"key": "v" * 9_000 + "\n/forged"})
+        writer.finish()
+
+    lines = cairn("recording", "info", str(file)).out.splitlines()
+
+    assert not any(line.startswith("/forged") for line in lines)
+    assert not any("\x1b" in line for line in lines)
+    assert any("/a /forged" in line for line in lines)
+    assert max(map(len, lines)) < 5_000
+    assert len(lines) < 1_010
+    assert "and 102 more: --json prints all" in lines
+
+
 def test_info_of_another_format_is_that_of_show(tmp_path: Path) -> None:
     log = tmp_path / "a.log"
     log.write_text("ODOM 0 0 0 0 0 0 1.0 robot 1.0\nODOM 1 0 0 0 0 0 2.0 robot 2.0\n")
