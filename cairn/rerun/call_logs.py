@@ -3,49 +3,18 @@
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from cairn.clock import to_ns
 from cairn.errors import RecordingError
-from cairn.runtime.call_records import CallLogError, Record, RecordDecoder, RecordKind
+from cairn.runtime.call_records import CallLogError, Record, RecordDecoder, RecordKind, StartInfo
 from cairn.schemas.cairn_msgs import CallBatch
 
 MOST_STARTS: Final = 10_000
 LOG_BYTES: Final = 1 << 30
 """Longest call logs of a recording, of all starts together."""
-
-
-class StartFile(BaseModel):
-    """A file that a component could read when it was started."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    path: str
-    size: int
-    digest: str
-    content: str = ""  # base64
-
-
-class StartInfo(BaseModel):
-    """With what a component was started."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    name: str
-    plugin: str
-    parameters: dict[str, Any]
-    topics: dict[str, str]
-    children: tuple[str, ...] = ()
-    incarnation: int
-    robot: str
-    seed: int
-    simulated_time: bool
-    lockstep: bool
-    paths: dict[str, str] = {}
-    read_paths: tuple[str, ...] = ()
-    files: tuple[StartFile, ...] = ()
 
 
 @dataclass

@@ -21,9 +21,9 @@ from cairn.deployment.model import ChildSpec
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
-from cairn.rerun.call_logs import Call, ComponentStart, StartInfo
+from cairn.rerun.call_logs import Call, ComponentStart
 from cairn.rerun.comparison import first_difference
-from cairn.runtime.call_records import RecordKind
+from cairn.runtime.call_records import RecordKind, StartInfo
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.ports import ports_of

@@ -10,8 +10,14 @@ from pydantic import ValidationError
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
-from cairn.rerun.call_logs import StartFile, StartInfo
-from cairn.runtime.input_files import content_digest, file_digest, input_files, path_parameters
+from cairn.runtime.call_records import StartInfo
+from cairn.runtime.input_files import (
+    InputFile,
+    content_digest,
+    file_digest,
+    input_files,
+    path_parameters,
+)
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
 
 ATTACHED: Final = "files/"
@@ -124,7 +130,7 @@ def _path_parameters(info: StartInfo) -> tuple[dict[str, str], set[str]]:
     return paths, {one.name for one in marked_parameters(config, ReadPathMark)}
 
 
-def _embedded(file: StartFile) -> bytes | None:
+def _embedded(file: InputFile) -> bytes | None:
     try:
         return b64decode(file.content, validate=True) if file.content else None
     except ValueError:  # damaged: its digest would not fit either
@@ -136,7 +142,7 @@ def _is_near(file: str, path: str) -> bool:
     return Path(path).parent in Path(file).parents
 
 
-def _is_unchanged(file: StartFile) -> bool:
+def _is_unchanged(file: InputFile) -> bool:
     path = Path(file.path)
     try:
         return bool(

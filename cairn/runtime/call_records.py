@@ -10,7 +10,10 @@ from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import Any, Final, TypeVar
 
+from pydantic import BaseModel, ConfigDict
+
 from cairn.errors import CairnError
+from cairn.runtime.input_files import InputFile
 
 T = TypeVar("T")
 
@@ -54,6 +57,33 @@ class RecordKind(IntEnum):
 
 Record = tuple[Any, ...]
 """A kind and its values."""
+
+
+class StartInfo(BaseModel):
+    """With what a component was started: the value of the record `START`.
+
+    Attributes:
+        paths: parameters that are paths, by dotted name.
+        read_paths: names of those that the component only reads.
+        files: the input files as they were.
+    """
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    name: str
+    plugin: str
+    parameters: dict[str, Any]
+    topics: dict[str, str]
+    children: tuple[str, ...] = ()
+    incarnation: int
+    robot: str
+    seed: int
+    simulated_time: bool
+    lockstep: bool
+    paths: dict[str, str] = {}
+    read_paths: tuple[str, ...] = ()
+    files: tuple[InputFile, ...] = ()
+
 
 _VALUES: Final[dict[int, str]] = {
     RecordKind.START: "j",

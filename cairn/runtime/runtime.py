@@ -26,7 +26,7 @@ from cairn.runtime.call_log import (
     call_log_topic,
     request_record,
 )
-from cairn.runtime.call_records import Record, RecordKind
+from cairn.runtime.call_records import Record, RecordKind, StartInfo
 from cairn.runtime.component import Component
 from cairn.runtime.input_files import input_files, path_parameters
 from cairn.runtime.launch_request import LaunchRequest
@@ -115,7 +115,7 @@ class Runtime:
         start: Record = ()
         if launch.context.call_log and component.clock_source != "device":
             self.call_log = self._open_call_log()
-            start = (RecordKind.START, json.dumps(_start(launch, self.config), default=str))
+            start = _start_record(launch, self.config)
             self._scheduler = LoggedScheduler(scheduler, self.call_log)
             if simulated_clock is None:  # otherwise the clock messages are logged
                 self.clock = LoggedClock(system_clock, self.call_log)
@@ -467,24 +467,25 @@ def _config(component: type[Component], launch: LaunchRequest) -> Config:
         raise CairnError(f"{launch.name}: invalid parameters: {error}") from error
 
 
-def _start(launch: LaunchRequest, config: Config) -> dict[str, Any]:
-    """Return what is needed to construct a component again as it was launched."""
+def _start_record(launch: LaunchRequest, config: Config) -> Record:
+    """Return the record with what is needed to construct a component again as it was launched."""
     context, spec = launch.context, launch.spec
-    return {
-        "name": launch.name,
-        "plugin": spec.plugin,
-        "parameters": spec.parameters,
-        "topics": spec.topics,
-        "children": list(spec.children),
-        "incarnation": launch.incarnation,
-        "robot": context.robot,
-        "seed": context.seed,
-        "simulated_time": context.simulated_time,
-        "lockstep": context.lockstep,
-        "read_paths": [read.name for read in marked_parameters(config, ReadPathMark)],
-        "paths": {name: str(path) for name, path in path_parameters(config).items()},
-        "files": [vars(file) for file in input_files(config)],
-    }
+    info = StartInfo(
+        name=launch.name,
+        plugin=spec.plugin,
+        parameters=spec.parameters,
+        topics=spec.topics,
+        children=tuple(spec.children),
+        incarnation=launch.incarnation,
+        robot=context.robot,
+        seed=context.seed,
+        simulated_time=context.simulated_time,
+        lockstep=context.lockstep,
+        paths={name: str(path) for name, path in path_parameters(config).items()},
+        read_paths=tuple(read.name for read in marked_parameters(config, ReadPathMark)),
+        files=tuple(input_files(config)),
+    )
+    return (RecordKind.START, json.dumps(info.model_dump(), default=str))
 
 
 def _text(error: BaseException) -> str:
