@@ -26,6 +26,7 @@ from cairn.recording.recorder import Recorder, RecorderSettings, RecorderStatus
 from cairn.recording.run_attachments import MessageClasses, as_json, run_attachments, versions
 from cairn.recording.tap import ZenohTap
 from cairn.runtime.parameters import error_reason
+from cairn.signal_handlers import signal_handlers
 
 _ALIVE_S = 1.0
 _REPLY_LIMIT_S = 15.0
@@ -197,12 +198,8 @@ def _bell() -> Iterator[tuple[Bell, list[int]]]:
         bell.ring()
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGUSR1)
-    before = {number: signal.signal(number, on_signal) for number in numbers}
-    try:
+    with signal_handlers(numbers, on_signal):
         yield bell, received
-    finally:
-        for number, former in before.items():
-            signal.signal(number, former)
 
 
 def _run_of(connection: Connection, robot: str) -> tuple[Deployment | None, dict[str, bytes]]:

@@ -35,6 +35,7 @@ from cairn.placement.run_plan import RunPlan, check_sources, with_recorder
 from cairn.placement.systemd_notify import ServiceManager, service_manager
 from cairn.process_exit import ExitReport
 from cairn.schemas.rcl_interfaces import Log
+from cairn.signal_handlers import signal_handlers
 from cairn.supervision.zygote_client import ZygoteProcess
 
 _REPORT_SETTING = "report"
@@ -237,13 +238,13 @@ def _run_lockstep(deployment: Deployment, seed: int, logs: Path, view: View) -> 
     root_logger = logging.getLogger("cairn")
     root_logger.addHandler(handler)
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda *_: run.stop()) for number in numbers}
     try:
-        with log_file(logs / "lockstep.log", run.executor.now, deployment.storage):
+        with (
+            signal_handlers(numbers, lambda *_: run.stop()),
+            log_file(logs / "lockstep.log", run.executor.now, deployment.storage),
+        ):
             return run.run(refresh)
     finally:
-        for number, former in before.items():
-            signal.signal(number, former)
         root_logger.removeHandler(handler)
 
 

@@ -23,6 +23,7 @@ import typer
 from cairn.driver.emulator import FRAME_FAULTS, EmulatedDevice, Emulator, FrameFault
 from cairn.driver.emulator_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
 from cairn.errors import CairnError
+from cairn.signal_handlers import signal_handlers
 
 Pty = Annotated[
     Path | None,
@@ -315,14 +316,11 @@ def _stop_signals() -> Iterator[int]:
         os.write(writing, b"!")
 
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, wake) for number in numbers}
-    # In the background of a terminal, reading its input would stop the process.
-    before[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
     try:
-        yield reading
+        # In the background of a terminal, reading its input would stop the process.
+        with signal_handlers(numbers, wake), signal_handlers([signal.SIGTTIN], signal.SIG_IGN):
+            yield reading
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         os.close(reading)
         os.close(writing)
 

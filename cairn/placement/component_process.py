@@ -27,6 +27,7 @@ from cairn.placement.launcher import TRACEBACK_SIGNAL
 from cairn.process_exit import ExitReport, end_process, log_reason
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.log_output import OutputFile, OutputHandler
+from cairn.signal_handlers import signal_handlers
 from cairn.supervision.child_channel import (
     ChildChannel,
     Request,
@@ -188,12 +189,8 @@ class MainLoop:
     @contextmanager
     def stop_signals(self, *numbers: signal.Signals) -> Iterator[None]:
         """Treat these signals as requests to stop."""
-        before = {number: signal.signal(number, self._on_signal) for number in numbers}
-        try:
+        with signal_handlers(numbers, self._on_signal):
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def _on_signal(self, number: int, _: FrameType | None) -> None:
         self._signals.append(number)
