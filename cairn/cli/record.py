@@ -37,8 +37,17 @@ _OPTIONS = {
     "split_mb": "--split-size", "split_s": "--split-time", "disk_limit_mb": "--disk-limit",
     "keep_free_mb": "--keep-free", "queue_mb": "--memory", "last_s": "--last",
     "after_s": "--after", "buffer_mb": "--buffer", "triggers": "--trigger",
+    "trigger_on_failure": "--trigger-on-failure",
 }  # fmt: skip
 """The options by which the command takes the settings."""
+
+
+def _option(setting: str) -> Any:
+    """Return the option of a setting; its help is the setting's description."""
+    text = RecorderSettings.model_fields[setting].description or ""
+    for name, option in _OPTIONS.items():
+        text = text.replace(f"`{name}`", option)
+    return typer.Option(_OPTIONS[setting], help=text)
 
 
 def record(
@@ -55,50 +64,21 @@ def record(
             "--output", "-o", help="The file; by default recording-TIME.mcap in this folder."
         ),
     ] = None,
-    exclude: Annotated[
-        list[str] | None, typer.Option(help="Do not record this topic or pattern.")
-    ] = None,
     duration: Annotated[
         float | None, typer.Option(min=0.1, help="End after this time [s].")
     ] = None,
-    compression: Annotated[
-        str, typer.Option(help="lz4, zstd (smaller, slower) or none.")
-    ] = _DEFAULTS.compression,
-    split_size: Annotated[
-        int, typer.Option(help="Continue in a new file when one is longer [MiB].")
-    ] = _DEFAULTS.split_mb,
-    split_time: Annotated[
-        float, typer.Option(help="Continue in a new file after this time [s].")
-    ] = _DEFAULTS.split_s,
-    disk_limit: Annotated[
-        int,
-        typer.Option(
-            help="Remove the oldest file when all together are longer; 0: no limit [MiB]."
-        ),
-    ] = _DEFAULTS.disk_limit_mb,
-    keep_free: Annotated[
-        int, typer.Option(help="Space left free on the disk [MiB].")
-    ] = _DEFAULTS.keep_free_mb,
-    memory: Annotated[
-        int, typer.Option(help="Memory for messages that wait for the disk [MiB].")
-    ] = _DEFAULTS.queue_mb,
-    last: Annotated[
-        float,
-        typer.Option(help="Keep only the last seconds, in memory; write them when triggered [s]."),
-    ] = _DEFAULTS.last_s,
-    after: Annotated[
-        float, typer.Option(help="With --last: go on for this time after a trigger [s].")
-    ] = _DEFAULTS.after_s,
-    buffer: Annotated[
-        int, typer.Option(help="With --last: memory for these seconds [MiB].")
-    ] = _DEFAULTS.buffer_mb,
-    trigger: Annotated[
-        list[str] | None,
-        typer.Option(help="With --last: trigger when this holds: 'localization.health < 0.3'."),
-    ] = None,
-    trigger_on_failure: Annotated[
-        bool, typer.Option("--trigger-on-failure", help="With --last: when a component fails.")
-    ] = False,
+    exclude: Annotated[list[str] | None, _option("exclude")] = None,
+    compression: Annotated[str, _option("compression")] = _DEFAULTS.compression,
+    split_size: Annotated[int, _option("split_mb")] = _DEFAULTS.split_mb,
+    split_time: Annotated[float, _option("split_s")] = _DEFAULTS.split_s,
+    disk_limit: Annotated[int, _option("disk_limit_mb")] = _DEFAULTS.disk_limit_mb,
+    keep_free: Annotated[int, _option("keep_free_mb")] = _DEFAULTS.keep_free_mb,
+    memory: Annotated[int, _option("queue_mb")] = _DEFAULTS.queue_mb,
+    last: Annotated[float, _option("last_s")] = _DEFAULTS.last_s,
+    after: Annotated[float, _option("after_s")] = _DEFAULTS.after_s,
+    buffer: Annotated[int, _option("buffer_mb")] = _DEFAULTS.buffer_mb,
+    trigger: Annotated[list[str] | None, _option("triggers")] = None,
+    trigger_on_failure: Annotated[bool, _option("trigger_on_failure")] = False,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",

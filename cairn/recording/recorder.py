@@ -77,7 +77,7 @@ class RecorderSettings(Config):
         description="A longer file is closed, and a new one is started [MiB].",
     )
     split_s: float = Field(
-        3600.0, ge=1, le=86400, description="A file of that duration is closed likewise [s]."
+        3600.0, ge=1, le=86400, description="A file of a longer duration is closed likewise [s]."
     )
     disk_limit_mb: int = Field(
         0,
@@ -118,10 +118,10 @@ class RecorderSettings(Config):
     triggers: tuple[str, ...] = Field(
         (),
         max_length=20,
-        description="Conditions that trigger: `localization.health < 0.3`.",
+        description="Conditions that trigger, with `last_s`: `localization.health < 0.3`.",
     )
     trigger_on_failure: bool = Field(
-        False, description="Whether the failure of any component triggers."
+        False, description="Trigger when any component fails, with `last_s`."
     )
 
 
