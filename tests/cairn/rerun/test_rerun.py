@@ -29,12 +29,12 @@ from cairn.placement.run_plan import with_recorder
 from cairn.recording.reader import McapRecording
 from cairn.recording.rewrite import rewrite
 from cairn.rerun import cli
-from cairn.rerun.call_logs import StartInfo, component_starts
+from cairn.rerun.call_logs import component_starts
 from cairn.rerun.comparison import first_difference
 from cairn.rerun.engine import Payload, Rerun, RerunResult
 from cairn.rerun.files import with_files
 from cairn.rerun.run import CALL_BATCH, chosen_starts, prepared_rerun, starts_in
-from cairn.runtime.call_records import RecordEncoder
+from cairn.runtime.call_records import RecordEncoder, StartInfo
 from cairn.runtime.call_records import RecordKind as Kind
 from cairn.runtime.input_files import content_digest
 from cairn.schemas.builtin_interfaces import Time
