@@ -130,7 +130,7 @@ class LiveView:
         }
         widths["handler"] = len("handler")  # the only one that may be cut off
         for title in _LEFT_OUT_FIRST:
-            if sum(widths.values()) + len(widths) - 1 > self._console.width:
+            if sum(widths.values()) + 2 * (len(widths) - 1) > self._console.width:
                 del widths[title]
         table = Table(box=None, pad_edge=False)
         for title in widths:
