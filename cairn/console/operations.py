@@ -386,16 +386,14 @@ class Operations:
             with robot.go_through(to.poses) as goal:
                 return {"mission_id": goal.mission_id}
 
-        return await self._call(browser, to.robot, send)
+        return await self._steer(browser, to.robot, send)
 
     async def _cancel(self, browser: Browser, of: OfRobot) -> Any:
-        self._leases.require(of.robot, browser.id)
-        return await self._call(browser, of.robot, lambda robot: {"mission_id": robot.cancel()})
+        return await self._steer(browser, of.robot, lambda robot: {"mission_id": robot.cancel()})
 
     async def _locate(self, browser: Browser, at: LocateRequest) -> Any:
-        self._leases.require(at.robot, browser.id)
         message = _pose_message(at)
-        await self._call(browser, at.robot, lambda robot: robot.publish(_POSE_TOPIC, message))
+        await self._steer(browser, at.robot, lambda robot: robot.publish(_POSE_TOPIC, message))
 
     async def _stop(self, browser: Browser, of: StopRequest) -> Any:
         self._stop_driving(of.robot)
@@ -407,23 +405,19 @@ class Operations:
         return {"emergency_stop": status.emergency_stop, "reason": status.reason}
 
     async def _release_stop(self, browser: Browser, of: OfRobot) -> Any:
-        self._leases.require(of.robot, browser.id)
-        status = await self._call(browser, of.robot, lambda robot: robot.release_stop())
+        status = await self._steer(browser, of.robot, lambda robot: robot.release_stop())
         return {"emergency_stop": status.emergency_stop, "reason": status.reason}
 
     # Components
 
     async def _restart(self, browser: Browser, of: OfComponent) -> Any:
-        self._leases.require(of.robot, browser.id)
-        return await self._call(browser, of.robot, lambda robot: robot.restart(of.component))
+        return await self._steer(browser, of.robot, lambda robot: robot.restart(of.component))
 
     async def _load(self, browser: Browser, of: OfComponent) -> Any:
-        self._leases.require(of.robot, browser.id)
-        return await self._call(browser, of.robot, lambda robot: robot.load(of.component))
+        return await self._steer(browser, of.robot, lambda robot: robot.load(of.component))
 
     async def _unload(self, browser: Browser, of: OfComponent) -> Any:
-        self._leases.require(of.robot, browser.id)
-        return await self._call(browser, of.robot, lambda robot: robot.unload(of.component))
+        return await self._steer(browser, of.robot, lambda robot: robot.unload(of.component))
 
     async def _parameters(self, browser: Browser, of: OfComponent) -> Any:
         return await self._call(
@@ -433,8 +427,7 @@ class Operations:
         )
 
     async def _set_parameters(self, browser: Browser, to: ParameterChanges) -> Any:
-        self._leases.require(to.robot, browser.id)
-        await self._call(
+        await self._steer(
             browser, to.robot, lambda robot: robot.set_parameters(to.component, to.values)
         )
         self._hub.parameters_changed(to.robot, to.component, to.values)
@@ -491,9 +484,22 @@ class Operations:
         for browser in self._hub.browsers:
             browser.send_status(WARNING, text)
 
-    async def _call(self, browser: Browser, robot: str, call: Callable[[Robot], R]) -> R:
+    async def _steer(self, browser: Browser, robot: str, call: Callable[[Robot], R]) -> R:
+        """Make a call of the browser that has the lease, now and when it is the call's turn."""
+        check = functools.partial(self._leases.require, robot, browser.id)
+        check()
+        return await self._call(browser, robot, call, check)
+
+    async def _call(
+        self,
+        browser: Browser,
+        robot: str,
+        call: Callable[[Robot], R],
+        check: Callable[[], None] = lambda: None,
+    ) -> R:
         client = self._client(robot)
         async with self._turns[browser.id]:
+            check()
             return await _run(self._workers, functools.partial(call, client))
 
     # Events

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from cairn.schemas.geometry_msgs import Twist
 from cairn.testing.launching import launching
 from tests.cairn.bus.network import eventually
 from tests.cairn.console.conftest import Page, Running, running
+from tests.patience import LIMIT_S
 from tests.wording import assert_words
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow]
@@ -81,6 +83,32 @@ def test_one_of_two_pages_steers_and_hands_the_lease_over(live: Running) -> None
 
     lease(bob, holder="Bob", mine=True)
     bob.close()
+
+
+def test_command_that_waited_until_the_lease_was_gone_is_not_sent(
+    live: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    busy, go_on, unloaded = threading.Semaphore(0), threading.Event(), []
+
+    def restart(robot: Robot, component: str) -> None:
+        busy.release()
+        assert go_on.wait(LIMIT_S)
+
+    monkeypatch.setattr(Robot, "restart", restart)
+    monkeypatch.setattr(Robot, "unload", lambda _, component: unloaded.append(component))
+    page = live.browser()
+    value(page, "acquire_lease")
+    of_base = {**ROBOT, "component": "base"}
+    for number in range(100, 104):  # as many as a browser may have at the same time
+        page.send(op="call", id=number, method="restart", arguments=of_base)
+    assert all(busy.acquire(timeout=LIMIT_S) for _ in range(4))
+    page.send(op="call", id=104, method="unload", arguments=of_base)
+    value(page, "release_lease")
+    go_on.set()
+
+    assert_words(page.text("result", id=104)["error"], "take the lease first")
+    assert unloaded == []
+    page.close()
 
 
 def test_goal_is_sent_and_canceled_and_the_map_explains_its_objects(live: Running) -> None:
