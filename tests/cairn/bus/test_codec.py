@@ -298,13 +298,18 @@ def test_arbitrary_bytes_take_memory_in_proportion_and_raise_only_invalid_messag
 ) -> None:
     data = b"".join(piece * times for piece, times in pieces)
     decode(cls, b"")  # generates the code for the class
+    limit = 32 * len(data) + 5_000_000
+    # The peak includes what threads of earlier tests allocate meanwhile: then it is measured again.
+    assert any(peak_memory(cls, LITTLE_ENDIAN + data) <= limit for _ in range(3))
+
+
+def peak_memory(cls: type[Any], data: bytes) -> int:
     tracemalloc.start()
     try:
-        decode(cls, LITTLE_ENDIAN + data)
-        _, peak = tracemalloc.get_traced_memory()
+        decode(cls, data)
+        return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak <= 32 * len(data) + 5_000_000
 
 
 def decode(cls: type[Any], data: bytes) -> Any:
