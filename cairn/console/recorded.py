@@ -25,7 +25,7 @@ from cairn.console.operations import (
 )
 from cairn.console.protocol import ERROR
 from cairn.console.recorded_parameters import PARAMETERS, attached_parameters, parameter_entries
-from cairn.console.recorded_state import MAP_TYPE, state_at
+from cairn.console.recorded_state import COLLECTED_TYPES, state_at
 from cairn.console.source import Channel, ConnectionGraph, Message
 from cairn.errors import CairnError
 from cairn.recording.mcap_file import RecordedChannel, RecordedMessage
@@ -178,7 +178,7 @@ class RecordedSource:
 
     def kept(self, channel: Channel) -> Sequence[Message]:
         """Return the last messages of a channel that is subscribed already."""
-        if channel.type_name == MAP_TYPE:  # with the updates since: it is read for all again
+        if channel.type_name in COLLECTED_TYPES:  # read for all again
             self.subscribe(channel)
             return []
         return sorted(self._kept[channel.id].values())

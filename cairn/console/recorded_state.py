@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict, deque
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -12,14 +14,21 @@ from cairn.bus.codec import Codec
 from cairn.clock import SECOND, to_ns
 from cairn.recording.mcap_file import RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording
+from cairn.schemas.cairn_msgs import VisualMapChange
+from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.nav_msgs import OccupancyGrid
 
-MAP_TYPE: Final = type_name(OccupancyGrid)
+_MAP_TYPE: Final = type_name(OccupancyGrid)
+_EVENT_TYPES: Final = frozenset((type_name(VisualMapChange), type_name(Collision)))
+COLLECTED_TYPES: Final = _EVENT_TYPES | {_MAP_TYPE}
+"""Types of messages of which the last one alone does not show the state."""
 _UPDATE_TYPE: Final = type_name(OccupancyGridUpdate)
 _UPDATES: Final = "_updates"  # ends the topic of a map's updates, as in ROS
 _JOINING_NS: Final = 5 * SECOND  # within which a recorder gets the latched messages
+_EVENTS_NS: Final = 300 * SECOND  # a longer time of a recording with images takes seconds to read
+_MOST_EVENTS: Final = 100  # of a topic
 
 
 def state_at(
@@ -29,12 +38,16 @@ def state_at(
 
     They are the last one of each publisher. At the start of the recording, that is also a latched
     message that was sent before, and that the recorder received a moment later. The grid map
-    contains all updates since it.
+    contains all updates since it. Of changes of the visual map, and of collisions, they are the
+    last 100 of each topic within five minutes.
     """
     found = recording.last_at(time_ns, channels)
+    if events := [one for one in channels if one.type in _EVENT_TYPES and recording.counts[one]]:
+        found = [one for one in found if one.channel.type not in _EVENT_TYPES]
+        found += _events(recording, time_ns, events)
     if time_ns < recording.start_ns + _JOINING_NS:
         found += _latched_before(recording, time_ns, set(channels) - {one.channel for one in found})
-    newest = {one.channel.topic: one for one in found if one.channel.type == MAP_TYPE}
+    newest = {one.channel.topic: one for one in found if one.channel.type == _MAP_TYPE}
     for topic, one in newest.items():
         updates = [
             channel
@@ -44,6 +57,18 @@ def state_at(
         if updates:
             found[found.index(one)] = _updated(recording, one, updates, time_ns)
     return sorted(found, key=lambda one: one.log_ns)
+
+
+def _events(
+    recording: McapRecording, time_ns: int, channels: Collection[RecordedChannel]
+) -> list[RecordedMessage]:
+    """Return the last messages of each topic, not only the last one."""
+    newest: defaultdict[str, deque[RecordedMessage]] = defaultdict(
+        partial(deque[RecordedMessage], maxlen=_MOST_EVENTS)
+    )
+    for one in recording.messages(max(0, time_ns - _EVENTS_NS), time_ns, channels):
+        newest[one.channel.topic].append(one)
+    return [one for topic in newest.values() for one in topic]
 
 
 def _latched_before(

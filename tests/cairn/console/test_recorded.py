@@ -16,7 +16,8 @@ from cairn.console.recorded import RecordedOperations, RecordedSource
 from cairn.console.recorded_state import state_at
 from cairn.recording.reader import McapRecording
 from cairn.schemas.builtin_interfaces import Time
-from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
+from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus, VisualMapChange
+from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
 from cairn.schemas.rcl_interfaces import Log
@@ -167,6 +168,38 @@ def test_map_has_all_updates_since_it_at_any_time(tmp_path: Path) -> None:
         other = player.browser()
         other.send(op="subscribe", subscriptions=[{"id": 5, "channelId": id_}])
         assert cells(other)[3:] == [10, 30, 40]
+        page.close()
+        other.close()
+
+
+def test_changes_and_collisions_until_a_time_are_shown(tmp_path: Path) -> None:
+    sent = [Sent("/robot/words", 0, text("the start"))]
+    for at_s in (1, 2, 3, 400, 401):
+        change = VisualMapChange(object_id=at_s, kind=VisualMapChange.REMOVED)
+        sent.append(Sent("/robot/visual_map_changes", at_s * SECOND, change))
+    sent += [Sent("/robot/collisions", (402 + k) * SECOND, Collision(x=k)) for k in range(110)]
+    source = RecordedSource(write_recording(tmp_path / "run.mcap", sent))
+    with running(source, "watch", operations=lambda hub: RecordedOperations(hub, source)) as player:
+
+        def shown(page: Page, count: int) -> list[int]:
+            return [Codec().decode(VisualMapChange, page.data()[2]).object_id for _ in range(count)]
+
+        page, other = player.browser(), player.browser()
+        value(page, "seek", time_ns=BEGIN + 2 * SECOND)
+        id_ = channels(page)["/robot/visual_map_changes"]
+        page.send(op="subscribe", subscriptions=[{"id": 1, "channelId": id_}])
+        assert shown(page, 2) == [1, 2]
+        other.send(op="subscribe", subscriptions=[{"id": 1, "channelId": id_}])
+        assert shown(other, 2) == [1, 2]
+        assert shown(page, 2) == [1, 2]
+        value(page, "seek", time_ns=BEGIN + 511 * SECOND)
+        assert shown(page, 2) == [400, 401]  # not those of minutes before
+
+        id_ = channels(other)["/robot/collisions"]
+        other.send(op="subscribe", subscriptions=[{"id": 2, "channelId": id_}])
+        received = [one for one in (other.data() for _ in range(102)) if one[0] == 2]
+        positions = [Codec().decode(Collision, one[2]).x for one in received]
+        assert positions == [*range(10, 110)]
         page.close()
         other.close()
 
