@@ -377,7 +377,9 @@ _LONGEST_NAME: Final = 1_000
 
 
 def _sqlite_messages(bag: BagFile, path: Path, wanted: Wanted) -> Iterator[Message]:
-    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as connection:
+    # If its reader fails, a generator is closed by the garbage collector, on any thread.
+    file = f"{path.resolve().as_uri()}?immutable=1"
+    with closing(sqlite3.connect(file, uri=True, check_same_thread=False)) as connection:
         bound_connection(connection, longest=RECORD_BYTES, steps=max(20_000_000, 2 * bag.size))
         columns = table_columns(connection, _TABLES, _INDICES)
         for table, names in _COLUMNS.items():

@@ -3,6 +3,7 @@
 import math
 import struct
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,12 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from cairn import SECOND, to_ns
+from cairn.components.replay.bag_files import BagFile
 from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.ros_bag import BagRecording
 from cairn.errors import RecordingError
 from tests.components.replay.conftest import LEGS, OLD_BAG
+from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -154,6 +157,15 @@ def test_file_of_a_bag_without_its_folder_is_read(
 
     assert scans is not None
     assert len(scans.stamps) == 5
+
+
+def test_reading_that_is_given_up_can_be_closed_on_another_thread(tmp_path: Path) -> None:
+    bag = BagFile(ros2(tmp_path / "bag", drive(), StoragePlugin.SQLITE3))
+    messages: Any = bag.messages(lambda _: True)
+    next(messages)
+
+    with ThreadPoolExecutor(1) as pool:  # as the garbage collector does
+        assert pool.submit(messages.close).exception(timeout=LIMIT_S) is None
 
 
 def test_ros1_bag_is_read(tmp_path: Path) -> None:
