@@ -204,12 +204,17 @@ def test_clicked_landmark_shows_its_evidence(tab: Tab) -> None:
     details.get_by_role("list", name="Evidence").get_by_role("listitem").first.wait_for()
 
 
+_SHOWN_THINGS = """async () => {
+    const { things } = await import("./map/tools.js");
+    return things.value.map((thing) => thing.name);
+}"""
+
+
 def test_thing_of_the_simulated_world_is_moved_added_and_removed(
     robot: RunningRobot, tab: Tab
 ) -> None:
     tab.take_lease()
     tab.page.get_by_role("button", name="Simulated world").click()
-    tab.page.wait_for_timeout(1500)
     tab.page.get_by_role("button", name="Add person").click()
     tab.drag(4.5, 1.0, 0.0, 60.0)
     _await(lambda: len(robot.client.latest("world_state", WorldState).people) == 1)
@@ -219,7 +224,7 @@ def test_thing_of_the_simulated_world_is_moved_added_and_removed(
     _await(lambda: "box_1" in _things(robot))
     before = _things(robot)["box_1"]
     px, py = tab.at(*before)
-    tab.page.wait_for_timeout(1500)
+    _await(lambda: "box_1" in tab.page.evaluate(_SHOWN_THINGS))
     tab.page.mouse.move(px, py)
     tab.page.mouse.down()
     tab.page.mouse.move(px + 40, py, steps=4)
@@ -362,7 +367,7 @@ def test_page_fits_its_window(
     names = [one.inner_text() for one in tabs if one.is_visible()]
     if width < 500:
         tab.show("Map")
-    tab.page.wait_for_timeout(500)
+    tab.page.wait_for_timeout(500)  # for the picture only, as below
     tab.picture(f"map-{width}-{theme}")
     for name in names:
         tab.show(name)
