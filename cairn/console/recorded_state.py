@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Collection
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -29,6 +28,7 @@ _UPDATES: Final = "_updates"  # ends the topic of a map's updates, as in ROS
 _JOINING_NS: Final = 5 * SECOND  # within which a recorder gets the latched messages
 _EVENTS_NS: Final = 300 * SECOND  # a longer time of a recording with images takes seconds to read
 _MOST_EVENTS: Final = 100  # of a topic
+_LONGEST_EVENT: Final = 64 << 10  # bytes
 
 
 def state_at(
@@ -41,10 +41,9 @@ def state_at(
     contains all updates since it. Of changes of the visual map, and of collisions, they are the
     last 100 of each topic within five minutes.
     """
-    found = recording.last_at(time_ns, channels)
-    if events := [one for one in channels if one.type in _EVENT_TYPES and recording.counts[one]]:
-        found = [one for one in found if one.channel.type not in _EVENT_TYPES]
-        found += _events(recording, time_ns, events)
+    events = {one for one in channels if one.type in _EVENT_TYPES}
+    found = recording.last_at(time_ns, set(channels) - events)
+    found += _events(recording, time_ns, events)
     if time_ns < recording.start_ns + _JOINING_NS:
         found += _latched_before(recording, time_ns, set(channels) - {one.channel for one in found})
     newest = {one.channel.topic: one for one in found if one.channel.type == _MAP_TYPE}
@@ -63,11 +62,14 @@ def _events(
     recording: McapRecording, time_ns: int, channels: Collection[RecordedChannel]
 ) -> list[RecordedMessage]:
     """Return the last messages of each topic, not only the last one."""
-    newest: defaultdict[str, deque[RecordedMessage]] = defaultdict(
-        partial(deque[RecordedMessage], maxlen=_MOST_EVENTS)
-    )
+    newest: defaultdict[str, deque[RecordedMessage]] = defaultdict(deque)
     for one in recording.messages(max(0, time_ns - _EVENTS_NS), time_ns, channels):
-        newest[one.channel.topic].append(one)
+        if len(one.data) > _LONGEST_EVENT:  # of a foreign node
+            continue
+        of_topic = newest[one.channel.topic]
+        of_topic.append(one)
+        if len(of_topic) > _MOST_EVENTS:
+            of_topic.popleft()
     return [one for topic in newest.values() for one in topic]
 
 

@@ -204,12 +204,6 @@ def test_clicked_landmark_shows_its_evidence(tab: Tab) -> None:
     details.get_by_role("list", name="Evidence").get_by_role("listitem").first.wait_for()
 
 
-_SHOWN_THINGS = """async () => {
-    const { things } = await import("./map/tools.js");
-    return things.value.map((thing) => thing.name);
-}"""
-
-
 def test_thing_of_the_simulated_world_is_moved_added_and_removed(
     robot: RunningRobot, tab: Tab
 ) -> None:
@@ -234,6 +228,12 @@ def test_thing_of_the_simulated_world_is_moved_added_and_removed(
     tab.page.get_by_role("button", name="Remove", exact=True).click()
     _await(lambda: "box_1" not in _things(robot))
     robot.client.request("world", "remove", {"name": "person_1"})
+
+
+_SHOWN_THINGS = """async () => {
+    const { things } = await import("./map/tools.js");
+    return things.value.map((thing) => thing.name);
+}"""
 
 
 def _things(robot: RunningRobot) -> dict[str, tuple[float, float]]:

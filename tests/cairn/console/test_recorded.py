@@ -177,6 +177,8 @@ def test_changes_and_collisions_until_a_time_are_shown(tmp_path: Path) -> None:
     for at_s in (1, 2, 3, 400, 401):
         change = VisualMapChange(object_id=at_s, kind=VisualMapChange.REMOVED)
         sent.append(Sent("/robot/visual_map_changes", at_s * SECOND, change))
+    hostile = VisualMapChange(object_id=9, reason="long" * 20_000)
+    sent.append(Sent("/robot/visual_map_changes", 401 * SECOND, hostile))
     sent += [Sent("/robot/collisions", (402 + k) * SECOND, Collision(x=k)) for k in range(110)]
     source = RecordedSource(write_recording(tmp_path / "run.mcap", sent))
     with running(source, "watch", operations=lambda hub: RecordedOperations(hub, source)) as player:
