@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cairn import CairnError
-from cairn.components.map_builder.grid_from_scans import build_grid
+from cairn.planar.scan_grid import build_grid
 from cairn.files import replacing
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose

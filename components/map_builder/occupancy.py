@@ -20,6 +20,7 @@ from cairn.planar.grid import (
     OccupancyCells,
 )
 from cairn.planar.poses import Pose
+from cairn.planar.scan_grid import first_step
 from cairn.planar.scans import Rays
 
 # With the increments below, mapped glass that returns one beam in ten stays while it is observed
@@ -172,21 +173,6 @@ def _points_in_cells(frame: Frame, pose: Pose, points: NDArray[np.float64]) -> N
     placed[:, 0] = x + cosine * points[:, 0] - sine * points[:, 1]
     placed[:, 1] = y + sine * points[:, 0] + cosine * points[:, 1]
     return placed
-
-
-@compiled()
-def first_step(begin: float, direction: float) -> tuple[int, float, float]:
-    """Return the first step of a ray along one axis, in cells (Amanatides and Woo 1987).
-
-    The step of the index, and the shares of the ray at which the first and each further border is
-    crossed.
-    """
-    cell = math.floor(begin)
-    if direction > 0.0:
-        return 1, (cell + 1.0 - begin) / direction, 1.0 / direction
-    if direction < 0.0:
-        return -1, (cell - begin) / direction, -1.0 / direction
-    return 0, math.inf, math.inf
 
 
 @compiled()

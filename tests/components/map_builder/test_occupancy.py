@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.components.map_builder.grid_from_scans import build_grid
+from cairn.planar.scan_grid import build_grid
 from cairn.components.map_builder.occupancy import Occupancy
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose

@@ -1,0 +1,238 @@
+"""Grid maps from scans whose poses are known, or known better later."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.planar.compiled import compiled
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
+from cairn.planar.poses import Pose
+from cairn.planar.scans import Rays, rays_of
+from cairn.schemas.nav_msgs import MOST_CELLS
+from cairn.schemas.sensor_msgs import LaserScan
+
+Array = NDArray[np.float64]
+
+# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# has the effect of half and double. docs/benchmarks.md has the errors of the logs fr079 and fr101
+# on maps that are made so.
+
+# A cell is occupied if at least this share of the rays that reached it ended there.
+_OCCUPIED_SHARE = 0.3
+# Margin of unknown cells around the map [m].
+_BORDER_M = 1.0
+# A surface is estimated from rays this many indices apart, if their ends are this near [m].
+_NEIGHBOR, _SURFACE_M = 3, 1.0
+# Least sine of the angle between a ray and a surface: smaller ones count as this.
+_GRAZING = 0.1
+# The counts grow by blocks of so many cells, so that they are rarely copied.
+_BLOCK = 128
+
+
+class ScanGrid:
+    """Counts how many rays ended in each cell, and how many passed it.
+
+    A cell is occupied by the share of rays that ended there, among those that reached it (the
+    counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] only pass. A ray
+    is not evidence about cells before its end that are within a cell's size of the surface that it
+    hit: where it grazes a wall, errors of a few centimeters lead it through many cells of that
+    wall. A scan can be removed again, to be added with a better pose.
+    """
+
+    def __init__(self, resolution: float, reach: float) -> None:
+        self._resolution, self._reach = resolution, reach
+        self._row, self._column = 0, 0  # of the first cell, counted from the map's origin
+        self._ended = np.zeros((0, 0), np.int32)
+        self._passed = np.zeros((0, 0), np.int32)
+
+    def add(self, base: Pose, rays: Rays) -> None:
+        """Add the rays of a scan from a pose of the base.
+
+        Raises `ValueError` if the map had more than `MOST_CELLS`.
+        """
+        self._count(base, rays, 1)
+
+    def remove(self, base: Pose, rays: Rays) -> None:
+        """Remove what `add` has added with the same arguments."""
+        self._count(base, rays, -1)
+
+    def grid(self) -> OccupancyCells:
+        """Return the map, with a border of 1 m around what was seen.
+
+        Raises `ValueError` if nothing was.
+        """
+        reached = self._ended + self._passed
+        rows, columns = np.flatnonzero(reached.any(axis=1)), np.flatnonzero(reached.any(axis=0))
+        if not rows.size:
+            raise ValueError("it has no scan with a pose")
+        border = math.ceil(_BORDER_M / self._resolution)
+        top, left = int(rows[0]), int(columns[0])
+        inner = slice(top, int(rows[-1]) + 1), slice(left, int(columns[-1]) + 1)
+        cells = np.pad(self._cells(inner), border, constant_values=UNKNOWN)
+        x = (self._column + left - border) * self._resolution
+        y = (self._row + top - border) * self._resolution
+        return Grid(cells, Frame(self._resolution, (x, y, 0.0)))
+
+    def _cells(self, window: tuple[slice, slice]) -> NDArray[np.int8]:
+        ended, passed = self._ended[window], self._passed[window]
+        reached = ended + passed
+        cells = np.full(reached.shape, UNKNOWN, np.int8)
+        cells[reached > 0] = FREE
+        cells[(ended > 0) & (ended >= _OCCUPIED_SHARE * reached)] = OCCUPIED
+        return cells
+
+    def _count(self, base: Pose, rays: Rays, times: int) -> None:
+        placed = rays.placed(base)
+        starts, ends, hit, free_share = _segments(placed, self._reach, self._resolution)
+        if not len(hit):
+            return
+        starts, ends = starts / self._resolution, ends / self._resolution
+        # With a cell more, into which rounding may lead a ray.
+        self._cover(
+            np.minimum(starts.min(axis=0), ends.min(axis=0)) - 1,
+            np.maximum(starts.max(axis=0), ends.max(axis=0)) + 1,
+        )
+        _count(
+            starts, ends, hit, free_share, times,
+            self._row, self._column, self._ended, self._passed,
+        )  # fmt: skip
+
+    def _cover(self, least: Array, most: Array) -> None:
+        """Grow the counts so that they have the cells from `least` to `most`, columns first."""
+        rows, columns = self._ended.shape
+        first = np.floor(least / _BLOCK) * _BLOCK
+        last = (np.floor(most / _BLOCK) + 1) * _BLOCK
+        if rows:
+            first = np.minimum(first, (self._column, self._row))
+            last = np.maximum(last, (self._column + columns, self._row + rows))
+        width, height = (last - first).tolist()
+        if (height, width) == (rows, columns):
+            return
+        if not width * height <= MOST_CELLS:
+            meters = self._resolution * (most - least)
+            raise ValueError(
+                f"its scans cover {width * self._resolution:g} x {height * self._resolution:g} m, "
+                f"which are {width * height:g} cells of {self._resolution} m, more than "
+                f"{MOST_CELLS} (one scan covers {meters[0]:g} x {meters[1]:g} m)"
+            )
+        column, row = (int(value) for value in first)
+        grown = [np.zeros((int(height), int(width)), np.int32) for _ in range(2)]
+        top, left = self._row - row, self._column - column
+        for new, old in zip(grown, (self._ended, self._passed), strict=True):
+            if rows:
+                new[top : top + rows, left : left + columns] = old
+        self._ended, self._passed = grown
+        self._row, self._column = row, column
+
+
+def build_grid(
+    posed_scans: Iterable[tuple[Pose, LaserScan]], resolution: float, mount: Pose, reach: float
+) -> OccupancyCells:
+    """Build a map with cells of `resolution` [m] from scans with known poses of the base.
+
+    As by a `ScanGrid`. Raises `ValueError` if `posed_scans` is empty, or the map had more than
+    `MOST_CELLS`.
+    """
+    grid = ScanGrid(resolution, reach)
+    for pose, scan in posed_scans:
+        grid.add(pose, rays_of(scan, mount, (0.0, 0.0, 0.0)))
+    return grid.grid()
+
+
+def _segments(
+    rays: Rays, reach: float, resolution: float
+) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    """Return starts and ends (n, 2) [m] of the rays, and which of them hit something.
+
+    The last array (n,) is the share of each ray up to which it says that cells are free.
+    """
+    reach = min(reach, rays.reach)
+    valid = ~np.isnan(rays.ranges)
+    ignored = resolution / _sines(rays)
+    ranges, angles = rays.ranges[valid], rays.angles[valid]
+    hit = ranges <= reach
+    length = np.where(hit, ranges, reach)
+    free_share = np.where(hit, 1.0 - ignored[valid] / np.maximum(length, resolution), 1.0)
+    starts = rays.starts[valid]
+    ends = starts + np.column_stack((length * np.cos(angles), length * np.sin(angles)))
+    return starts, ends, hit, free_share
+
+
+def _sines(rays: Rays) -> Array:
+    """Return the sine (n,) of the angle between each ray and the surface it hit, 1 if unknown.
+
+    The surface runs between the ends of rays some indices before and after.
+    """
+    count = rays.ranges.size
+    sines = np.ones(count)
+    if count <= 2 * _NEIGHBOR:
+        return sines
+    ranges = np.where(np.isfinite(rays.ranges), rays.ranges, math.nan)
+    x = rays.starts[:, 0] + ranges * np.cos(rays.angles)
+    y = rays.starts[:, 1] + ranges * np.sin(rays.angles)
+    along_x = x[2 * _NEIGHBOR :] - x[: -2 * _NEIGHBOR]
+    along_y = y[2 * _NEIGHBOR :] - y[: -2 * _NEIGHBOR]
+    apart = np.hypot(along_x, along_y)
+    middle = rays.angles[_NEIGHBOR:-_NEIGHBOR]
+    across = np.abs(along_y * np.cos(middle) - along_x * np.sin(middle))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inner = np.where(apart <= _SURFACE_M, np.clip(across / apart, _GRAZING, 1.0), 1.0)
+    sines[_NEIGHBOR:-_NEIGHBOR] = inner
+    return sines
+
+
+@compiled()
+def first_step(begin: float, direction: float) -> tuple[int, float, float]:
+    """Return the first step of a ray along one axis, in cells (Amanatides and Woo 1987).
+
+    The step of the index, and the shares of the ray at which the first and each further border is
+    crossed.
+    """
+    cell = math.floor(begin)
+    if direction > 0.0:
+        return 1, (cell + 1.0 - begin) / direction, 1.0 / direction
+    if direction < 0.0:
+        return -1, (cell - begin) / direction, -1.0 / direction
+    return 0, math.inf, math.inf
+
+
+@compiled(
+    "void(float64[:, ::1], float64[:, ::1], boolean[::1], float64[::1], int64, int64, int64,"
+    " int32[:, ::1], int32[:, ::1])"
+)
+def _count(
+    starts: Array,
+    ends: Array,
+    hit: NDArray[np.bool_],
+    free_share: Array,
+    times: int,
+    first_row: int,
+    first_column: int,
+    ended: NDArray[np.int32],
+    passed: NDArray[np.int32],
+) -> None:
+    for i in range(len(starts)):
+        x, y = starts[i, 0], starts[i, 1]
+        dx, dy = ends[i, 0] - x, ends[i, 1] - y
+        column, row = math.floor(x) - first_column, math.floor(y) - first_row
+        last_column = math.floor(ends[i, 0]) - first_column
+        last_row = math.floor(ends[i, 1]) - first_row
+        step_x, next_x, every_x = first_step(x, dx)
+        step_y, next_y, every_y = first_step(y, dy)
+        for _ in range(abs(last_column - column) + abs(last_row - row)):
+            if min(next_x, next_y) <= free_share[i]:
+                passed[row, column] += times
+            if next_x < next_y:
+                next_x += every_x
+                column += step_x
+            else:
+                next_y += every_y
+                row += step_y
+        if hit[i]:
+            ended[last_row, last_column] += times
+        else:
+            passed[last_row, last_column] += times

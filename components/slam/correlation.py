@@ -1,0 +1,180 @@
+"""Correlative matching: the best poses of a point cloud in a window of a map.
+
+Branch and bound over a pyramid of likelihood grids (Olson 2009; Hess et al. 2016), best first.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from heapq import heappop, heappush
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.planar.compiled import compiled
+from cairn.planar.poses import Pose, wrap
+
+Array = NDArray[np.float64]
+
+_CELL = 0.1  # of the grid [m]
+_SIGMA_M = 0.1  # of the likelihood of a point at a distance to the nearest point of the map
+_LEVELS = 6  # the coarsest cells are 2^5 times larger: 3.2 m
+_TURN = math.radians(1.0)  # between the headings that are tried
+# Two poses nearer than this [m], [rad] are one peak of the likelihood.
+_PEAK_M, _PEAK_RAD = 0.6, math.radians(12.0)
+# A search that has expanded so many nodes ends without a result: the window is too ambiguous.
+_MOST_NODES = 400_000
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A local maximum: pose of the cloud in the map, and its score from 0 to 1."""
+
+    pose: Pose
+    score: float
+
+
+class CorrelationMap:
+    """A grid of the likelihood that a point lies at a position, with coarser upper bounds."""
+
+    def __init__(self, points: Array) -> None:
+        """Make the grid of a map's points (n, 2) [m]."""
+        margin = (1 << (_LEVELS - 1)) + 4
+        low = np.floor(points.min(axis=0) / _CELL).astype(int) - margin
+        high = np.floor(points.max(axis=0) / _CELL).astype(int) + margin
+        columns, rows = (high - low + 1).tolist()
+        free = np.ones((rows, columns), np.uint8)
+        cells = np.floor(points / _CELL).astype(int) - low
+        free[cells[:, 1], cells[:, 0]] = 0
+        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5) * np.float32(_CELL)
+        levels = np.empty((_LEVELS, rows, columns), np.float32)
+        levels[0] = np.exp(-0.5 * (distance / np.float32(_SIGMA_M)) ** 2)
+        levels[0][distance > 4 * _SIGMA_M] = 0.0
+        for level in range(1, _LEVELS):
+            half = 1 << (level - 1)
+            finer, coarser = levels[level - 1], levels[level]
+            coarser[:] = finer
+            np.maximum(coarser[:-half], finer[half:], out=coarser[:-half])
+            np.maximum(coarser[:, :-half], coarser[:, half:].copy(), out=coarser[:, :-half])
+        self._levels = levels
+        self._origin = low * _CELL
+
+    def search(
+        self, points: Array, center: Pose, reach: float, turn: float, least: float
+    ) -> list[Peak]:
+        """Return the best pose of the points (n, 2) [m], and the best one elsewhere.
+
+        Args:
+            points: of the cloud, in its own frame.
+            center: the middle of the window.
+            reach: half of the window's side [m].
+            turn: half of its range of headings [rad]; pi for all.
+            least: scores below this count as none.
+
+        Returns:
+            At most two peaks. The second one is missing if its score is below `least` or 0.8 times
+            the best one. Empty if none is found, or more than 400,000 nodes would be needed.
+
+        """
+        steps = min(math.ceil(turn / _TURN), math.ceil(math.pi / _TURN) - 1)
+        turns = center[2] + _TURN * np.arange(-steps, steps + 1)
+        found = _search(
+            np.ascontiguousarray(points), turns, self._levels, self._origin,
+            center[0], center[1], math.ceil(reach / _CELL), least,
+        )  # fmt: skip
+        return [
+            Peak((float(x), float(y), wrap(float(theta))), float(score))
+            for x, y, theta, score in found
+        ]
+
+
+@compiled()
+def _score(
+    level: NDArray[np.float32], rows: int, columns: int, cells: NDArray[np.int64], dx: int, dy: int
+) -> float:
+    total = 0.0
+    for i in range(len(cells)):
+        column, row = cells[i, 0] + dx, cells[i, 1] + dy
+        if 0 <= column < columns and 0 <= row < rows:
+            total += level[row, column]
+    return total / len(cells)
+
+
+@compiled(
+    "float64[:, ::1](float64[:, ::1], float64[::1], float32[:, :, ::1], float64[::1],"
+    " float64, float64, int64, float64)"
+)
+def _search(
+    points: Array,
+    turns: Array,
+    levels: NDArray[np.float32],
+    origin: Array,
+    x: float,
+    y: float,
+    reach: int,
+    least: float,
+) -> Array:
+    count, rotations = len(points), len(turns)
+    height, rows, columns = levels.shape
+    cells = np.empty((rotations, count, 2), np.int64)
+    for j in range(rotations):
+        cosine, sine = math.cos(turns[j]), math.sin(turns[j])
+        for i in range(count):
+            px = x + cosine * points[i, 0] - sine * points[i, 1]
+            py = y + sine * points[i, 0] + cosine * points[i, 1]
+            cells[j, i, 0] = np.int64(math.floor((px - origin[0]) / _CELL))
+            cells[j, i, 1] = np.int64(math.floor((py - origin[1]) / _CELL))
+    top = 0
+    while top < height - 1 and (1 << (top + 1)) <= 2 * reach + 1:
+        top += 1
+    size = 1 << top
+    heap = [(0.0, top, 0, -reach, -reach)]
+    heap.pop()
+    for j in range(rotations):
+        for dy in range(-reach, reach + 1, size):
+            for dx in range(-reach, reach + 1, size):
+                score = _score(levels[top], rows, columns, cells[j], dx, dy)
+                if score >= least:
+                    heappush(heap, (-score, top, j, dx, dy))
+    found = np.empty((2, 4))
+    peaks, nodes, floor = 0, 0, least
+    while len(heap) > 0:
+        negative, level, j, dx, dy = heappop(heap)
+        if -negative < floor:
+            break
+        if peaks == 1:
+            # Not within the first peak, nor a coarse cell that lies within it.
+            near_x = abs(x + dx * _CELL - found[0, 0])
+            near_y = abs(y + dy * _CELL - found[0, 1])
+            turned = abs((turns[j] - found[0, 2] + math.pi) % (2.0 * math.pi) - math.pi)
+            span = ((1 << level) - 1) * _CELL
+            if max(near_x, near_y) + span < _PEAK_M and turned < _PEAK_RAD:
+                continue
+        if level == 0:
+            found[peaks, 0], found[peaks, 1] = x + dx * _CELL, y + dy * _CELL
+            found[peaks, 2], found[peaks, 3] = turns[j], -negative
+            peaks += 1
+            if peaks == 2:
+                break
+            floor = max(least, 0.8 * -negative)
+            continue
+        nodes += 1
+        if nodes > _MOST_NODES:
+            if peaks == 0:
+                break
+            # What was not searched may be as good: the second peak is unknown, hence as good.
+            found[1] = found[0]
+            peaks = 2
+            break
+        half = 1 << (level - 1)
+        for step_y in range(2):
+            for step_x in range(2):
+                next_x, next_y = dx + step_x * half, dy + step_y * half
+                if next_x > reach or next_y > reach:
+                    continue
+                score = _score(levels[level - 1], rows, columns, cells[j], next_x, next_y)
+                if score >= floor:
+                    heappush(heap, (-score, level - 1, j, next_x, next_y))
+    return found[:peaks].copy()

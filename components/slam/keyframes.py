@@ -1,0 +1,161 @@
+"""Keyframes: the scans that the map consists of, and the submaps that group them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.components.slam.point_cloud import PointCloud, cloud_of, joined
+from cairn.planar.poses import Pose, relative
+from cairn.planar.scans import Rays
+
+Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+# Size of the cells by which scans of the same surfaces find each other [m].
+_PLACE = 0.5
+# Points of one scan nearer than this to each other are one [m].
+THIN_M = 0.03
+# Points of several scans together: a little more than the range noise of scanners.
+DENSE_M = 0.04
+
+
+@dataclass(frozen=True)
+class ScanRays:
+    """The rays of a scan in few numbers: starts and directions change evenly from first to last.
+
+    `first` and `last` are start x, y [m] and direction [rad] of the first and the last ray, in the
+    frame of the base at the scan's pose; `ranges` (n,) [m] as in `Rays`.
+    """
+
+    first: Pose
+    last: Pose
+    ranges: Float32Array
+    reach: float
+
+    def rays(self) -> Rays:
+        """Return the rays."""
+        share = np.linspace(0.0, 1.0, len(self.ranges))[:, None]
+        first, last = np.array(self.first), np.array(self.last)
+        both = first + share * (last - first)
+        return Rays(
+            np.ascontiguousarray(both[:, :2]),
+            np.ascontiguousarray(both[:, 2]),
+            self.ranges.astype(np.float64),
+            self.reach,
+        )
+
+
+def scan_rays(rays: Rays) -> ScanRays:
+    """Return the rays of a scan in few numbers."""
+    x, y = rays.starts[0].tolist()
+    last_x, last_y = rays.starts[-1].tolist()
+    first, last = float(rays.angles[0]), float(rays.angles[-1])
+    return ScanRays(
+        (x, y, first), (last_x, last_y, last), rays.ranges.astype(np.float32), rays.reach
+    )
+
+
+def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
+    """Return the surfaces that a scan shows, up to `farthest` [m]: thinned points with normals."""
+    with np.errstate(invalid="ignore"):
+        indices = np.flatnonzero(rays.ranges < farthest)
+    if not indices.size:
+        return PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+    ranges, angles = rays.ranges[indices], rays.angles[indices]
+    points = rays.starts[indices] + ranges[:, None] * np.column_stack(
+        (np.cos(angles), np.sin(angles))
+    )
+    spacing = abs(float(rays.angles[-1] - rays.angles[0])) / max(1, len(rays.angles) - 1)
+    cloud = cloud_of(points, indices, rays.starts[len(rays.starts) // 2], spacing)
+    return cloud.thinned(THIN_M)
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A scan of the map, or a pose from which landmarks were observed.
+
+    Attributes:
+        stamp_ns: time of the scan's first beam [ns].
+        odometry: pose of the base in the odometry frame then.
+        cloud: its surfaces, in the frame of the base.
+        rays: what it saw; None without a scan.
+        submap: number of the submap that it belongs to.
+
+    """
+
+    stamp_ns: int
+    odometry: Pose
+    cloud: PointCloud
+    rays: ScanRays | None
+    submap: int
+
+
+@dataclass
+class Submap:
+    """Successive keyframes `first` to `last`: they see one place, and hardly drift."""
+
+    number: int
+    first: int
+    last: int
+
+    @property
+    def middle(self) -> int:
+        """Number of the keyframe whose frame is that of the submap."""
+        return (self.first + self.last) // 2
+
+
+def cloud_in(origin: Pose, members: list[int], keyframes: list[Keyframe], poses: Array) -> PointCloud:
+    """Return the points of some keyframes together, in the frame `origin`."""
+    placed = [
+        keyframes[k].cloud.placed(relative(origin, (poses[k, 0], poses[k, 1], poses[k, 2])))
+        for k in members
+    ]
+    return joined(placed)
+
+
+class PlaceIndex:
+    """Finds the keyframes that saw the same surfaces: by cells of 0.5 m, and sides of walls."""
+
+    def __init__(self) -> None:
+        self._signatures: list[PointCloud] = []
+        self._cells: dict[tuple[int, int, int], list[int]] = defaultdict(list)
+        self._poses: list[Pose] = []
+
+    def add(self, cloud: PointCloud, pose: Pose) -> None:
+        """Add the next keyframe, at a pose in the map."""
+        number = len(self._signatures)
+        self._signatures.append(cloud.thinned(_PLACE))
+        self._poses.append(pose)
+        for key in self._keys(number, pose):
+            self._cells[key].append(number)
+
+    def move(self, poses: Array) -> None:
+        """Set the poses (n, 3) of all keyframes anew."""
+        self._cells.clear()
+        for number, (x, y, theta) in enumerate(poses.tolist()):
+            self._poses[number] = (x, y, theta)
+            for key in self._keys(number, (x, y, theta)):
+                self._cells[key].append(number)
+
+    def overlaps(self, number: int) -> list[tuple[float, int]]:
+        """Return the keyframes that share surfaces with one, and which share of its, best first."""
+        votes: dict[int, int] = defaultdict(int)
+        keys = self._keys(number, self._poses[number])
+        for key in keys:
+            for other in self._cells.get(key, ()):
+                votes[other] += 1
+        votes.pop(number, None)
+        found = [(count / len(keys), other) for other, count in votes.items()]
+        return sorted(found, key=lambda one: (-one[0], one[1]))
+
+    def _keys(self, number: int, pose: Pose) -> set[tuple[int, int, int]]:
+        cloud = self._signatures[number].placed(pose)
+        cells = np.floor(cloud.points / _PLACE).astype(int)
+        nx, ny = cloud.normals[:, 0], cloud.normals[:, 1]
+        side = np.where(np.abs(nx) > np.abs(ny), nx > 0, 2 + (ny > 0))
+        side = np.where((nx == 0) & (ny == 0), 4, side)
+        return set(zip(cells[:, 0].tolist(), cells[:, 1].tolist(), side.tolist(), strict=True))
