@@ -77,6 +77,25 @@ class ScanGrid:
         y = (self._row + top - border) * self._resolution
         return Grid(cells, Frame(self._resolution, (x, y, 0.0)))
 
+    def seen_through(self, points: Array, passes: int) -> float:
+        """Return the share of points (n, 2) [m] that lie where rays show free space.
+
+        That is where at least `passes` rays passed, and none ended in the cell or beside it. Points
+        where no ray came are left out; 0 without others.
+        """
+        cells = np.floor(points / self._resolution).astype(np.int64) - (self._column, self._row)
+        rows, columns = self._ended.shape
+        near = (cells >= 1).all(axis=1) & (cells[:, 1] < rows - 1) & (cells[:, 0] < columns - 1)
+        column, row = cells[near].T
+        ended = np.zeros(len(row), np.int64)
+        for dy in (-1, 0, 1):
+            for dx in (-1, 0, 1):
+                ended += self._ended[row + dy, column + dx]
+        passed = self._passed[row, column]
+        known = np.count_nonzero((ended > 0) | (passed > 0))
+        through = np.count_nonzero((ended == 0) & (passed >= passes))
+        return through / known if known else 0.0
+
     def _cells(self, window: tuple[slice, slice]) -> NDArray[np.int8]:
         ended, passed = self._ended[window], self._passed[window]
         reached = ended + passed

@@ -20,7 +20,6 @@ from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.planar.poses import Pose, apart, compose, distance, inverse, relative
 from cairn.planar.scan_grid import ScanGrid
-from cairn.planar.grid import FREE, OCCUPIED
 
 Array = NDArray[np.float64]
 
@@ -38,8 +37,8 @@ _LEAST_SCORE, _LEAST_SCORE_ANYWHERE = 0.55, 0.6
 # distance from where the search found them [m], [rad].
 _LEAST_PAIRED, _MOST_DEVIATION, _MOVED_M, _MOVED_RAD = 0.6, 0.06, 0.4, 0.1
 # Most points of one that lie where the other sees free space, as a share of those that it sees.
-_MOST_CONFLICTS = 0.12
-_CONFLICT_CELL = 0.1  # [m]
+_MOST_CONFLICTS = 0.2
+_CONFLICT_CELL, _PASSES = 0.1, 3  # [m], [1]
 # Neighbors of the alignment's points share their errors: a closure counts as this much of one.
 _WORTH = 0.2
 # A match in a window wider than this [m] is accepted only with a second one that agrees with it up
@@ -240,19 +239,5 @@ def _conflicts(
             if rays is not None:
                 x, y, theta = poses[k].tolist()
                 grid.add(relative(origin, (x, y, theta)), rays.rays())
-        cells = grid.grid()
-        columns, rows = np.floor(
-            (points - cells.frame.origin[:2]) / _CONFLICT_CELL
-        ).astype(int).T
-        height, width = cells.values.shape
-        inside = (rows >= 1) & (columns >= 1) & (rows < height - 1) & (columns < width - 1)
-        rows, columns = rows[inside], columns[inside]
-        values = cells.values
-        wall = np.zeros(len(rows), bool)
-        known = values[rows, columns] != -1
-        for row in (-1, 0, 1):
-            for column in (-1, 0, 1):
-                wall |= values[rows + row, columns + column] == OCCUPIED
-        free = (values[rows, columns] == FREE) & ~wall
-        shares.append(float(free.sum() / max(1, known.sum())))
+        shares.append(grid.seen_through(points, _PASSES))
     return max(shares)
