@@ -29,6 +29,7 @@ _BORDER_M = 1.0
 _NEIGHBOR, _SURFACE_M = 3, 1.0
 # Least sine of the angle between a ray and a surface: smaller ones count as this.
 _GRAZING = 0.1
+_HITS = 3  # ends of rays that make an obstacle, when conflicts are counted
 # The counts grow by blocks of so many cells, so that they are rarely copied.
 _BLOCK = 128
 
@@ -76,6 +77,27 @@ class ScanGrid:
         x = (self._column + left - border) * self._resolution
         y = (self._row + top - border) * self._resolution
         return Grid(cells, Frame(self._resolution, (x, y, 0.0)))
+
+    def entropy(self) -> float:
+        """Return the mean uncertainty [bit] of the cells that rays reached; 0 without any.
+
+        It is that of a ray's end or passage, so it is 0 in a map in which each cell was always
+        passed, or always hit, and grows where walls are blurred or double (Shannon).
+        """
+        reached = (self._ended + self._passed).astype(np.float64)
+        share = self._ended[reached > 0] / reached[reached > 0]
+        between = share[(share > 0.0) & (share < 1.0)]
+        bits = -between * np.log2(between) - (1.0 - between) * np.log2(1.0 - between)
+        return float(bits.sum() / max(1, share.size))
+
+    def conflicts(self) -> float:
+        """Return the share of the cells with obstacles that rays have mostly passed.
+
+        Of the cells in which at least three rays ended, those with fewer ends than passages.
+        """
+        hit = self._ended >= _HITS
+        passed = self._passed[hit] > self._ended[hit]
+        return float(np.count_nonzero(passed) / max(1, passed.size))
 
     def seen_through(self, points: Array, passes: int) -> float:
         """Return the share of points (n, 2) [m] that lie where rays show free space.

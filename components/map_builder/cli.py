@@ -98,8 +98,8 @@ def import_map(
     if out.exists() and not force:
         raise CairnError(f"{out} exists already. Give another name, or --force to replace it.")
     if out.suffix == ".yaml":
-        grid = import_grid(source, dataset, resolution, _parse_mount(scanner), reach)
-        _prepare(out)
+        grid = import_grid(source, dataset, resolution, parse_mount(scanner), reach)
+        prepare(out)
         write_grid(out, grid)
         width, height = grid.size_m
         line(f"{out}: {width:.1f} m x {height:.1f} m, cells of {grid.frame.resolution:g} m")
@@ -107,7 +107,7 @@ def import_map(
     moves = _parse_displacements(displace or [])
     objects = alter(importer(source)(dataset), moves, remove or [])
     models = import_models(source, dataset)
-    _prepare(out)
+    prepare(out)
     write_map(out, f"imported by {source} from {dataset.name}", objects, models=models)
     moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
     removed = "".join(f", {key} removed" for key in remove or [])
@@ -207,7 +207,8 @@ def _parse_displacements(given: list[str]) -> dict[int, tuple[float, float]]:
     return moves
 
 
-def _parse_mount(text: str) -> tuple[float, float, float]:
+def parse_mount(text: str) -> tuple[float, float, float]:
+    """Return the pose that the option `--scanner` gives as X,Y,THETA [m, rad]."""
     try:
         x, y, theta = (float(part) for part in text.split(","))
     except ValueError:
@@ -215,7 +216,8 @@ def _parse_mount(text: str) -> tuple[float, float, float]:
     return x, y, theta
 
 
-def _prepare(out: Path) -> None:
+def prepare(out: Path) -> None:
+    """Make the folder of a map; remove what an earlier map of that name has left beside it."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         for file in side_files(out):

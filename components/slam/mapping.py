@@ -74,7 +74,7 @@ class Mapper:
         self.trajectory: list[Step] = []
         self.closer = LoopCloser()
         self.tracker = ScanTracker()
-        self._farthest = farthest
+        self.farthest = farthest
         self._odometry: Pose | None = None
         self._pose: Pose = (0.0, 0.0, 0.0)
         self._island = 0  # number of the first keyframe since the robot was moved
@@ -95,7 +95,7 @@ class Mapper:
             rays: in the frame of the base at that time.
 
         """
-        cloud = scan_cloud(rays, self._farthest)
+        cloud = scan_cloud(rays, self.farthest)
         if self._odometry is None:
             tracked = Tracked(self._pose, np.zeros((3, 3)), None, False)
         else:
@@ -115,10 +115,36 @@ class Mapper:
         self.trajectory.append(Step(stamp_ns, last, offset))
         return tracked
 
+    def resume(self) -> None:
+        """Continue a map that was read from a file, wherever the robot is now.
+
+        It is a new island until a place of the map is recognized.
+        """
+        self._odometry = None
+        first = self.submaps[-1].last + 1 if self.submaps else 0
+        self._open = Submap(len(self.submaps), first, len(self.keyframes) - 1)
+        self._start_island()
+
+    def in_map(self) -> NDArray[np.bool_]:
+        """Return which keyframes (n,) belong to the map: those of its largest island.
+
+        An island that no recognized place joins to the others has no position in the map.
+        """
+        islands = self.graph.islands()
+        if not islands.size:
+            return np.zeros(0, bool)
+        numbers, sizes = np.unique(islands, return_counts=True)
+        largest: NDArray[np.bool_] = islands == numbers[np.argmax(sizes)]
+        return largest
+
     def poses(self) -> Array:
-        """Return the pose (n, 3) of the base in the map at each scan."""
-        poses = [compose(self.graph.pose(step.keyframe), step.offset) for step in self.trajectory]
-        return np.array(poses).reshape(-1, 3)
+        """Return the pose (n, 3) of the base in the map at each scan; NaN outside of the map."""
+        poses = np.array(
+            [compose(self.graph.pose(step.keyframe), step.offset) for step in self.trajectory]
+        ).reshape(-1, 3)
+        known = self.in_map()[[step.keyframe for step in self.trajectory]]
+        poses[~known] = np.nan
+        return poses
 
     def finish(self, progress: Progress | None = None) -> None:
         """Close the last loops, and align all keyframes to those that saw the same."""
