@@ -232,7 +232,6 @@ def _read(connection: sqlite3.Connection) -> Mapper:
         if landmark not in graph.landmarks:
             raise ValueError(f"landmark {landmark} is missing")
         graph.sightings.append(Sighting(keyframe, landmark, *_numbers(measured, 4)))
-    mapper.resume()
     return mapper
 
 

@@ -82,6 +82,11 @@ class Mapper:
         self._way = 0.0
 
     @property
+    def is_located(self) -> bool:
+        """Whether the robot is on the largest island, the map."""
+        return bool(self.keyframes) and bool(self.in_map()[-1])
+
+    @property
     def pose(self) -> Pose:
         """The pose of the base in the map at the last scan."""
         return self._pose
@@ -115,15 +120,23 @@ class Mapper:
         self.trajectory.append(Step(stamp_ns, last, offset))
         return tracked
 
-    def resume(self) -> None:
-        """Continue a map that was read from a file, wherever the robot is now.
+    def resume(self, *, here: bool) -> None:
+        """Continue a map that was read from a file.
 
-        It is a new island until a place of the map is recognized.
+        With `here`, odometry continues since the last keyframe: the robot is near it. Otherwise it
+        may be anywhere: it is on a new island until a place of the map is recognized.
         """
-        self._odometry = None
         first = self.submaps[-1].last + 1 if self.submaps else 0
         self._open = Submap(len(self.submaps), first, len(self.keyframes) - 1)
-        self._start_island()
+        self._odometry = None
+        if here and self.keyframes:
+            last = len(self.keyframes) - 1
+            self._odometry, self._pose = self.keyframes[last].odometry, self.graph.pose(last)
+            islands = self.graph.islands()
+            self._island = int(np.flatnonzero(islands == islands[last])[0])
+            self._set_surroundings()
+        else:
+            self._start_island()
 
     def in_map(self) -> NDArray[np.bool_]:
         """Return which keyframes (n,) belong to the map: those of its largest island.
@@ -180,8 +193,11 @@ class Mapper:
         if self._way > _SUBMAP_M or length > _SUBMAP_KEYFRAMES:
             self._close_submap()
         self._close_loops(_COMPARED)
-        first = max(self._island, number + 1 - _SURROUNDINGS)
-        members = list(range(first, number + 1))
+        self._set_surroundings()
+
+    def _set_surroundings(self) -> None:
+        count = len(self.keyframes)
+        members = list(range(max(self._island, count - _SURROUNDINGS), count))
         cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
         self.tracker.set_surroundings(cloud.thinned(DENSE_M))
 

@@ -89,7 +89,9 @@ def build_map(
     """
     scans = recording.scans()
     if scans is None or not scans.messages:
-        raise CairnError(f"{name}: has no scans, so no map can be built; give a recording with scans")
+        raise CairnError(
+            f"{name}: has no scans, so no map can be built; give a recording with scans"
+        )
     odometry = None if settings.scan_only else recording.odometry()
     if odometry is None and not settings.scan_only:
         raise CairnError(
@@ -122,7 +124,9 @@ def build_map(
         ) from error
     poses = mapper.poses()[-total:]
     known = ~np.isnan(poses[:, 0])
-    stamps = [stamp for stamp, is_known in zip(scans.stamps, known.tolist(), strict=True) if is_known]
+    stamps = [
+        stamp for stamp, is_known in zip(scans.stamps, known.tolist(), strict=True) if is_known
+    ]
     return BuiltMap(mapper, grid, stamps, poses[known], quality_of(mapper, drawing))
 
 
@@ -156,9 +160,7 @@ def _driven(scans: ScanStream, odometry: OdometryStream) -> Iterator[tuple[Pose,
         if after == len(stamps):
             return poses[-1]
         before_ns, after_ns = int(stamps[after - 1]), int(stamps[after])
-        return between(
-            poses[after - 1], poses[after], (stamp - before_ns) / (after_ns - before_ns)
-        )
+        return between(poses[after - 1], poses[after], (stamp - before_ns) / (after_ns - before_ns))
 
     for scan in scans.messages:
         sweep = sweep_of(scan, at)

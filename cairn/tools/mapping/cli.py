@@ -77,7 +77,9 @@ def build(
     files = [out.with_name(out.name + ending) for ending in _ENDINGS]
     existing = [file for file in files if file.exists()]
     if existing and not force:
-        raise CairnError(f"{existing[0]} exists already. Give another name, or --force to replace it.")
+        raise CairnError(
+            f"{existing[0]} exists already. Give another name, or --force to replace it."
+        )
     named = {"scan": scan, "odom": odom}
     topics = {kind: topic for kind, topic in named.items() if topic is not None}
     opened = open_recording(recording, topics=topics)
@@ -89,7 +91,10 @@ def build(
         resolution=resolution,
         reach=reach,
     )
-    mapper = read_graph(extend) if extend is not None else None
+    mapper = None
+    if extend is not None:
+        mapper = read_graph(extend)
+        mapper.resume(here=False)
     with _shown_progress() as progress:
         built = build_map(opened, str(recording), settings, progress, mapper)
     yaml, _, graph, tum, png = files
@@ -119,7 +124,9 @@ def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
     line(f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected; they differ by "
          f"{quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg")  # fmt: skip
     line(f"  entropy    {quality.entropy_bit:.3f} bit per known cell")
-    line(f"  conflicts  {100 * quality.conflicts:.1f} % of the obstacles were mostly passed by rays")
+    line(
+        f"  conflicts  {100 * quality.conflicts:.1f} % of the obstacles were mostly passed by rays"
+    )
     line(f"also written: {', '.join(file.name for file in files[1:])}")
 
 
