@@ -132,7 +132,7 @@ class ScanGrid:
         return rows, columns
 
     def whole(self) -> OccupancyCells:
-        """Return the map with room around it, in which it can grow without a change of its frame."""
+        """Return the map with room around it: it can grow there without a change of its frame."""
         rows, columns = self._ended.shape
         return Grid(self._cells((slice(0, rows), slice(0, columns))), self.frame)
 

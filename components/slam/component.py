@@ -277,7 +277,7 @@ class Slam(Component):
         assert mapper is not None
         located = mapper.is_located
         health, reason = _health(tracked, located=located)
-        covariance = np.linalg.inv(tracked.information + np.eye(3))
+        covariance = np.asarray(np.linalg.inv(tracked.information + np.eye(3)), np.float64)
         pose = with_covariance(mapper.pose, covariance) if located else None
         self.localization.publish(
             LocalizationEstimate(

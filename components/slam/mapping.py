@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,9 +169,11 @@ class Mapper:
             self._close_loops(_COMPARED)
             report("loops", 1.0 - self.closer.pending / planned)
         for number in range(_ROUNDS):
-            self._align_neighbors(
-                _REACH_M[number], lambda share, n=number: report("alignment", (n + share) / _ROUNDS)
-            )
+
+            def aligned(share: float, done: int = number) -> None:
+                report("alignment", (done + share) / _ROUNDS)
+
+            self._align_neighbors(_REACH_M[number], aligned)
             self.graph.optimize()
 
     def _start_island(self) -> None:

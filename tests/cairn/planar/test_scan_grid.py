@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from cairn.planar.scan_grid import build_grid
 from cairn.planar.grid import OCCUPIED, OccupancyCells, distance_field
 from cairn.planar.poses import Pose
+from cairn.planar.scan_grid import build_grid
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import Box, room, scanned
 
