@@ -125,7 +125,7 @@ def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
          f"{quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg")  # fmt: skip
     line(f"  entropy    {quality.entropy_bit:.3f} bit per known cell")
     line(
-        f"  conflicts  {100 * quality.conflicts:.0f} % of the cells in which rays ended are free for most"
+        f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for most"
     )
     line(f"also written: {', '.join(file.name for file in files[1:])}")
 
