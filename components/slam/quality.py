@@ -1,4 +1,4 @@
-"""Figures that tell how good a map is, without knowing the truth."""
+"""Figures that indicate how good a map is, without knowing the truth."""
 
 from __future__ import annotations
 
