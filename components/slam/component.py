@@ -57,7 +57,7 @@ _FULL_MAP_S = 5.0
 _DRAWN = 60
 # Odometry is kept for so long [s]: longer than scans wait.
 _HISTORY_S = 10
-# A component that is restarted within this time [s] continues where it was: in that time the robot is
+# A component that is restarted within this time [s] continues where it was: until then the robot is
 # not carried away.
 _RESUMED_S = 60.0
 # Health of the pose: full from this fit of the scans on, and none below the other.
