@@ -7,7 +7,7 @@ import pytest
 
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
-from tests.components.slam.test_graph_file import drive
+from tests.components.slam.box_room import drive
 
 
 @pytest.fixture
