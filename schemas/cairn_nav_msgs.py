@@ -387,6 +387,8 @@ MAX_ZONES: Final = 200
 """A map has at most so many zones."""
 MAX_ZONE_POINTS: Final = 1000
 """A zone has at most so many points."""
+MAX_POINTS_OF_ZONES: Final = 10_000
+"""All zones of a map have at most so many points together."""
 MAX_ZONE_NAME: Final = 64
 """The name of a zone has at most so many characters."""
 FARTHEST_ZONE_M: Final = 1e5
@@ -471,6 +473,10 @@ class Zones:
         """Check the number of zones, and that their names differ."""
         if len(self.zones) > MAX_ZONES:
             reject(self, "number of zones", len(self.zones), f"must be at most {MAX_ZONES}")
+        points = sum(zone.points.size // 2 for zone in self.zones)
+        if points > MAX_POINTS_OF_ZONES:
+            rule = f"must be at most {MAX_POINTS_OF_ZONES:,} together"
+            reject(self, "number of points", points, rule)
         names = [zone.name for zone in self.zones]
         if len(set(names)) < len(names):
             twice = next(name for name in names if names.count(name) > 1)
