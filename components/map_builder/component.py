@@ -91,7 +91,13 @@ class MapBuilder(Component):
 
     config: MapBuilderConfig
     request_roles = MappingProxyType(
-        {"why": "view", "zones": "view"} | dict.fromkeys(CHANGES, "operate")
+        {
+            "why": "view",
+            "zones": "view",
+            "set_zones": "operate",
+            "add_zone": "operate",
+            "remove_zone": "operate",
+        }
     )
     request_max_bytes = MappingProxyType({"set_zones": 256 << 10, "add_zone": 256 << 10})
 

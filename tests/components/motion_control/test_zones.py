@@ -151,7 +151,8 @@ def test_robot_that_stands_in_a_keepout_zone_reports_it() -> None:
 
 def test_robot_drives_no_faster_than_a_slow_zone_allows_and_brakes_before_it() -> None:
     drive = driving(area("slow", (-0.5, -1.0, 1.0, 1.0), speed=0.2))
-    inside, before = [], []
+    inside: list[float] = []
+    before: list[float] = []
     while drive.status.state == MotionStatus.MOVING:
         drive.run_for(0.02)
         x = drive.robot.pose[0]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cairn.components.path_planner.component import PathPlanner
 from cairn.components.path_planner.cost_map import CostMap, CostParameters
 from cairn.planar.messages import planar_poses
 from cairn.planar.polygons import distance_to_edges, is_inside
@@ -61,7 +62,7 @@ def planned(
     return last_plan(planner)
 
 
-def last_plan(planner: ComponentHarness[object]) -> Plan:
+def last_plan(planner: ComponentHarness[PathPlanner]) -> Plan:
     plan = planner.take("plan")[-1]
     assert isinstance(plan, Plan)
     return plan
