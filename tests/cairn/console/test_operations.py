@@ -138,6 +138,30 @@ def test_goal_is_sent_and_canceled_and_the_map_explains_its_objects(live: Runnin
     page.close()
 
 
+def test_zones_are_changed_with_the_lease_and_places_are_goals(live: Running) -> None:
+    page = live.browser()
+    kitchen = {
+        "type": "Feature",
+        "properties": {"zone": "place", "name": "kitchen"},
+        "geometry": {"type": "Point", "coordinates": [3.0, 1.2]},
+    }
+    add = {"verb": "add_zone", "arguments": {"feature": kitchen}}
+    assert_words(error(page, "zones", **add), "lease")
+    assert value(page, "zones", verb="zones")["features"] == []
+    value(page, "acquire_lease")
+
+    assert value(page, "zones", **add)["saved"]
+
+    assert value(page, "zones", verb="zones")["features"] == [kitchen]
+    assert_words(error(page, "zones", **add), "kitchen", "names must differ")
+    assert_words(error(page, "zones", verb="drop_all"), "verb")
+    assert value(page, "go", poses=["kitchen"])["mission_id"] > 0
+    assert_words(error(page, "go", poses=["cellar"]), "no such place", "kitchen")
+    value(page, "cancel")
+    value(page, "zones", verb="remove_zone", arguments={"name": "kitchen"})
+    page.close()
+
+
 def test_components_parameters_logs_and_the_world_are_reached(live: Running) -> None:
     page = live.browser()
     value(page, "acquire_lease")
