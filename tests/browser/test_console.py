@@ -263,7 +263,7 @@ def test_zones_are_drawn_changed_removed_and_places_driven_to(
     page.get_by_role("button", name="End this tool").click()
     page.mouse.click(*tab.at(2.4, 1.2))
     before = status_of(robot).mission_id
-    page.get_by_role("button", name="Go there").click()
+    page.get_by_role("button", name="Go to place 1").click()
     page.get_by_text("Goal sent: place 1").wait_for()
     _await(lambda: status_of(robot).mission_id > before)
     _await(lambda: status_of(robot).state == NavigationStatus.SUCCEEDED)

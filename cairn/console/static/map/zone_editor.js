@@ -40,7 +40,7 @@ export function ZoneDetails({ name, head, change, go, close, mayChange }) {
     ${head(name, html`<${Badge} tone=${TONES[zone.kind]}>${KIND_TITLES[zone.kind]}<//>`)}
     ${zone.kind === "place" &&
     mayChange &&
-    html`<div class="row"><button class="button small primary" onClick=${() => go(name)}>Go there</button></div>`}
+    html`<div class="row"><button class="button small primary" onClick=${() => go(name)}>Go to ${name}</button></div>`}
     ${mayChange ? html`<${ZoneForm} key=${name} zone=${zone} change=${change} close=${close} />` : html`<${ZoneFacts} zone=${zone} />`}`;
 }
 
