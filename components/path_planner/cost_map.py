@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.path_planner.zone_cells import (
-    NO_ZONES,
+    Window,
+    ZoneCells,
     multiply_costs,
     nearest_keepout,
-    zone_cells,
 )
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import (
@@ -89,9 +89,8 @@ class CostMap:
         self._mapped = np.zeros((rows, columns), np.bool_)
         self.map_costs: CellCosts = open_costs(rows, columns)
         self._costs_without_keepout = self.map_costs  # the same array unless there are such zones
-        self._zones: tuple[Zone, ...] = ()
-        self._zone_cells = NO_ZONES
-        self._rasterize(zones)
+        self._zone_cells = ZoneCells(grid.frame, self.shape, costs.speed, costs.off_lane)
+        self._replace_zones(zones)
         self._update_costs(0, rows, 0, columns)
         self.cell_costs: CellCosts = self.map_costs.copy()
         self._scanner_cells = self._unmapped_cells = self._avoided_cells = np.empty(
@@ -127,25 +126,16 @@ class CostMap:
             return False
         if values.size == 0:
             return True
-        self._values[row:bottom, column:right] = values
-        top, bottom = max(0, row - self._inflation_cells), min(rows, bottom + self._inflation_cells)
-        left, right = (
-            max(0, column - self._inflation_cells),
-            min(columns, right + self._inflation_cells),
-        )
-        self._update_costs(top, bottom, left, right)
-        window = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
-        self.cell_costs[window] = self.map_costs[window]
-        self._apply_overlay()
+        window = np.s_[row:bottom, column:right]
+        self._values[window] = values
+        self._update_around(window)
         return True
 
     def set_zones(self, zones: Sequence[Zone]) -> None:
         """Replace the zones of the map."""
-        rows, columns = self.shape
-        self._rasterize(zones)
-        self._update_costs(0, rows, 0, columns)
-        self.cell_costs[:] = self.map_costs
-        self._apply_overlay()
+        window = self._replace_zones(zones)
+        if window is not None:
+            self._update_around(window)
 
     def set_scanner_obstacles(self, cells: NDArray[np.int64]) -> None:
         """Set the obstacles that the scanner sees: rows and columns (n, 2) of the map.
@@ -180,7 +170,7 @@ class CostMap:
 
     def nearest_keepout(self, x: float, y: float) -> tuple[str, float]:
         """Return name and distance [m] of the keepout zone nearest to a position; 0 inside."""
-        return nearest_keepout(self._zones, x, y)
+        return nearest_keepout(self._zone_cells.zones, x, y)
 
     def costs_without_keepout(self) -> CellCosts:
         """Return what the cells would cost without keepout zones, with the scanner's obstacles."""
@@ -237,15 +227,25 @@ class CostMap:
         nearest = self._unmapped_cells[int(np.argmin(apart))]
         return self.frame.point(float(nearest[0]), float(nearest[1]))
 
-    def _rasterize(self, zones: Sequence[Zone]) -> None:
-        """Take the cells of zones; the costs must be computed anew."""
-        costs = self.costs
-        self._zones = tuple(zones)
-        self._zone_cells = zone_cells(zones, self.frame, self.shape, costs.speed, costs.off_lane)
+    def _replace_zones(self, zones: Sequence[Zone]) -> Window | None:
+        """Take the cells of zones; return the window of which the costs must be computed."""
+        window = self._zone_cells.replace(zones)
         if self._zone_cells.keepout is None:
             self._costs_without_keepout = self.map_costs
         elif self._costs_without_keepout is self.map_costs:
             self._costs_without_keepout = self.map_costs.copy()
+        return window
+
+    def _update_around(self, window: Window) -> None:
+        """Compute the costs in a window whose content has changed, and around it."""
+        rows, columns = self.shape
+        far = self._inflation_cells
+        top, bottom = max(0, window[0].start - far), min(rows, window[0].stop + far)
+        left, right = max(0, window[1].start - far), min(columns, window[1].stop + far)
+        self._update_costs(top, bottom, left, right)
+        inner = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
+        self.cell_costs[inner] = self.map_costs[inner]
+        self._apply_overlay()
 
     def _update_costs(self, top: int, bottom: int, left: int, right: int) -> None:
         """Compute the map's costs in a window from the obstacles in and around it."""

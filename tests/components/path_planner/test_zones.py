@@ -223,6 +223,26 @@ def test_lane_that_is_too_far_away_is_not_used() -> None:
     assert np.abs(path[:, 1] - 1.0).max() < 0.1
 
 
+def test_changed_zones_give_the_same_costs_as_a_new_map() -> None:
+    sets = [
+        [area("keepout", MIDDLE, "a"), area("slow", (1.0, 1.0, 4.0, 4.0), "b", speed=0.2)],
+        [area("slow", (1.0, 1.0, 4.0, 4.0), "b", speed=0.3), area("keepout", (6, 1, 7, 2), "c")],
+        [lane((1.0, 3.0), (8.0, 4.0)), area("slow", (1.0, 1.0, 4.0, 4.0), "b", speed=0.3)],
+        [lane((1.0, 3.0), (8.0, 5.0)), area("keepout", (-9.0, 3.0, 1.0, 4.0), "d")],
+        [],
+        [area("slow", (1.0, 1.0, 2.0, 2.0), "a", speed=0.1), area("keepout", MIDDLE, "c")],
+        [area("slow", (1.5, 1.5, 2.5, 2.5), "b", speed=0.3), area("keepout", MIDDLE, "c")],
+        [area("slow", (1.5, 1.5, 2.5, 2.5), "b", speed=0.3)],
+    ]
+    grid = room([(2.0, 2.0, 3.0, 3.0)], origin=(-0.3, 0.2, 0.1))
+    costs = CostMap(grid, PARAMETERS)
+    for zones in sets:
+        costs.set_zones(zones)
+        fresh = CostMap(grid, PARAMETERS, zones)
+        np.testing.assert_array_equal(costs.cell_costs, fresh.cell_costs)
+        np.testing.assert_array_equal(costs.costs_without_keepout(), fresh.costs_without_keepout())
+
+
 def test_no_cell_is_cheaper_than_a_free_one() -> None:
     zones = [lane((1.0, 1.0), (8.0, 1.0)), area("slow", MIDDLE, speed=0.1)]
     costs = CostMap(room(), PARAMETERS, zones)
