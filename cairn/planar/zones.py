@@ -267,7 +267,8 @@ def _reason(error: InvalidMessage) -> str:
 def _fault(error: ValidationError) -> str:
     first = error.errors(include_url=False, include_input=False)[0]
     unions = {"keepout", "slow", "lane", "place", "Polygon", "LineString", "Point"}
-    if first["type"] in ("model_type", "model_attributes_type"):
-        return "it must be an object"
     key = ".".join(str(part) for part in first["loc"] if part not in unions)
-    return f"{key}: {first['msg'].lower()}".removeprefix(": ")
+    reason = first["msg"].lower()
+    if first["type"] in ("model_type", "model_attributes_type"):
+        reason = "it must be an object"
+    return f"{key}: {reason}".removeprefix(": ")

@@ -94,7 +94,7 @@ class MobileSupervisor(Supervisor):
 
     _mission: Mission | None = None
     _retrying = False  # a retry of saving the mission is scheduled
-    _zones: tuple[Zone, ...] = ()
+    _zones: tuple[Zone, ...] | None = None  # not known yet
 
     def on_configure(self) -> None:
         """Check that missions can be kept; remove that of an earlier run."""

@@ -71,10 +71,10 @@ class Mission(MissionProgress, MissionRequest):
         return self.configured or self.replaces_configured
 
 
-def parse_goals(value: Any, zones: Sequence[Zone] = ()) -> tuple[Goal, ...]:
+def parse_goals(value: Any, zones: Sequence[Zone] | None = None) -> tuple[Goal, ...]:
     """Return the goals of a request; raises `CairnError` with the invalid one.
 
-    A goal is [x, y, heading], or the name of a place among the `zones`.
+    A goal is [x, y, heading], or the name of a place among the `zones`; None if they are not known.
     """
     if not isinstance(value, list) or not value:
         raise CairnError("a mission has at least one goal [x, y, heading]")
@@ -91,8 +91,14 @@ def check_goal_count(count: int) -> None:
         )
 
 
-def _parse_goal(number: int, goal: Any, zones: Sequence[Zone]) -> Goal:
+def _parse_goal(number: int, goal: Any, zones: Sequence[Zone] | None) -> Goal:
     if isinstance(goal, str):
+        if zones is None:
+            raise CairnError(
+                f"goal {number}: {goal[:MAX_ZONE_NAME]}: the places on the map are not known, as "
+                "no map builder with a zones_file has run; `cairn load map_builder` starts it, or a "
+                "goal by coordinates"
+            )
         try:
             return find_place(zones, goal[:MAX_ZONE_NAME])
         except CairnError as error:

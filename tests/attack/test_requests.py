@@ -103,6 +103,18 @@ GOALS: Final = {
 }
 """Goals of a mission that is refused: each with a part of the reason."""
 
+
+def place(x: Any, y: Any) -> dict[str, Any]:
+    """Return a place at a position, as GeoJSON feature."""
+    return {
+        "type": "Feature",
+        "properties": {"zone": "place", "name": "a"},
+        "geometry": {"type": "Point", "coordinates": [x, y]},
+    }
+
+
+PLACE: Final = place(1, 1)
+
 REQUESTS: Final = [
     ("mobile_supervisor", "go", {}, "unknown request go"),
     ("mobile_supervisor", "go", {"goals": [GOAL], "speed": 9}, "unknown request go"),
@@ -148,6 +160,21 @@ REQUESTS: Final = [
     ("velocity_gate", "release_lease", {"lease": 1}, "not valid"),
     ("velocity_gate", "release_lease", {"lease": 2**63}, "not valid"),
     ("velocity_gate", "release_lease", {"lease": True}, "not the id"),
+    ("mobile_supervisor", "go", {"goals": ["cellar"]}, "no such place|not known"),
+    ("mobile_supervisor", "go", {"goals": ["n" * 10_000]}, "no such place|not known"),
+    ("map_builder", "zones", {"of": "map"}, "unknown request zones"),
+    ("map_builder", "add_zone", {}, "unknown request add_zone"),
+    ("map_builder", "add_zone", {"feature": None}, "must be an object"),
+    ("map_builder", "add_zone", {"feature": {"type": "Feature"}}, "properties"),
+    ("map_builder", "add_zone", {"feature": PLACE | {"x": 1}}, "x"),
+    ("map_builder", "add_zone", {"feature": PLACE, "replace": 7}, "no such zone"),
+    ("map_builder", "add_zone", {"feature": place(0, 1e300)}, "at most 100000"),
+    ("map_builder", "add_zone", {"feature": place(0, b"NaN")}, "finite|invalid"),
+    ("map_builder", "add_zone", {"feature": place(0, True)}, "valid number"),
+    ("map_builder", "remove_zone", {"name": "n" * 10_000}, "no such zone"),
+    ("map_builder", "remove_zone", {"name": {"a": 1}}, "no such zone"),
+    ("map_builder", "set_zones", {"features": {}}, "give a list"),
+    ("map_builder", "set_zones", {"features": [PLACE, PLACE]}, "names must differ"),
     ("world", "move", {}, "must be given"),
     ("world", "move", {"name": "table", "x": 1e300, "y": 0}, "less than or equal"),
     ("world", "move", {"name": "table", "x": b"NaN", "y": 0}, "finite|invalid"),

@@ -298,6 +298,8 @@ def test_restarted_supervisor_knows_that_the_mission_was_preempted(
 def test_goal_by_the_name_of_a_place_is_driven_to_where_that_is(make_harness: MakeHarness) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
+    with pytest.raises(CairnError, match="kitchen: the places on the map are not known"):
+        robot.request("mobile_supervisor", "go", goals=["kitchen"])
     places = (place("dock", 1.0, 2.0, heading=0.5), place("kitchen", 7.0, 5.0))
     robot.publish("zones", Zones(version=1, zones=places), qos=LATCHED)
 
