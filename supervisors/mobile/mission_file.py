@@ -74,7 +74,7 @@ class Mission(MissionProgress, MissionRequest):
 def parse_goals(value: Any, zones: Sequence[Zone] | None = None) -> tuple[Goal, ...]:
     """Return the goals of a request; raises `CairnError` with the invalid one.
 
-    A goal is [x, y, heading], or the name of a place among the `zones`; None if they are not known.
+    A goal is [x, y, heading], or the name of a place among `zones`, None if these are not known.
     """
     if not isinstance(value, list) or not value:
         raise CairnError("a mission has at least one goal [x, y, heading]")
@@ -96,8 +96,8 @@ def _parse_goal(number: int, goal: Any, zones: Sequence[Zone] | None) -> Goal:
         if zones is None:
             raise CairnError(
                 f"goal {number}: {goal[:MAX_ZONE_NAME]}: the places on the map are not known, as "
-                "no map builder with a zones_file has run; `cairn load map_builder` starts it, or a "
-                "goal by coordinates"
+                "no map builder with a zones_file has run; `cairn load map_builder` starts it, or "
+                "a goal by coordinates"
             )
         try:
             return find_place(zones, goal[:MAX_ZONE_NAME])

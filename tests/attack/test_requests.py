@@ -115,7 +115,7 @@ def place(x: Any, y: Any) -> dict[str, Any]:
 
 PLACE: Final = place(1, 1)
 
-REQUESTS: Final = [
+REQUESTS: Final[list[tuple[str, str, dict[str, Any], str]]] = [
     ("mobile_supervisor", "go", {}, "unknown request go"),
     ("mobile_supervisor", "go", {"goals": [GOAL], "speed": 9}, "unknown request go"),
     ("mobile_supervisor", "go", {"goals": [GOAL], "token": ""}, "token"),
