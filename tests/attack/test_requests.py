@@ -17,6 +17,7 @@ from cairn.runtime.parameters import describe_parameters
 from tests.attack.inputs import components, deployment
 from tests.attack.robot import MOST_MEMORY_MB, AttackedRobot
 from tests.patience import LIMIT_S
+from tests.zone_features import place
 
 LONGEST_ANSWER: Final = 4100
 """A refusal is for people: an attacker does not make it longer [characters]."""
@@ -104,16 +105,7 @@ GOALS: Final = {
 """Goals of a mission that is refused: each with a part of the reason."""
 
 
-def place(x: Any, y: Any) -> dict[str, Any]:
-    """Return a place at a position, as GeoJSON feature."""
-    return {
-        "type": "Feature",
-        "properties": {"zone": "place", "name": "a"},
-        "geometry": {"type": "Point", "coordinates": [x, y]},
-    }
-
-
-PLACE: Final = place(1, 1)
+PLACE: Final = place("a", 1, 1)
 
 REQUESTS: Final[list[tuple[str, str, dict[str, Any], str]]] = [
     ("mobile_supervisor", "go", {}, "unknown request go"),
@@ -168,9 +160,9 @@ REQUESTS: Final[list[tuple[str, str, dict[str, Any], str]]] = [
     ("map_builder", "add_zone", {"feature": {"type": "Feature"}}, "properties"),
     ("map_builder", "add_zone", {"feature": PLACE | {"x": 1}}, "x"),
     ("map_builder", "add_zone", {"feature": PLACE, "replace": 7}, "no such zone"),
-    ("map_builder", "add_zone", {"feature": place(0, 1e300)}, "at most 100000"),
-    ("map_builder", "add_zone", {"feature": place(0, b"NaN")}, "finite|invalid"),
-    ("map_builder", "add_zone", {"feature": place(0, True)}, "valid number"),
+    ("map_builder", "add_zone", {"feature": place("a", 0, 1e300)}, "at most 100000"),
+    ("map_builder", "add_zone", {"feature": place("a", 0, b"NaN")}, "finite|invalid"),
+    ("map_builder", "add_zone", {"feature": place("a", 0, True)}, "valid number"),
     ("map_builder", "remove_zone", {"name": "n" * 10_000}, "no such zone"),
     ("map_builder", "remove_zone", {"name": {"a": 1}}, "no such zone"),
     ("map_builder", "set_zones", {"features": {}}, "give a list"),

@@ -11,9 +11,9 @@ from cairn.planar.polygons import distance_to_edges, is_inside
 from cairn.planar.zones import zone_edges, zone_of
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus, ReasonCode
 from tests.navigation.driving import STOPS_S, LockstepRobot
+from tests.zone_features import area, lane, place
 
 RobotFactory = Callable[..., LockstepRobot]
-Box = tuple[float, float, float, float]
 
 RADIUS = 0.22
 POSE_ERROR_M = 0.04  # of the localizer, by which the robot may reach over an edge
@@ -22,16 +22,6 @@ STOP = (
     "components.mobile_supervisor.children.automove.children.path_planner.parameters"
     ".in_keepout=stop"
 )
-
-
-def area(kind: str, box: Box, name: str = "area", **properties: float) -> dict[str, Any]:
-    x0, y0, x1, y1 = box
-    ring = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
-    return {
-        "type": "Feature",
-        "properties": {"zone": kind, "name": name, **properties},
-        "geometry": {"type": "Polygon", "coordinates": [ring]},
-    }
 
 
 def driving(robot: LockstepRobot, goal: tuple[float, float] = (6.6, 1.4)) -> LockstepRobot:
@@ -153,12 +143,8 @@ def test_goal_under_a_new_keepout_zone_fails_within_a_second(drive: RobotFactory
 def test_robot_takes_a_preferred_lane(drive: RobotFactory) -> None:
     robot = drive()
     robot.run_for(3.0)
-    lane = {
-        "type": "Feature",
-        "properties": {"zone": "lane", "name": "aisle", "width": 0.5},
-        "geometry": {"type": "LineString", "coordinates": [[2.9, 2.0], [6.2, 2.0]]},
-    }
-    add(robot, lane)
+    aisle = lane((2.9, 2.0), (6.2, 2.0), width=0.5)
+    add(robot, aisle)
     robot.go(6.6, 1.4)
     robot.run_until(lambda: robot.truth[0] > 4.5)
     assert robot.truth[1] > 1.7
@@ -168,12 +154,7 @@ def test_robot_takes_a_preferred_lane(drive: RobotFactory) -> None:
 def test_robot_drives_to_a_place_by_its_name(drive: RobotFactory) -> None:
     robot = drive()
     robot.run_for(3.0)
-    kitchen = {
-        "type": "Feature",
-        "properties": {"zone": "place", "name": "kitchen", "heading": 1.5},
-        "geometry": {"type": "Point", "coordinates": [3.0, 1.2]},
-    }
-    add(robot, kitchen)
+    add(robot, place("kitchen", 3.0, 1.2, heading=1.5))
     with pytest.raises(CairnError, match="cellar: no such place"):
         robot.request("mobile_supervisor", "go", goals=["cellar"])
     robot.request("mobile_supervisor", "go", goals=["kitchen"])

@@ -20,6 +20,7 @@ from tests.cairn.bus.network import eventually
 from tests.cairn.console.conftest import Page, Running, running
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
+from tests.zone_features import place
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow]
 
@@ -140,11 +141,7 @@ def test_goal_is_sent_and_canceled_and_the_map_explains_its_objects(live: Runnin
 
 def test_zones_are_changed_with_the_lease_and_places_are_goals(live: Running) -> None:
     page = live.browser()
-    kitchen = {
-        "type": "Feature",
-        "properties": {"zone": "place", "name": "kitchen"},
-        "geometry": {"type": "Point", "coordinates": [3.0, 1.2]},
-    }
+    kitchen = place("kitchen", 3.0, 1.2)
     add = {"verb": "add_zone", "arguments": {"feature": kitchen}}
     assert_words(error(page, "zones", **add), "lease")
     assert value(page, "zones", verb="zones")["features"] == []

@@ -14,17 +14,10 @@ from cairn.schemas.cairn_nav_msgs import Zones
 from cairn.testing.lockstep import ComponentHarness
 from tests.components.localizer.room import room
 from tests.disk import room_for
+from tests.zone_features import area, place
 
-KITCHEN = {
-    "type": "Feature",
-    "properties": {"zone": "place", "name": "kitchen"},
-    "geometry": {"type": "Point", "coordinates": [7.5, 5.0]},
-}
-STAIRS = {
-    "type": "Feature",
-    "properties": {"zone": "keepout", "name": "stairs"},
-    "geometry": {"type": "Polygon", "coordinates": [[[0, 0], [2, 0], [2, 2], [0, 0]]]},
-}
+KITCHEN = place("kitchen", 7.5, 5.0)
+STAIRS = area("keepout", (0, 0, 2, 2), "stairs")
 
 
 def named(name: str, feature: dict[str, Any] = KITCHEN) -> dict[str, Any]:

@@ -13,25 +13,18 @@ from cairn.planar.polygons import distance_to_edges, is_inside
 from cairn.planar.zones import zone_edges, zone_of
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavCommand, Plan, ReasonCode, Zone, Zones
 from cairn.schemas.std_msgs import Header
+from tests import zone_features
 from tests.components.motion_control.simulated_drive import SimulatedDrive
 from tests.components.motion_control.world import Robot, World, box
+from tests.zone_features import Box
 
 pytestmark = pytest.mark.slow
 
 RADIUS = 0.22
-Box = tuple[float, float, float, float]
 
 
-def area(kind: str, box_: Box, name: str = "area", **properties: float) -> Zone:
-    x0, y0, x1, y1 = box_
-    ring = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
-    return zone_of(
-        {
-            "type": "Feature",
-            "properties": {"zone": kind, "name": name, **properties},
-            "geometry": {"type": "Polygon", "coordinates": [ring]},
-        }
-    )
+def area(kind: str, box: Box, name: str = "area", **properties: float) -> Zone:
+    return zone_of(zone_features.area(kind, box, name, **properties))
 
 
 def at_rest(**parameters: Any) -> SimulatedDrive:

@@ -13,6 +13,7 @@ from cairn.planar.zones import zone_edges, zone_of
 from cairn.schemas.cairn_nav_msgs import Plan, Zone, Zones
 from cairn.schemas.nav_msgs import OccupancyGrid
 from cairn.testing.lockstep import ComponentHarness
+from tests import zone_features
 from tests.components.path_planner.planner_harness import (
     HERE,
     THERE,
@@ -26,25 +27,11 @@ MIDDLE: Box = (3.5, 2.0, 5.5, 5.0)
 
 
 def area(kind: str, box: Box, name: str = "area", **properties: float) -> Zone:
-    x0, y0, x1, y1 = box
-    ring = [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
-    return zone_of(
-        {
-            "type": "Feature",
-            "properties": {"zone": kind, "name": name, **properties},
-            "geometry": {"type": "Polygon", "coordinates": [ring]},
-        }
-    )
+    return zone_of(zone_features.area(kind, box, name, **properties))
 
 
-def lane(*points: tuple[float, float], width: float = 0.6) -> Zone:
-    return zone_of(
-        {
-            "type": "Feature",
-            "properties": {"zone": "lane", "name": "lane", "width": width},
-            "geometry": {"type": "LineString", "coordinates": [list(point) for point in points]},
-        }
-    )
+def lane(*points: tuple[float, float]) -> Zone:
+    return zone_of(zone_features.lane(*points, width=0.6))
 
 
 def planned(
