@@ -376,8 +376,9 @@ class MotionControl(Component):
 
     def _take_edges_of_zones(self, now: int) -> None:
         """Take where keepout zones are, as the robot is now."""
-        pose, odometry = self._tracker.pose_at(now), self._tracker.odometry_at(now)
-        if not self._zones.zones or pose is None or odometry is None:
+        pose = self._tracker.pose_at(now) if self._zones.zones else None
+        odometry = self._tracker.odometry_at(now)
+        if pose is None or odometry is None:
             self._in_keepout = ""
             self._memory.set_edges(np.empty((0, 2)))
             return

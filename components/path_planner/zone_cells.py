@@ -66,7 +66,7 @@ class ZoneCells:
         return window
 
     def _fill(self, window: Window) -> None:
-        """Fill a window again; each zone is drawn in the part of the window that it is in."""
+        """Compute the cells of a window; each zone is drawn where it overlaps with the window."""
         parts = [(zone, self._window_of([zone])) for zone in self.zones]
         drawn = [(zone, _common(part, window)) for zone, part in parts]
         near = [(zone, part) for zone, part in drawn if part is not None]
