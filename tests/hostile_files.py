@@ -1049,6 +1049,41 @@ VISUAL_MAPS: Final[Mapping[str, HostileFile]] = {
 }
 
 
+def _zones(geometry: str, properties: str = '"zone": "keepout", "name": "a"') -> str:
+    feature = f'{{"type": "Feature", "properties": {{{properties}}}, "geometry": {geometry}}}'
+    return f'{{"type": "FeatureCollection", "features": [{feature}]}}'
+
+
+def _polygon(corners: int) -> str:
+    ring = ", ".join(f"[{k % 1000}.5, {k // 1000}]" for k in range(corners))
+    return f'{{"type": "Polygon", "coordinates": [[{ring}, [0.5, 0]]]}}'
+
+
+_ZONES: Final = "map.zones.geojson"
+ZONE_FILES: Final[Mapping[str, HostileFile]] = {
+    "nested": HostileFile(_text(_ZONES, nested(1_000_000)), "not a zones file"),
+    "nested_below": HostileFile(_text(_ZONES, _zones(nested(90))), "geometry"),
+    "corners": HostileFile(_text(_ZONES, _zones(_polygon(200_000))), "at most 1000"),
+    "features": HostileFile(
+        _text(_ZONES, f'{{"type": "FeatureCollection", "features": [{"1," * 3_000_000}1]}}'),
+        "at most 200",
+    ),
+    "rings": HostileFile(
+        _text(_ZONES, _zones(f'{{"type": "Polygon", "coordinates": [{"[]," * 500_000}[]]}}')),
+        "four positions",
+    ),
+    "huge_number": HostileFile(
+        _text(_ZONES, _zones('{"type": "Point", "coordinates": [1e999, 0]}')), "too large"
+    ),
+    "long_name": HostileFile(
+        _text(_ZONES, _zones(_polygon(3), f'"zone": "keepout", "name": "{"a" * 10_000_000}"')),
+        "1 to 64 characters",
+    ),
+    "too_large": HostileFile(sparse(_ZONES, 17 << 20), "MB"),
+    "device": HostileFile(device("/dev/zero", _ZONES), "device"),
+    "fifo": HostileFile(fifo(_ZONES), "FIFO"),
+}
+
 HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "deployment": DEPLOYMENTS,
     "world": WORLDS,
@@ -1060,4 +1095,5 @@ HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "recording": RECORDINGS,
     "mcap": MCAPS,
     "visual_map": VISUAL_MAPS,
+    "zones": ZONE_FILES,
 }
