@@ -27,15 +27,24 @@ from cairn.bounded_files import megabytes
 from cairn.bounded_yaml import yaml_fault
 from cairn.bus.codec import Codec
 from cairn.components.replay.bag_files import BagFile, BagTopic
+from cairn.components.replay.record_times import TimeQuality, time_quality
 from cairn.components.replay.recording import (
     Gray,
     ImageStream,
     ObservationStream,
     OdometryStream,
     RecordedTopic,
+    ScannerMount,
     ScanStream,
     TimedPoses,
     covariances_of,
+)
+from cairn.components.replay.scanner_mount import (
+    BASES,
+    FrameLink,
+    links_of_description,
+    links_of_transforms,
+    mount_of,
 )
 from cairn.components.replay.wheel_odometry import odometry_deviations, odometry_velocities
 from cairn.errors import RecordingError
@@ -68,7 +77,7 @@ _INFO = type_name(CameraInfo)
 # Are decoded to Cairn's classes.
 _OWN = {_OBJECTS: RecognizedObjectArray, _MAP: VisualMap, _INFO: CameraInfo}
 _READ = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES, _OBJECTS, _MAP)
-_BASES = ("base_footprint", "base_link")
+_TEXT, _DESCRIPTION = "std_msgs/msg/String", "robot_description"
 
 
 class BagRecording:
@@ -76,7 +85,8 @@ class BagRecording:
 
     Of several topics of a type, the one with the default name is replayed, of any robot:
     `/robot/scan`. Only recordings of Cairn hold observations of landmarks and a surveyed map. Scans
-    get a time `scan_delay_s` [s] before their stamp.
+    get a time `scan_delay_s` [s] before their stamp; those of a scanner that is mounted upside down
+    get its angles mirrored.
     """
 
     def __init__(self, path: Path, topics: Mapping[str, str], scan_delay_s: float = 0.0) -> None:
@@ -94,25 +104,23 @@ class BagRecording:
         truth = truth or self._usual("truth", tuple(_POSE_TYPES))
         objects = self._usual("recognized_objects", (_OBJECTS,))
         surveyed = self._usual("true_map", (_MAP,))
-        self._scans = self._read(scan, self._to_scans)
-        self._odometry = self._read(odom, self._to_odometry)
-        self._objects = self._read(objects, self._to_observations)
+        self._quality: dict[str, TimeQuality] = {}
+        self._mount = self._find_mount(scan, odom)
+        self._scans = self._read("scan", scan, self._to_scans)
+        self._odometry = self._read("odom", odom, self._to_odometry)
+        self._objects = self._read("objects", objects, self._to_observations)
         maps = self._messages.get(surveyed or "", [])
         self._landmark_map: VisualMap | None = maps[-1][1] if maps else None
         kinds = {"scan": scan, "odom": odom, "objects": objects}
         self._replayed = {topic: kind for kind, topic in kinds.items() if topic}
         if self._odometry is None:
-            transforms = {
-                topic: messages
-                for topic, messages in self._messages.items()
-                if self._types[topic] in _TF
-            }
+            transforms = self._transforms()
             self._odometry = self._from_tf(
                 [pair for messages in transforms.values() for pair in messages]
             )
             if self._odometry is not None:
                 self._replayed |= dict.fromkeys(transforms, "odom")
-        self._truth = self._read(truth, self._to_poses)
+        self._truth = self._read("truth", truth, self._to_poses)
         if truth is not None:
             self._replayed[truth] = "truth"
         self._image_topics, notes = image_topics(path, self._types, self._named)
@@ -140,6 +148,10 @@ class BagRecording:
     def scans(self) -> ScanStream | None:
         """Return the laser's scans."""
         return self._scans
+
+    def mount(self) -> ScannerMount | None:
+        """Return the scanner's pose by static transforms, else by the robot's description."""
+        return self._mount
 
     def observations(self) -> ObservationStream | None:
         """Return the observations in a recording of Cairn: ROS has no message for them."""
@@ -177,6 +189,10 @@ class BagRecording:
             for topic, kind in sorted(self._types.items())
         ]
 
+    def time_quality(self) -> Mapping[str, TimeQuality]:
+        """Return the quality of the stamps, in the order in which the messages were received."""
+        return self._quality
+
     def notes(self) -> Sequence[str]:
         """Return what was lost or assumed."""
         return self._notes
@@ -205,12 +221,53 @@ class BagRecording:
     def _usual(self, kind: str, types: Sequence[str]) -> str | None:
         return _usual(kind, [topic for topic, of in self._types.items() if of in types])
 
-    def _read(self, topic: str | None, convert: Callable[[list[int], list[Any]], T]) -> T | None:
+    def _transforms(self) -> dict[str, list[tuple[int, Any]]]:
+        """Return the messages of transforms by topic, those of static ones first."""
+        topics = [topic for topic in self._messages if self._types[topic] in _TF]
+        topics.sort(key=lambda topic: not topic.endswith("tf_static"))
+        return {topic: self._messages[topic] for topic in topics}
+
+    def _find_mount(self, scan: str | None, odom: str | None) -> ScannerMount | None:
+        """Return the scanner's mount on the frame that odometry moves, else on another base."""
+        scans = self._messages.get(scan or "", [])
+        if not scans:
+            return None
+        odometry = self._messages.get(odom or "", [])
+        moved = [message.child_frame_id.strip("/") for _, message in odometry[:1]]
+        bases = [name for name in dict.fromkeys((*moved, *BASES)) if name]
+        links = [
+            link
+            for topic, received in self._transforms().items()
+            for link in links_of_transforms(topic, (t for _, m in received for t in m.transforms))
+        ]
+        frame = scans[0][1].header.frame_id
+        found = mount_of(links, frame, bases)
+        if found is None:
+            found = mount_of([*links, *self._described_links()], frame, bases)
+        if isinstance(found, str):
+            self._notes.append(found)
+            return None
+        return found
+
+    def _described_links(self) -> list[FrameLink]:
+        links: list[FrameLink] = []
+        for topic, received in self._messages.items():
+            if self._types[topic] == _TEXT and received:
+                try:
+                    links += links_of_description(topic, received[-1][1].data)
+                except RecordingError as error:
+                    self._notes.append(str(error))
+        return links
+
+    def _read(
+        self, kind: str, topic: str | None, convert: Callable[[list[int], list[Any]], T]
+    ) -> T | None:
         """Convert the messages of a topic in order of their stamps; None if there are none."""
         received = self._messages.get(topic, []) if topic else []
         if not received:
             return None
         stamps = self._stamps(topic or "", [(at, m.header.stamp) for at, m in received])
+        self._quality[kind] = time_quality(stamps)
         order = sorted(range(len(stamps)), key=stamps.__getitem__)
         try:
             return convert([stamps[k] for k in order], [received[k][1] for k in order])
@@ -226,14 +283,16 @@ class BagRecording:
         return stamps
 
     def _to_scans(self, stamps: list[int], messages: list[Any]) -> ScanStream:
-        stamps = [max(stamp - self._scan_delay, 0) for stamp in stamps]
+        upside_down = self._mount is not None and self._mount.upside_down
+        recorded = stamps
+        stamps = [max(stamp - self._scan_delay, 0) for stamp in recorded]
         scans = []
         for number, (stamp, m) in enumerate(zip(stamps, messages, strict=True), start=1):
             try:
-                scans.append(_scan(stamp, m))
+                scans.append(_scan(stamp, m, upside_down))
             except InvalidMessage as error:
                 raise ValueError(f"message {number}: {error}") from error
-        return ScanStream(stamps, scans)
+        return ScanStream(stamps, scans, recorded)
 
     @staticmethod
     def _to_odometry(stamps: list[int], messages: list[Any]) -> OdometryStream:
@@ -261,11 +320,12 @@ class BagRecording:
             for at, message in received
             for transform in message.transforms
             if transform.header.frame_id.strip("/") == "odom"
-            and transform.child_frame_id.strip("/") in _BASES
+            and transform.child_frame_id.strip("/") in BASES
         ]
         if not pairs:
             return None
         stamps = self._stamps("/tf", [(at, t.header.stamp) for at, t in pairs])
+        self._quality["odom"] = time_quality(stamps)
         order = sorted(range(len(stamps)), key=stamps.__getitem__)
         stamps = [stamps[k] for k in order]
         poses = np.array([_transform_pose(pairs[k][1].transform) for k in order])
@@ -282,13 +342,14 @@ def _usual(kind: str, topics: Sequence[str]) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
-def _scan(stamp: int, m: Any) -> LaserScan:
+def _scan(stamp: int, m: Any, upside_down: bool) -> LaserScan:
     beams = len(m.ranges)
+    side = -1.0 if upside_down else 1.0  # it turns to the right: the first beam is the left one
     return LaserScan(
         header=Header(stamp=from_ns(stamp), frame_id="laser"),
-        angle_min=float(m.angle_min),
-        angle_max=float(m.angle_max),
-        angle_increment=float(m.angle_increment),
+        angle_min=side * float(m.angle_min),
+        angle_max=side * float(m.angle_max),
+        angle_increment=side * float(m.angle_increment),
         time_increment=float(m.time_increment),
         scan_time=float(m.scan_time),
         range_min=float(m.range_min),
@@ -337,7 +398,7 @@ class BagContents:
 
 
 def read_bag(path: Path) -> BagContents:
-    """Read the scans, odometry, transforms and poses of the bag at `path`.
+    """Read the scans, odometry, transforms, poses and robot's description of the bag at `path`.
 
     `path` is a ROS 1 bag, the folder of a ROS 2 bag, or one of its files. Messages have the
     attributes of their ROS 2 definition. Raises `RecordingError`.
@@ -347,7 +408,7 @@ def read_bag(path: Path) -> BagContents:
     damaged: list[str] = []
     kept = 0
     with _explained(bag):
-        for topic, received, raw in bag.messages(lambda topic: topic.type in _READ):
+        for topic, received, raw in bag.messages(_is_read):
             kept += _MESSAGE_COST + len(raw) * (_TF_FACTOR if topic.type in _TF else 1)
             most = max(_KEPT_BYTES, _KEPT_RATIO * bag.size)
             if kept > most:
@@ -381,6 +442,11 @@ def read_bag(path: Path) -> BagContents:
 
 
 _MOST_NOTES: Final = 20
+
+
+def _is_read(topic: BagTopic) -> bool:
+    described = topic.type == _TEXT and topic.name.rpartition("/")[2] == _DESCRIPTION
+    return topic.type in _READ or described
 
 
 @contextmanager

@@ -115,8 +115,9 @@ def test_scans_are_transformed_by_the_odometry_at_their_time() -> None:
         (3.5, -0.5 * math.pi, 1.0),
         (5, 0.0, 1.0),
     ]
+    stamps = [round(at * SECOND) for at, _, _ in measurements]
     scans = ScanStream(
-        [round(at * SECOND) for at, _, _ in measurements],
+        stamps,
         [
             LaserScan(
                 angle_min=bearing, angle_max=bearing + 0.1, angle_increment=0.1, range_min=0.1,
@@ -124,6 +125,7 @@ def test_scans_are_transformed_by_the_odometry_at_their_time() -> None:
             )
             for _, bearing, meters in measurements
         ],
+        stamps,
     )  # fmt: skip
 
     points = rough_map(scans, odometry)
