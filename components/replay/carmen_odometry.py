@@ -248,7 +248,7 @@ def median_mount(lasers: Sequence[LaserLine]) -> Pose | None:
     median = np.median(mounts, axis=0)
     if not _close(mounts, np.broadcast_to(median, mounts.shape)):
         return None
-    x, y, theta = median.round(4).tolist()  # logs have four decimals or more
+    x, y, theta = (0.0 + median.round(4)).tolist()  # logs have four decimals or more; no -0
     return x, y, theta
 
 
