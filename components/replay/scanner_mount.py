@@ -116,7 +116,7 @@ def _chain(links: Sequence[FrameLink], base: str, scanner: str) -> list[tuple[Ar
     neighbors: dict[str, list[tuple[str, Array, str]]] = {}
     for link in links:
         neighbors.setdefault(link.parent, []).append((link.child, link.matrix, link.source))
-        back: Array = np.linalg.inv(link.matrix)
+        back = np.linalg.inv(link.matrix).astype(np.float64)
         neighbors.setdefault(link.child, []).append((link.parent, back, link.source))
     came: dict[str, tuple[str, Array, str] | None] = {base: None}
     waiting = deque([base])
