@@ -10,14 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from cairn.planar.poses import Pose, relative, wrap, wrap_all
 from cairn.planar.scans import beams_of
 from cairn.schemas.sensor_msgs import LaserScan
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
@@ -36,7 +39,7 @@ _FAR_M = 0.15  # points farther from all surfaces are of something that the othe
 _COARSE_RAD, _FINE_RAD = math.radians(5.0), math.radians(1.0)
 # Odometry veers by up to 0.02 rad per meter (fr079, fr101). Seen from the scanner, walls 5 m away
 # then move sideways by as much as with a yaw 0.1 rad off; so turns that fit better are tried [rad].
-_VEERED: Array = np.arange(-4, 5) * 0.0025
+_VEERED = np.linspace(-0.01, 0.01, 9)
 _OTHER_RAD = math.radians(40.0)  # yaws that differ by more are other hypotheses
 _SURE = 4.0  # standard errors by which the best yaw must be better than all others
 _GROUPS = 8  # of pairs, each left out once for the uncertainty
@@ -130,6 +133,8 @@ class _Overlap:
     @staticmethod
     def of(before: LaserScan, after: LaserScan, step: Pose) -> _Overlap | None:
         """Return how two scans overlap; None if one of them sees too little."""
+        from scipy.spatial import KDTree  # takes 0.2 s: only when a mount is estimated
+
         surfaces, points = _surfaces(before), _ends(after, _POINTS_M)
         if len(surfaces) < 20 or len(points) < 20:
             return None

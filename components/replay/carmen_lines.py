@@ -17,21 +17,13 @@ from numpy.typing import NDArray
 
 from cairn import SECOND
 from cairn.components.replay.bounded_streams import text_lines
-from cairn.components.replay.recording import damaged_line
+from cairn.components.replay.recording import BAD_SHARE, FEW_BAD, damaged_line
 from cairn.errors import RecordingError
 from cairn.planar.poses import Pose
 
 MESSAGES = ("PARAM", "SYNC", "ODOM", "FLASER", "RLASER", "TRUEPOS", "RAWLASER1", "ROBOTLASER1")
 """Names at the start of lines of a CARMEN log, among others."""
 
-BAD_SHARE = 0.01
-"""The share of a log's records that may be bad: such are left out; with more, the log is refused.
-
-Programs that are killed leave one cut-off line, full disks a few. Three bad records may be in any
-log, however short.
-"""
-
-_FEW_BAD = 3
 _MOST_LISTED = 1_000  # bad records of which the line is kept
 _STAMP = 3  # the fields that end each line
 _LATEST_S = 2**31
@@ -139,7 +131,7 @@ class CarmenLog:
 
     def check_share(self, path: Path) -> None:
         """Raise `RecordingError` if too many records of the log at `path` are bad."""
-        if self.bad_count > max(_FEW_BAD, BAD_SHARE * self.records):
+        if self.bad_count > max(FEW_BAD, BAD_SHARE * self.records):
             first = min(self.bad, key=lambda bad: bad.line)
             raise damaged_line(
                 path,

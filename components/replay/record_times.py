@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from cairn import SECOND
 from cairn.planar.poses import wrap_all
@@ -174,11 +173,7 @@ def repair_times(recorded: Sequence[int], logger_s: Array, poses: Array | None) 
     if _faults(times):
         fitted = _by_logger(times, np.asarray(logger_s, np.float64)[order])
         if fitted is None:
-            fitted = times
-            if np.any(np.diff(times) < 0):
-                origin = int(times[0])
-                fit = isotonic_regression((times - origin).astype(np.float64)).x
-                fitted = origin + np.round(fit).astype(np.int64)
+            fitted = _ascending(times) if np.any(np.diff(times) < 0) else times
         times = _spread_bursts(fitted)
     return RepairedTimes(order, times)
 
@@ -240,6 +235,16 @@ def _by_logger(times: Stamps, logger_s: Array) -> Stamps | None:
     return fitted
 
 
+def _ascending(times: Stamps) -> Stamps:
+    """Return the nearest ascending times [ns], in the sense of least squares."""
+    from scipy.optimize import isotonic_regression  # takes 0.3 s: only for a log out of order
+
+    origin = int(times[0])
+    fit = isotonic_regression((times - origin).astype(np.float64)).x
+    fitted: Stamps = origin + np.round(fit).astype(np.int64)
+    return fitted
+
+
 def _spread_bursts(times: Stamps) -> Stamps:
     """Return strictly ascending times [ns]: those of a burst spread before its last record.
 
@@ -264,7 +269,7 @@ def _spread_bursts(times: Stamps) -> Stamps:
     return spread
 
 
-def period_text(quality: TimeQuality) -> str:
+def quality_text(quality: TimeQuality) -> str:
     """Return the quality of a stream's times in words."""
     words = [f"{quality.records} records"]
     if quality.period_s is not None and quality.jitter_s is not None:

@@ -20,6 +20,14 @@ Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
 
+BAD_SHARE = 0.01
+"""The share of a log's or topic's records that may be bad: these are left out; with more, it is
+refused. Programs that are killed leave one cut-off record, full disks a few."""
+
+FEW_BAD = 3
+"""So many bad records may be in any log or topic, however short."""
+
+
 @dataclass(frozen=True)
 class OdometryStream:
     """Wheel odometry at `stamps` [ns] in order.

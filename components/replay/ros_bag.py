@@ -6,6 +6,7 @@ reads the files.
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import struct
 from collections import deque
@@ -18,6 +19,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
@@ -29,6 +31,8 @@ from cairn.bus.codec import Codec
 from cairn.components.replay.bag_files import BagFile, BagTopic
 from cairn.components.replay.record_times import TimeQuality, time_quality
 from cairn.components.replay.recording import (
+    BAD_SHARE,
+    FEW_BAD,
     Gray,
     ImageStream,
     ObservationStream,
@@ -59,6 +63,8 @@ from cairn.schemas.std_msgs import Header
 from cairn.vision.image_files import camera_of
 from cairn.vision.images import decode, gray_of
 
+Array = NDArray[np.float64]
+Item = TypeVar("Item")
 T = TypeVar("T")
 Received = Sequence[tuple[int, Any]]
 """Messages with their times of receipt [ns]."""
@@ -106,9 +112,9 @@ class BagRecording:
         surveyed = self._usual("true_map", (_MAP,))
         self._quality: dict[str, TimeQuality] = {}
         self._mount = self._find_mount(scan, odom)
-        self._scans = self._read("scan", scan, self._to_scans)
-        self._odometry = self._read("odom", odom, self._to_odometry)
-        self._objects = self._read("objects", objects, self._to_observations)
+        self._scans = self._read("scan", scan, self._to_scan, self._to_scans)
+        self._odometry = self._read("odom", odom, _odometry_step, _odometry_stream)
+        self._objects = self._read("objects", objects, _unchanged, _observations)
         maps = self._messages.get(surveyed or "", [])
         self._landmark_map: VisualMap | None = maps[-1][1] if maps else None
         kinds = {"scan": scan, "odom": odom, "objects": objects}
@@ -120,7 +126,7 @@ class BagRecording:
             )
             if self._odometry is not None:
                 self._replayed |= dict.fromkeys(transforms, "odom")
-        self._truth = self._read("truth", truth, self._to_poses)
+        self._truth = self._read("truth", truth, _true_pose, _timed_poses)
         if truth is not None:
             self._replayed[truth] = "truth"
         self._image_topics, notes = image_topics(path, self._types, self._named)
@@ -260,58 +266,54 @@ class BagRecording:
         return links
 
     def _read(
-        self, kind: str, topic: str | None, convert: Callable[[list[int], list[Any]], T]
+        self,
+        kind: str,
+        topic: str | None,
+        parse: Callable[[int, Any], Item],
+        gather: Callable[[list[int], list[Item]], T],
     ) -> T | None:
-        """Convert the messages of a topic in order of their stamps; None if there are none."""
+        """Gather the parsed messages of a topic by their stamps in order; None if there are none.
+
+        Invalid messages are left out and noted. Raises `RecordingError` if they are too many.
+        """
         received = self._messages.get(topic, []) if topic else []
         if not received:
             return None
         stamps = self._stamps(topic or "", [(at, m.header.stamp) for at, m in received])
         self._quality[kind] = time_quality(stamps)
-        order = sorted(range(len(stamps)), key=stamps.__getitem__)
-        try:
-            return convert([stamps[k] for k in order], [received[k][1] for k in order])
-        except (InvalidMessage, ValueError) as error:
+        parsed: list[Item] = []
+        known: list[int] = []
+        faults: list[str] = []
+        for k in sorted(range(len(stamps)), key=stamps.__getitem__):
+            try:
+                parsed.append(parse(stamps[k], received[k][1]))
+                known.append(stamps[k])
+            except (InvalidMessage, ValueError) as error:
+                faults.append(f"message {k + 1}: {error}")
+        if len(faults) > max(FEW_BAD, BAD_SHARE * len(stamps)) or not parsed:
             raise RecordingError(
-                f"{self._path}, topic {topic}: {error}. Such a message cannot be replayed: name "
-                "another topic, or remove it from the bag."
-            ) from error
+                f"{self._path}, topic {topic}: {faults[0]}. {len(faults)} of {len(stamps)} "
+                "messages are invalid, which cannot be replayed: name another topic, or remove "
+                "them from the bag."
+            )
+        if faults:
+            self._notes.append(
+                f"{len(faults)} of {len(stamps)} messages of {topic} are invalid and left out: "
+                f"{faults[0]}{'; ...' if len(faults) > 1 else ''}"
+            )
+        return gather(known, parsed)
 
     def _stamps(self, topic: str, received: Sequence[tuple[int, Any]]) -> list[int]:
         stamps, note = message_stamps(topic, received)
         self._notes += [note] if note else []
         return stamps
 
-    def _to_scans(self, stamps: list[int], messages: list[Any]) -> ScanStream:
+    def _to_scan(self, stamp: int, message: Any) -> LaserScan:
         upside_down = self._mount is not None and self._mount.upside_down
-        recorded = stamps
-        stamps = [max(stamp - self._scan_delay, 0) for stamp in recorded]
-        scans = []
-        for number, (stamp, m) in enumerate(zip(stamps, messages, strict=True), start=1):
-            try:
-                scans.append(_scan(stamp, m, upside_down))
-            except InvalidMessage as error:
-                raise ValueError(f"message {number}: {error}") from error
-        return ScanStream(stamps, scans, recorded)
+        return _scan(max(stamp - self._scan_delay, 0), message, upside_down)
 
-    @staticmethod
-    def _to_odometry(stamps: list[int], messages: list[Any]) -> OdometryStream:
-        poses = np.array([_pose(m.pose.pose) for m in messages])
-        recorded = np.array([m.pose.covariance for m in messages], dtype=np.float64)
-        covariances = recorded.reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
-        if not covariances.any() or not np.isfinite(covariances).all():
-            covariances = covariances_of(odometry_deviations(poses))
-        twists = np.array([(m.twist.twist.linear.x, m.twist.twist.angular.z) for m in messages])
-        return OdometryStream(stamps, poses, covariances, twists)
-
-    @staticmethod
-    def _to_observations(stamps: list[int], messages: list[Any]) -> ObservationStream:
-        return ObservationStream(stamps, (), messages)
-
-    @staticmethod
-    def _to_poses(stamps: list[int], messages: list[Any]) -> TimedPoses:
-        poses = [_pose(_POSE_TYPES[m.__msgtype__](m)) for m in messages]
-        return TimedPoses(stamps, np.array(poses))
+    def _to_scans(self, stamps: list[int], scans: list[LaserScan]) -> ScanStream:
+        return ScanStream([max(stamp - self._scan_delay, 0) for stamp in stamps], scans, stamps)
 
     def _from_tf(self, received: Received) -> OdometryStream | None:
         """Return odometry from transforms of frame odom to the base."""
@@ -358,6 +360,47 @@ def _scan(stamp: int, m: Any, upside_down: bool) -> LaserScan:
         # Some drivers send another number of intensities, which belong to no beam.
         intensities=np.asarray(m.intensities if len(m.intensities) == beams else [], np.float32),
     )
+
+
+@dataclass(frozen=True)
+class _OdometryStep:
+    """A message of odometry: pose, covariance (3, 3) as it is, forward and turning velocity."""
+
+    pose: Pose
+    covariance: Array
+    twist: tuple[float, float]
+
+
+def _odometry_step(_: int, message: Any) -> _OdometryStep:
+    covariance = np.array(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    twist = (float(message.twist.twist.linear.x), float(message.twist.twist.angular.z))
+    if not all(map(math.isfinite, twist)):
+        raise ValueError(f"its velocity is {twist[0]:g} m/s, {twist[1]:g} rad/s")
+    return _OdometryStep(_pose(message.pose.pose), covariance[[0, 1, 5]][:, [0, 1, 5]], twist)
+
+
+def _odometry_stream(stamps: list[int], steps: list[_OdometryStep]) -> OdometryStream:
+    poses = np.array([step.pose for step in steps])
+    covariances = np.array([step.covariance for step in steps])
+    if not covariances.any() or not np.isfinite(covariances).all():
+        covariances = covariances_of(odometry_deviations(poses))
+    return OdometryStream(stamps, poses, covariances, np.array([step.twist for step in steps]))
+
+
+def _unchanged(_: int, message: RecognizedObjectArray) -> RecognizedObjectArray:
+    return message
+
+
+def _observations(stamps: list[int], messages: list[RecognizedObjectArray]) -> ObservationStream:
+    return ObservationStream(stamps, (), messages)
+
+
+def _true_pose(_: int, message: Any) -> Pose:
+    return _pose(_POSE_TYPES[message.__msgtype__](message))
+
+
+def _timed_poses(stamps: list[int], poses: list[Pose]) -> TimedPoses:
+    return TimedPoses(stamps, np.array(poses))
 
 
 def _pose(pose: Any) -> Pose:
