@@ -122,7 +122,8 @@ def show_recording(
     else:
         show(contents["streams"], _COLUMNS, as_json=False)
         line(f"scanner: {_scanner_text(contents['scanner'])}")
-        line(f"mount: {_mount_text(contents['mount'])}")
+        if contents["scanner"] is not None:
+            line(f"mount: {_mount_text(contents['mount'])}")
         if contents["yaw_by_motion"] is not None:
             line(f"yaw by motion: {_yaw_text(contents['yaw_by_motion'])}")
         line(f"odometry: {'yes' if contents['odometry'] else 'none'}")

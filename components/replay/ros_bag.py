@@ -256,14 +256,17 @@ class BagRecording:
         return found
 
     def _described_links(self) -> list[FrameLink]:
-        links: list[FrameLink] = []
-        for topic, received in self._messages.items():
-            if self._types[topic] == _TEXT and received:
-                try:
-                    links += links_of_description(topic, received[-1][1].data)
-                except RecordingError as error:
-                    self._notes.append(str(error))
-        return links
+        """Return the links of the robot's description; of several, that of the shortest name."""
+        described = [topic for topic in self._messages if self._types[topic] == _TEXT]
+        topic = min(described, key=lambda topic: (len(topic), topic), default="")
+        received = self._messages.get(topic, [])
+        if not received:
+            return []
+        try:
+            return links_of_description(topic, received[-1][1].data)
+        except RecordingError as error:
+            self._notes.append(str(error))
+            return []
 
     def _read(
         self,
@@ -310,10 +313,13 @@ class BagRecording:
 
     def _to_scan(self, stamp: int, message: Any) -> LaserScan:
         upside_down = self._mount is not None and self._mount.upside_down
-        return _scan(max(stamp - self._scan_delay, 0), message, upside_down)
+        return _scan(self._undelayed(stamp), message, upside_down)
 
     def _to_scans(self, stamps: list[int], scans: list[LaserScan]) -> ScanStream:
-        return ScanStream([max(stamp - self._scan_delay, 0) for stamp in stamps], scans, stamps)
+        return ScanStream([self._undelayed(stamp) for stamp in stamps], scans, stamps)
+
+    def _undelayed(self, stamp: int) -> int:
+        return max(stamp - self._scan_delay, 0)
 
     def _from_tf(self, received: Received) -> OdometryStream | None:
         """Return odometry from transforms of frame odom to the base."""

@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 from xml.etree import ElementTree
 
@@ -74,7 +75,8 @@ def links_of_description(source: str, urdf: str) -> list[FrameLink]:
         )
     try:
         robot = ElementTree.fromstring(urdf)
-        joints = [joint for joint in robot.iter("joint") if joint.get("type") == "fixed"]
+        joints = list(islice(robot.iter("joint"), _MOST_FRAMES))
+        joints = [joint for joint in joints if joint.get("type") == "fixed"]
         return [link for joint in joints if (link := _link_of(source, joint)) is not None]
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
         raise RecordingError(
@@ -113,26 +115,28 @@ def mount_of(
 
 def _chain(links: Sequence[FrameLink], base: str, scanner: str) -> list[tuple[Array, str]] | None:
     """Return the transforms from frame `scanner` to `base`, in the order of their product."""
-    neighbors: dict[str, list[tuple[str, Array, str]]] = {}
+    links = links[:_MOST_FRAMES]
+    neighbors: dict[str, list[tuple[str, FrameLink]]] = {}
     for link in links:
-        neighbors.setdefault(link.parent, []).append((link.child, link.matrix, link.source))
-        back = np.linalg.inv(link.matrix).astype(np.float64)
-        neighbors.setdefault(link.child, []).append((link.parent, back, link.source))
-    came: dict[str, tuple[str, Array, str] | None] = {base: None}
+        neighbors.setdefault(link.parent, []).append((link.child, link))
+        neighbors.setdefault(link.child, []).append((link.parent, link))
+    came: dict[str, tuple[str, FrameLink] | None] = {base: None}
     waiting = deque([base])
     while waiting and scanner not in came:
         frame = waiting.popleft()
-        for other, matrix, source in neighbors.get(frame, []):
+        for other, link in neighbors.get(frame, []):
             if other not in came:
-                came[other] = (frame, matrix, source)
+                came[other] = (frame, link)
                 waiting.append(other)
     if scanner not in came:
         return None
     chain: list[tuple[Array, str]] = []
     frame = scanner
     while (step := came[frame]) is not None:
+        link = step[1]
+        matrix = link.matrix if link.child == frame else np.linalg.inv(link.matrix)
+        chain.append((matrix.astype(np.float64), link.source))
         frame = step[0]
-        chain.append((step[1], step[2]))
     return chain[::-1]
 
 
