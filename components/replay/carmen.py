@@ -209,7 +209,7 @@ class CarmenRecording:
     def mount(self) -> ScannerMount | None:
         """Return the scanner's pose by the laser records, else by the log's parameters.
 
-        Records in which laser and robot have the same pose do not tell it.
+        It is unknown if laser and robot have the same pose in all records.
         """
         pose = median_mount(self._lasers)
         if pose is not None and any(abs(value) > 1e-6 for value in pose):

@@ -218,7 +218,7 @@ def _faults(times: Stamps) -> int:
 
 
 def _by_logger(times: Stamps, logger_s: Array) -> Stamps | None:
-    """Return the times [ns] by the logger's clock; None if that is no better clock."""
+    """Return the times [ns] by the logger's clock; None if that clock is not better."""
     if not np.isfinite(logger_s).all() or np.any(np.diff(logger_s) < 0):
         return None
     logger = np.round((logger_s - logger_s[0]) * SECOND).astype(np.int64)

@@ -99,7 +99,7 @@ def test_odometry_at_a_scan_is_that_of_its_own_record(tmp_path: Path, kind: str)
     at_scans = np.array([poses[stamp] for stamp in scans.stamps])
     assert at_scans == pytest.approx(office_drive().odometry[log.scan_steps], abs=1e-6)
     assert list(odometry.stamps) == sorted(set(odometry.stamps))
-    assert recording.truth() is None  # raw odometry is not taken for corrected poses
+    assert recording.truth() is None  # raw odometry is not a truth
 
 
 def test_odometry_lines_that_contradict_the_scans_are_left_out_and_counted(tmp_path: Path) -> None:
