@@ -21,10 +21,11 @@ _NEAR_M, _NEAR_RAD = 0.01, 0.01  # median difference of poses that are the same
 _SHIFT_S, _SHIFT_STEP_S = 0.5, 0.02
 # An ODOM line closer than this to a scan [ns] adds nothing to the scan's own pose but noise.
 _BESIDE_NS = SECOND // 100
-# An ODOM line contradicts the poses of the scans around it if it leads off the way between them,
-# which may be curved so much, by more than this; or if it takes more than the highest speed at
-# scans, and this much of it for the jitter of time.
-_CURVED, _OFF_M, _OFF_RAD = 1.3, 0.02, 0.03
+# An ODOM line contradicts the poses around it if it leads off the way between them by more than
+# this: a curve of 90 degrees is 8 % longer than its chords. In more than _SHORT_NS the robot may
+# have turned or come back. It also contradicts them if it takes more than the highest speed at
+# scans, with a margin for the jitter of time.
+_CURVED, _OFF_M, _OFF_RAD, _SHORT_NS = 1.1, 0.01, 0.02, SECOND // 2
 _FASTER, _FASTER_M_S, _FASTER_RAD_S = 1.5, 0.1, 0.2
 _MOVING_M_S = 0.02  # a slower robot may stand
 _ENOUGH_LINES = 20  # odometry lines that decide whether a log counts backwards as forward
@@ -232,7 +233,7 @@ def _contradicts(
         if step[0] > limits[0] * seconds + _OFF_M or step[1] > limits[1] * seconds + _OFF_RAD:
             return True
         moved = [moved[0] + step[0], moved[1] + step[1]]
-    if before is None or after is None:
+    if before is None or after is None or after.stamp - before.stamp > _SHORT_NS:
         return False
     way = distance(before.pose, after.pose), abs(wrap(before.pose[2] - after.pose[2]))
     return moved[0] > _CURVED * way[0] + _OFF_M or moved[1] > _CURVED * way[1] + _OFF_RAD

@@ -23,6 +23,7 @@ _LONGEST_GAP_NS = 3600 * SECOND
 # Records closer than this share of the usual interval, and than this time [ns], came in a burst: a
 # sensor cannot measure so fast, so they waited somewhere. The Intel lab's bursts are 20 ms long.
 _BURST_SHARE, _BURST_NS = 0.25, SECOND // 20
+_PERIODS = 20  # intervals in a row, of which the mean hardly depends on bursts
 # The logger's clock is compared with the senders' over so many records: both drift slowly.
 _CLOCK_WINDOW = 101
 _GAP_NS, _GAP_PERIODS = SECOND, 5  # an interval above both is reported as a gap
@@ -32,7 +33,7 @@ _GAP_NS, _GAP_PERIODS = SECOND, 5  # an interval above both is reported as a gap
 class TimeQuality:
     """How good the times of a stream's records are, and what was done about it.
 
-    `period_s` is the median interval [s], `jitter_s` the standard deviation of the intervals [s]
+    `period_s` is the usual interval [s], `jitter_s` the standard deviation of the intervals [s]
     without their outliers. `gaps` are intervals of more than 1 s and 5 periods. `disordered` are
     records older than one before them, by up to `disorder_s` [s]; `bursts` those that came together
     with the one before. `duplicates` and `contradicting` ones were left out. The times of `retimed`
@@ -58,8 +59,8 @@ def time_quality(stamps: Sequence[int] | Stamps) -> TimeQuality:
     times = np.asarray(stamps, dtype=np.int64)
     late = np.maximum.accumulate(times) - times if times.size else times
     intervals = _intervals(np.sort(times))
-    period = float(np.median(intervals)) if intervals.size else 0.0
-    spread = float(np.median(np.abs(intervals - period))) if intervals.size else 0.0
+    period = _period(intervals)
+    spread = float(np.median(np.abs(intervals - np.median(intervals)))) if intervals.size else 0.0
     gaps = intervals[intervals > max(_GAP_NS, _GAP_PERIODS * period)]
     return TimeQuality(
         records=int(times.size),
@@ -204,10 +205,20 @@ def _intervals(times: Stamps) -> Stamps:
     return intervals
 
 
-def _burst_limit(intervals: Stamps) -> float:
+def _period(intervals: Stamps) -> float:
+    """Return the usual interval [ns], 0 without any.
+
+    It is the median over several in a row: with many bursts, most single ones are too short.
+    """
     if not intervals.size:
         return 0.0
-    return min(_BURST_SHARE * float(np.median(intervals)), float(_BURST_NS))
+    count = min(_PERIODS, intervals.size)
+    sums = np.convolve(intervals.astype(np.float64), np.ones(count), mode="valid")
+    return float(np.median(sums)) / count
+
+
+def _burst_limit(intervals: Stamps) -> float:
+    return min(_BURST_SHARE * _period(intervals), float(_BURST_NS))
 
 
 def _faults(times: Stamps) -> int:
@@ -253,7 +264,7 @@ def _spread_bursts(times: Stamps) -> Stamps:
     """
     intervals = _intervals(times)
     limit = max(1.0, _burst_limit(intervals))
-    period = float(np.median(intervals))
+    period = _period(intervals)
     spread = times.copy()
     begin = 0
     for end in range(1, times.size + 1):

@@ -155,7 +155,7 @@ def test_mount_and_quality_of_times_are_shown(write: Write) -> None:
     assert_words(
         answer.out, "out of order by up to 0.4", "left out, which contradict the scans",
         "12 gaps, the longest 2.2 s", "40 in bursts", "7 duplicates left out",
-        "40 times corrected by up to 0.784 s",
+        "40 times corrected by up to 0.78",
     )  # fmt: skip
     assert_words(answer.err, "3 of 1872 records are bad", "line 101", "line 1872")
     assert "check the mount" not in answer.err

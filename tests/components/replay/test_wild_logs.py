@@ -139,6 +139,18 @@ def test_bursts_are_spread_and_the_recorded_stamps_kept(tmp_path: Path) -> None:
     assert 2.0 < quality.longest_gap_s < 2.5
 
 
+def test_bursts_are_found_if_most_scans_are_in_them(tmp_path: Path) -> None:
+    defects = Defects(stall_every_s=3.0, stall_s=1.6, bad_lines=False)
+    log = wild_log(office_drive(), "FLASER", defects)
+
+    recording, odometry, scans = streams(tmp_path, log)
+
+    true = ORIGIN_S + STEP_S * np.array(log.scan_steps)
+    assert recording.time_quality()["scan"].bursts > 0.45 * len(log.scan_steps)
+    assert np.abs(np.array(scans.stamps) / SECOND - true).max() < 0.2
+    assert _way(odometry.poses) < 1.02 * _way(office_drive().odometry)
+
+
 def test_logger_with_an_even_clock_gives_the_times_of_scans(tmp_path: Path) -> None:
     log = wild_log(office_drive(), "FLASER", Defects(own_clock=True))
 

@@ -128,7 +128,7 @@ def wild_log(
             if into < defects.stall_s:
                 # The scans of a stall are sent within 20 ms at its end.
                 sent = at - into + defects.stall_s + 0.02 * into / defects.stall_s
-            sent += random.uniform(0.0, 0.004)
+            sent += random.uniform(0.0, 0.001)
             steps.append(k)
             logged = at if defects.own_clock else sent
             lines.append((sent, _scan(kind, drive.scans[k], pose, mount, sent, logged)))
