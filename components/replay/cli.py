@@ -65,7 +65,7 @@ def info_of_recording(
 
     A whole MCAP file of any size takes no time, because only its index is read. One that was not
     closed, because the recorder was killed, is read as a whole. Of other recordings it shows what
-    `cairn recording show` does.
+    `cairn recording show` does: also the scanner's mount, and how good the times are.
     """
     if holds_mcap(file):
         commands.info(file, json)

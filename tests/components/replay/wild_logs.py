@@ -112,6 +112,7 @@ def wild_log(
     random = np.random.default_rng(seed)
     lines: list[tuple[float, str]] = []  # with the time at which the logger wrote them
     steps: list[int] = []
+    last_sent = 0.0
     for k in range(0, len(drive.truth), min(ODOM_EVERY, SCAN_EVERY)):
         at = k * STEP_S
         if any(begin <= at < begin + length for begin, length in defects.gaps):
@@ -128,7 +129,8 @@ def wild_log(
             if into < defects.stall_s:
                 # The scans of a stall are sent within 20 ms at its end.
                 sent = at - into + defects.stall_s + 0.02 * into / defects.stall_s
-            sent += random.uniform(0.0, 0.001)
+            sent = max(sent, last_sent) + random.uniform(0.0, 0.001)  # none overtakes another
+            last_sent = sent
             steps.append(k)
             logged = at if defects.own_clock else sent
             lines.append((sent, _scan(kind, drive.scans[k], pose, mount, sent, logged)))
