@@ -136,7 +136,7 @@ class CarmenRecording:
         if self._own_odometry:
             merged = with_poses_at_scans(moves.lines, self._lasers)
             steps, contradicting = merged.lines, merged.contradicting
-            if delay and odometry:
+            if delay:
                 self._notes.append(
                     f"scans are put {scan_delay_s:g} s before the odometry in their own records: "
                     "set scan_delay_s to 0, unless this delay was measured for this log"

@@ -46,7 +46,8 @@ def rejoin_increments(
 
     GMapping writes such logs: a scan is followed by an ODOM line without a time of its own that
     repeats the scan's corrected pose, and the next lines continue from there. Only the increments
-    are measured; they are added up. Lines of other logs are returned unchanged.
+    are measured; they are added up. Lines of other logs, in which fewer than half of the scans are
+    followed by such a line, are returned unchanged.
     """
     scans = {line.line: line for line in lasers}
     at = sorted([*(line.line for line in odometry), *scans])
@@ -68,6 +69,8 @@ def rejoin_increments(
             pose = compose(to_raw, line.pose) if anchors else line.pose
             lines.append(replace(line, pose=pose))
         scan = None
+    if 2 * anchors < len(scans):
+        return RejoinedOdometry(list(odometry), 0)  # their times are wrong
     return RejoinedOdometry(lines, anchors)
 
 

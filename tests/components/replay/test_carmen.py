@@ -166,6 +166,17 @@ def test_odometry_set_to_corrected_poses_is_rejoined(write: Write) -> None:
     assert any("set to the corrected pose 1 times" in note for note in recording.notes())
 
 
+def test_single_line_without_time_does_not_make_a_log_corrected(write: Write) -> None:
+    """It has the pose of the scan before it, as the robot stands."""
+    lines = [*drive(3), flaser(103.1, 3.0), "ODOM 3.0 0 0 0 0 0 0 host 0"]
+
+    recording = CarmenRecording(write(*lines))
+
+    assert recording.truth() is None
+    (note,) = recording.notes()
+    assert_words(note, "1 of 37 records are bad", "line 37")
+
+
 def test_scan_delay_is_subtracted_from_the_stamps_of_a_log(write: Write) -> None:
     recording = CarmenRecording(write(*drive(5)), scan_delay_s=0.25)
 
