@@ -34,6 +34,13 @@ Measured with delays at random up to 0.3 s; the rest is reserve. After a reset o
 this the history of a robot that stands still makes no progress for no longer than this.
 """
 
+OUTDATED_IN_A_ROW = 5
+"""After so many records in a row that contradict their neighbors, time was set back.
+
+Single ones may be wrong. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
+double.
+"""
+
 
 def time_went_back(newest: int, stamp: int) -> bool:
     """Return whether time was set back, if `stamp` [ns] arrives after `newest`."""
@@ -97,8 +104,7 @@ class OdometryHistory(Generic[Stamp]):
         Args:
             horizon: Infinite: keep all poses until `forget`.
             limits: A step that exceeds them is a jump. None: there are no jumps.
-            resets_after: After so many records in a row that are too old or contradict their
-                neighbors, time was set back.
+            resets_after: After so many records in a row that are too old, time was set back.
             per_second: Units of the stamps per second: nanoseconds by default.
 
         """
@@ -128,23 +134,24 @@ class OdometryHistory(Generic[Stamp]):
         """Add a pose at its place in time.
 
         It is late if it is older than the newest one by up to `ODOMETRY_DISORDER_S`, and the wheels
-        can have driven from the pose before it and to the one after it. Otherwise time was set
-        back, and the history starts again with this pose.
+        can have driven from the pose before it and to the one after it. If it is older, or if this
+        is not so for `OUTDATED_IN_A_ROW` poses, time was set back, and the history starts again.
         """
-        if not self._stamps or stamp >= self._stamps[-1]:
-            change = self._append(stamp, pose)
-        elif stamp >= self._stamps[-1] - self._disorder and self._insert(stamp, pose):
-            change = OdometryChange.LATE
-        else:
-            self._outdated += 1
-            if self._outdated < self._resets_after:
-                return OdometryChange.OUTDATED
-            self.clear()
-            self._append(stamp, pose)
-            self._restarted = stamp
-            return OdometryChange.RESET
-        self._outdated = 0
-        return change
+        newest = self.newest
+        if newest is None or stamp >= newest:
+            self._outdated = 0
+            return self._append(stamp, pose)
+        is_too_old = stamp < newest - self._disorder
+        if not is_too_old and self._insert(stamp, pose):
+            self._outdated = 0
+            return OdometryChange.LATE
+        self._outdated += 1
+        if self._outdated < (self._resets_after if is_too_old else OUTDATED_IN_A_ROW):
+            return OdometryChange.OUTDATED
+        self.clear()
+        self._append(stamp, pose)
+        self._restarted = stamp
+        return OdometryChange.RESET
 
     def at(self, stamp: Stamp) -> Pose | None:
         """Return the pose at a time, interpolated; None before the oldest since the last jump.
@@ -182,17 +189,15 @@ class OdometryHistory(Generic[Stamp]):
         self._era = self._outdated = 0
 
     def _append(self, stamp: Stamp, pose: Pose) -> OdometryChange:
-        change, driven = OdometryChange.CONTINUED, pose
-        if self._stamps:
-            driven = self._driven[-1]
-            if self._jumps(self._poses[-1], pose, stamp - self._stamps[-1]):
-                change = OdometryChange.JUMPED
-                self._era, self._restarted = len(self._stamps), stamp
-            else:
-                driven = _moved(driven, relative(self._poses[-1], pose))
+        change = OdometryChange.CONTINUED
+        if self._stamps and self._jumps(self._poses[-1], pose, stamp - self._stamps[-1]):
+            change = OdometryChange.JUMPED
+            self._era, self._restarted = len(self._stamps), stamp
         self._stamps.append(stamp)
         self._poses.append(pose)
-        self._driven.append(driven)
+        self._driven.append(pose)
+        if len(self._stamps) > 1:
+            self._drive_on_from(len(self._stamps) - 1)
         while len(self._stamps) > 2 and self._stamps[0] < stamp - self._horizon:
             self._drop_oldest()
         return change
@@ -219,7 +224,18 @@ class OdometryHistory(Generic[Stamp]):
         self._stamps.insert(after, stamp)
         self._poses.insert(after, pose)
         self._driven.insert(after, driven)
+        if apart_before:
+            self._drive_on_from(after)
         return True
+
+    def _drive_on_from(self, index: int) -> None:
+        """Compute the poses without the jumps from record `index` > 0 on."""
+        for k in range(index, len(self._stamps)):
+            before, after = self._poses[k - 1], self._poses[k]
+            driven = self._driven[k - 1]
+            if not self._jumps(before, after, self._stamps[k] - self._stamps[k - 1]):
+                driven = _moved(driven, relative(before, after))
+            self._driven[k] = driven
 
     def _jumps(self, before: Pose, after: Pose, duration: float) -> bool:
         limits = self._limits

@@ -38,12 +38,12 @@ from cairn.components.localizer.messages import (
     view_of,
 )
 from cairn.components.localizer.observations import as_observed_from, view_as_from
-from cairn.components.localizer.odometry import OUTDATED_IN_A_ROW, MeasuredTrack
+from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.pose_health import ScannerMonitor
 from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save_last_pose
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
-from cairn.planar.odometry import OdometryChange, OdometryHistory
+from cairn.planar.odometry import OUTDATED_IN_A_ROW, OdometryChange, OdometryHistory
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose, inverse, relative
 from cairn.planar.scans import rays_of, sweep_s

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cairn.planar.compiled import compiled
 from cairn.planar.odometry import (
     ODOMETRY_DISORDER_S,
+    OUTDATED_IN_A_ROW,
     OdometryChange,
     OdometryHistory,
     WheelLimits,
@@ -20,10 +21,6 @@ from cairn.planar.odometry import (
 from cairn.planar.poses import Pose, compose, relative, wrap
 
 Array = NDArray[np.float64]
-
-# After so many records of odometry in a row that are too old, time was set back; a few may be
-# stragglers. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
-OUTDATED_IN_A_ROW = 5
 
 
 @dataclass(frozen=True)
