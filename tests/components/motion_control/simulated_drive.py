@@ -34,8 +34,9 @@ class SimulatedDrive:
     """Motion control and a robot that follows its commands; publishes the messages it needs.
 
     `muted` topics are silent. With `simulated_time` the component gets a clock, which
-    `set_clocks_back` sets back. Odometry is delayed at random by up to `odometry_delay_s` [s], and
-    a share of `odometry_loss` [1] is lost. `commands` holds time [ns], speed [m/s] and turn rate [rad/s].
+    `set_clocks_back` sets back. Odometry is delayed at random, within the limits
+    `odometry_delay_s` [s], and a share of `odometry_loss` [1] is lost. `commands` holds time [ns],
+    speed [m/s] and turn rate [rad/s].
     """
 
     def __init__(
@@ -44,7 +45,8 @@ class SimulatedDrive:
         self.world, self.robot = world, robot
         self.muted: set[str] = set()
         self.beams = 360
-        self.odometry_delay_s = self.odometry_loss = 0.0
+        self.odometry_delay_s = (0.0, 0.0)
+        self.odometry_loss = 0.0
         self._delayed: list[tuple[int, Odometry]] = []
         self.mount: Pose = (0.0, 0.0, 0.0)
         self.localization = LocalizationEstimate(located=True, health=0.9)
@@ -128,10 +130,8 @@ class SimulatedDrive:
             pose=PoseWithCovariance(pose=pose_message(self.robot.odom)),
             twist=TwistWithCovariance(twist=twist),
         )
-        delay_s = 0.0
-        if self.odometry_delay_s:
-            delay_s = float(self._delays.uniform(0.0, self.odometry_delay_s))
-        if not self.odometry_loss or self._delays.random() >= self.odometry_loss:
+        delay_s = float(self._delays.uniform(*self.odometry_delay_s))
+        if self._delays.random() >= self.odometry_loss:
             self._delayed.append((self.now + round(delay_s * SECOND), odometry))
         self._delayed.sort(key=lambda one: one[0])
         while self._delayed and self._delayed[0][0] <= self.now:

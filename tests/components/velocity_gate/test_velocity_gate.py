@@ -154,6 +154,24 @@ def test_obstacle_counts_at_once_although_odometry_is_late() -> None:
     assert robot.gap > 0.0
 
 
+def test_points_are_remembered_where_they_are_although_odometry_is_late() -> None:
+    robot = GatedRobot()
+    robot.odometry_late_s = 0.24
+    bearings = np.linspace(-2.0, 2.0, 9)
+    robot.points = 1.0 * np.column_stack((np.cos(bearings), np.sin(bearings)))
+    turn = Twist(angular=Vector3(z=1.5))
+    robot.step(("navigator_cmd_vel", Twist()), seconds=1.0)
+    robot.step(("navigator_cmd_vel", turn), seconds=0.5)  # it accelerates
+
+    scans = robot.gate.component._scans
+    x, y = scans._points.T
+
+    assert robot.command[1] > 1.0
+    aside = np.abs(np.arctan2(y, x)[:, None] - bearings).min(axis=1)
+    assert len(scans._points) >= 9
+    assert aside.max() < 0.03 + 0.03  # half the width of a point in a scan
+
+
 def speed_before_an_obstacle(late_s: float) -> float:
     """Return the command 0.35 m before an obstacle, with odometry that old."""
     robot = GatedRobot()
