@@ -25,8 +25,8 @@ def posed_scan_after(odometry: list[tuple[int, Pose]]) -> Pose:
     header = Header(stamp=from_ns(BEGIN))
     ranges = np.ones(101, np.float32)
     scans.add_scan(LaserScan(header=header, time_increment=0.002, range_max=9.0, ranges=ranges))
-    pose = with_covariance((2.0, 0.0, 0.0), np.zeros((3, 3)))
-    ready = scans.ready(LocalizationEstimate(header=header, located=True, health=1.0, pose=pose))
+    known = with_covariance((2.0, 0.0, 0.0), np.zeros((3, 3)))
+    ready = scans.ready(LocalizationEstimate(header=header, located=True, health=1.0, pose=known))
     assert ready is not None
     return ready.pose
 
