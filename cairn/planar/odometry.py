@@ -37,8 +37,7 @@ this the history of a robot that stands still makes no progress for no longer th
 OUTDATED_IN_A_ROW = 5
 """After so many records in a row that contradict their neighbors, time was set back.
 
-Single ones may be wrong. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
-double.
+Single ones may be wrong. At 50 Hz these are the records of 0.1 s, at 10 Hz those of 0.5 s.
 """
 
 
