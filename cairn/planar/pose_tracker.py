@@ -17,7 +17,7 @@ EXACT_S = 0.1
 """A pose is extrapolated for so long [s] as if it were measured.
 
 Meanwhile the simulated robot's accelerations of 0.8 m/s^2 and 3 rad/s^2 displace it by 4 mm and
-0.015 rad: no more than a scanner's noise. Odometry at 10 Hz is never older.
+0.015 rad: at 1 m that is the noise of its scanner, 15 mm. Odometry at 10 Hz is never older.
 """
 # A scan waits for odometry for no longer than this [s]: motion control and the velocity gate stop
 # the robot by then. At most so many scans wait, those of 0.5 s at 40 Hz.

@@ -136,6 +136,8 @@ class PathPlanner(Component):
         """Track the robot's motion."""
         stamp = to_ns(odom.header.stamp)
         change = self._tracker.add_odometry(stamp, planar_pose(odom.pose.pose))
+        if change in (OdometryChange.JUMPED, OdometryChange.RESET):
+            self._waiting.clear()
         if change is OdometryChange.JUMPED:
             self.log.warning(
                 "odometry on %s %s: waiting for a new localization estimate",
@@ -148,7 +150,6 @@ class PathPlanner(Component):
                 self.odom.topic,
                 self._tracker.change,
             )
-            self._waiting.clear()
             self._planned_at = self._scan_used_at = self._checked_at = 0
             self._keepout = KeepoutZones()
             self._stuck = StuckDetector()
