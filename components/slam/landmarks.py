@@ -31,9 +31,10 @@ _LEAST_SIGHTINGS, _LEAST_SHARE = 3, 0.5
 # the localizer (`independence`). On MRCLAM data set 6 the mean normalized error squared is 1.1 and
 # 2.0 with it, 7.6 and 13.5 without; 2 is right.
 _INDEPENDENCE = 0.15
-# An object was moved if its sightings before and after some time agree among each other, and put it
-# so far apart [m], [standard deviations of one sighting]; in each part this share agrees.
-_MOVED_M, _MOVED_SD, _MOVED_SHARE = 0.4, 4.0, 0.7
+# An object was moved if its sightings before and after some time put it so far apart [m], and if
+# two places decrease the sum of their squared errors, in standard deviations, by this much, and by
+# this share.
+_MOVED_M, _MOVED_GAIN, _MOVED_SHARE = 0.4, 30.0, 0.5
 # Most moves of one object, and times at which one is tried.
 _MOST_MOVES, _MOST_TIMES = 4, 60
 
@@ -164,30 +165,31 @@ class LandmarkBuilder:
             for s, row in zip(self._graph.sightings, rows, strict=True)
         ]
 
-    def split_moved(self, stamps: NDArray[np.int64]) -> list[MovedObject]:
-        """Make two landmarks of each object that was moved; return these objects.
+    def split_moved(self, stamps: NDArray[np.int64]) -> MovedObject | None:
+        """Make two landmarks of the object that was most clearly moved; return it, or None.
 
-        The graph has been optimized, with the object in one place.
+        The graph has been optimized, with the object in one place, and has to be optimized again.
         """
-        moved = []
+        best: tuple[_Move, int, list[int]] | None = None
         points = self._graph.sighted_points()
         for object_id, landmark in sorted(self._newest.items()):
-            rows = self._rows(landmark)
             if self._objects.count(object_id) > _MOST_MOVES:
                 continue
+            rows = self._rows(landmark)
             found = _find_move(points[rows], self._spreads(rows))
-            if found is None:
-                continue
-            split, old, new = found
-            self._newest[object_id] = self._new_landmark(object_id)
-            for row in rows[split:]:
-                sighting = replace(self._graph.sightings[row], landmark=self._newest[object_id])
-                self._graph.sightings[row] = sighting
-            self._graph.landmarks[landmark] = old
-            self._graph.landmarks[self._newest[object_id]] = new
-            last = int(stamps[self._graph.sightings[rows[split - 1]].keyframe])
-            moved.append(MovedObject(object_id, old, new, last))
-        return moved
+            if found is not None and (best is None or found.gain > best[0].gain):
+                best = found, object_id, rows
+        if best is None:
+            return None
+        move, object_id, rows = best
+        sightings = self._graph.sightings
+        self._graph.landmarks[self._newest[object_id]] = move.old
+        self._newest[object_id] = self._new_landmark(object_id)
+        self._graph.landmarks[self._newest[object_id]] = move.new
+        for row in rows[move.split :]:
+            sightings[row] = replace(sightings[row], landmark=self._newest[object_id])
+        last = int(stamps[sightings[rows[move.split - 1]].keyframe])
+        return MovedObject(object_id, move.old, move.new, last)
 
     def report(self, moved: Sequence[MovedObject]) -> LandmarkReport:
         """Return the landmarks of the finished graph."""
@@ -317,35 +319,41 @@ def _medians(values: Array, group_of: NDArray[np.int64], counts: NDArray[np.int6
     return medians
 
 
-def _find_move(
-    points: Array, spreads: Array
-) -> tuple[int, tuple[float, float], tuple[float, float]] | None:
-    """Return when an object was moved, and its two positions [m]; None if it was not.
+@dataclass(frozen=True)
+class _Move:
+    """A move of an object before its sighting `split`, and by how much the errors decrease."""
+
+    split: int
+    old: tuple[float, float]
+    new: tuple[float, float]
+    gain: float
+
+
+def _find_move(points: Array, spreads: Array) -> _Move | None:
+    """Return the move that explains the sightings of an object; None if it stood still.
 
     Args:
         points: where its sightings (n, 2) put it [m], in the order of time.
         spreads: standard deviations (n,) of them [m].
 
     """
-    best: tuple[float, int, Array, Array] | None = None
-    last = len(points) - _LEAST_SIGHTINGS
+
+    def cost(some: slice) -> tuple[float, tuple[float, float]]:
+        x, y = np.median(points[some], axis=0).tolist()
+        deviations = np.hypot(*(points[some] - (x, y)).T) / spreads[some]
+        return float((np.minimum(deviations, _AGREES) ** 2).sum()), (x, y)
+
+    if len(points) < 2 * _LEAST_SIGHTINGS:
+        return None
+    in_one_place, _ = cost(slice(None))
+    best: _Move | None = None
     stride = max(1, len(points) // _MOST_TIMES)
-    for split in range(_LEAST_SIGHTINGS, last + 1, stride):
-        old, new = np.median(points[:split], axis=0), np.median(points[split:], axis=0)
-        before = np.hypot(*(points[:split] - old).T) / spreads[:split]
-        after = np.hypot(*(points[split:] - new).T) / spreads[split:]
-        costs = np.minimum(np.concatenate((before, after)), _AGREES) ** 2
-        if best is None or costs.sum() < best[0]:
-            best = (float(costs.sum()), split, before, after)
-    if best is None:
+    for split in range(_LEAST_SIGHTINGS, len(points) - _LEAST_SIGHTINGS + 1, stride):
+        before, old = cost(slice(split))
+        after, new = cost(slice(split, None))
+        gain = in_one_place - before - after
+        if math.dist(old, new) > _MOVED_M and (best is None or gain > best.gain):
+            best = _Move(split, old, new, gain)
+    if best is None or best.gain < max(_MOVED_GAIN, _MOVED_SHARE * in_one_place):
         return None
-    _, split, before, after = best
-    old, new = np.median(points[:split], axis=0), np.median(points[split:], axis=0)
-    way = math.hypot(*(new - old))
-    if (
-        way < max(_MOVED_M, _MOVED_SD * float(np.median(spreads)))
-        or (before < _AGREES).mean() < _MOVED_SHARE
-        or (after < _AGREES).mean() < _MOVED_SHARE
-    ):
-        return None
-    return split, (float(old[0]), float(old[1])), (float(new[0]), float(new[1]))
+    return best

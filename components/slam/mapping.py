@@ -242,7 +242,7 @@ class Mapper:
         self._builder.resolve(path, stamps)
         self.graph.optimize()
         while moved := self._builder.split_moved(stamps):
-            self._moved += moved
+            self._moved.append(moved)
             self.graph.optimize()
         self.trajectory = [
             step

@@ -233,15 +233,20 @@ class PoseGraph:
         The first pose of each island stays. Closures that contradict the others are removed.
         """
         self._align_parts()
-        widest = 0.0
-        if self.edges:
-            closures = np.array([edge.kind is EdgeKind.CLOSURE for edge in self.edges])
-            widest = float(self.deviations()[closures].max(initial=0.0)) / _CLOSURE_KERNEL
+        closures = [edge.kind is EdgeKind.CLOSURE for edge in self.edges]
+        closure = float(self.deviations()[closures].max(initial=0.0)) / _CLOSURE_KERNEL
         sightings = self.sighting_deviations()[self._joined_rows()]
-        widest = max(widest, float(sightings.max(initial=0.0)) / _SIGHTING_KERNEL)
-        stages = min(_MOST_STAGES, max(0, math.ceil(math.log2(max(1.0, widest)))))
-        for stage in range(stages, -1, -1):
-            self._optimize(2.0**stage)
+        sighting = float(sightings.max(initial=0.0)) / _SIGHTING_KERNEL
+        stages = math.ceil(math.log2(max(1.0, closure, sighting)))
+        start = self.poses, dict(self.landmarks)
+        for stage in range(min(_MOST_STAGES, stages), -1, -1):
+            error = self._optimize(2.0**stage)
+        if stages and closure <= 1.0:
+            # Many gross errors lead the wide kernels astray: the poses may have been nearly right.
+            far = self.poses, self.landmarks
+            self.poses, self.landmarks = start
+            if self._optimize(1.0) > error:
+                self.poses, self.landmarks = far
         wrong = self.deviations() > _WRONG_CLOSURE
         kept = [
             edge
@@ -257,19 +262,23 @@ class PoseGraph:
         """Move poses and landmarks a little, after constraints have changed a little."""
         self._optimize(1.0)
 
-    def _optimize(self, widened: float) -> None:
+    def _optimize(self, widened: float) -> float:
+        """Minimize the error with wider kernels; return what remains of it."""
         rows = self._joined_rows()
         graph, values = self._factors(rows, widened), self._values()
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setMaxIterations(30)
         parameters.setRelativeErrorTol(1e-4)
-        result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+        result = optimizer.optimize()
         self.poses = np.array(
             [(p.x(), p.y(), p.theta()) for p in map(result.atPose2, range(len(self.poses)))]
         ).reshape(-1, 3)
         for landmark in self.landmarks:
             x, y = result.atPoint2(_landmark_key(landmark)).tolist()
             self.landmarks[landmark] = (x, y)
+        remaining: float = optimizer.error()
+        return remaining
 
     def _values(self) -> gtsam.Values:
         values = gtsam.Values()
