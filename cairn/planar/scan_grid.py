@@ -29,6 +29,7 @@ _BORDER_M = 1.0
 _NEIGHBOR, _SURFACE_M = 3, 1.0
 # Least sine of the angle between a ray and a surface: smaller ones count as this.
 _GRAZING = 0.1
+_HITS = 3  # ends of rays from which a cell counts when conflicts are counted
 # The counts grow by blocks of so many cells, so that they are rarely copied.
 _BLOCK = 128
 
@@ -48,6 +49,7 @@ class ScanGrid:
         self._row, self._column = 0, 0  # of the first cell, counted from the map's origin
         self._ended = np.zeros((0, 0), np.int32)
         self._passed = np.zeros((0, 0), np.int32)
+        self._changed: tuple[int, int, int, int] | None = None  # rows and columns, as `_row`
 
     def add(self, base: Pose, rays: Rays) -> None:
         """Add the rays of a scan from a pose of the base.
@@ -77,6 +79,29 @@ class ScanGrid:
         y = (self._row + top - border) * self._resolution
         return Grid(cells, Frame(self._resolution, (x, y, 0.0)))
 
+    def entropy(self) -> float:
+        """Return the mean uncertainty [bit] of the cells that rays reached; 0 without any.
+
+        It is that of a ray's end or passage, so it is 0 in a map in which each cell was always
+        passed, or always hit, and grows where walls are blurred or double (Shannon).
+        """
+        reached = (self._ended + self._passed).astype(np.float64)
+        share = self._ended[reached > 0] / reached[reached > 0]
+        between = share[(share > 0.0) & (share < 1.0)]
+        bits = -between * np.log2(between) - (1.0 - between) * np.log2(1.0 - between)
+        return float(bits.sum() / max(1, share.size))
+
+    def conflicts(self) -> float:
+        """Return the share of the cells with ends of rays that are free for most rays.
+
+        Of the cells in which at least three rays ended, those that are not drawn as obstacles.
+        Moving things, glass and wrong poses cause them.
+        """
+        hit = self._ended >= _HITS
+        ended = self._ended[hit]
+        free = ended < _OCCUPIED_SHARE * (ended + self._passed[hit])
+        return float(np.count_nonzero(free) / max(1, free.size))
+
     def seen_through(self, points: Array, passes: int) -> float:
         """Return the share of points (n, 2) [m] that lie where rays show free space.
 
@@ -96,6 +121,36 @@ class ScanGrid:
         through = np.count_nonzero((ended == 0) & (passed >= passes))
         return through / known if known else 0.0
 
+    @property
+    def frame(self) -> Frame:
+        """The frame of `whole`; it changes only when the map grows."""
+        x, y = self._column * self._resolution, self._row * self._resolution
+        return Frame(self._resolution, (x, y, 0.0))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of `whole`."""
+        rows, columns = self._ended.shape
+        return rows, columns
+
+    def whole(self) -> OccupancyCells:
+        """Return the map with room around it: it can grow there without a change of its frame."""
+        rows, columns = self._ended.shape
+        return Grid(self._cells((slice(0, rows), slice(0, columns))), self.frame)
+
+    def take_changes(self) -> tuple[int, int, NDArray[np.int8]] | None:
+        """Return first row, first column and cells of what has changed in `whole` since last time.
+
+        None if nothing has.
+        """
+        if self._changed is None:
+            return None
+        top, left, bottom, right = self._changed
+        self._changed = None
+        top, left = top - self._row, left - self._column
+        bottom, right = bottom - self._row, right - self._column
+        return top, left, self._cells((slice(top, bottom), slice(left, right)))
+
     def _cells(self, window: tuple[slice, slice]) -> NDArray[np.int8]:
         ended, passed = self._ended[window], self._passed[window]
         reached = ended + passed
@@ -111,10 +166,15 @@ class ScanGrid:
             return
         starts, ends = starts / self._resolution, ends / self._resolution
         # With a cell more, into which rounding may lead a ray.
-        self._cover(
-            np.minimum(starts.min(axis=0), ends.min(axis=0)) - 1,
-            np.maximum(starts.max(axis=0), ends.max(axis=0)) + 1,
-        )
+        least = np.minimum(starts.min(axis=0), ends.min(axis=0)) - 1
+        most = np.maximum(starts.max(axis=0), ends.max(axis=0)) + 1
+        self._cover(least, most)
+        left, top = (int(value) for value in np.floor(least))
+        right, bottom = (int(value) + 1 for value in np.floor(most))
+        if self._changed is not None:
+            top, left = min(top, self._changed[0]), min(left, self._changed[1])
+            bottom, right = max(bottom, self._changed[2]), max(right, self._changed[3])
+        self._changed = top, left, bottom, right
         _count(
             starts, ends, hit, free_share, times,
             self._row, self._column, self._ended, self._passed,

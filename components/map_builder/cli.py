@@ -22,10 +22,12 @@ from cairn.components.map_builder.why import (
     summarize,
     time_text,
 )
+from cairn.components.map_builder.zone_cli import ZONE_COLUMNS, zone_row
 from cairn.files import explain_os_error
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
+from cairn.planar.zones import read_zones
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.new_map import write_map
 from cairn.visual_map.sqlite_file import side_files
@@ -93,8 +95,8 @@ def import_map(
     if out.exists() and not force:
         raise CairnError(f"{out} exists already. Give another name, or --force to replace it.")
     if out.suffix == ".yaml":
-        grid = import_grid(source, dataset, resolution, _parse_mount(scanner), reach)
-        _prepare(out)
+        grid = import_grid(source, dataset, resolution, parse_mount(scanner), reach)
+        prepare(out)
         write_grid(out, grid)
         width, height = grid.size_m
         line(f"{out}: {width:.1f} m x {height:.1f} m, cells of {grid.frame.resolution:g} m")
@@ -102,7 +104,7 @@ def import_map(
     moves = _parse_displacements(displace or [])
     objects = alter(importer(source)(dataset), moves, remove or [])
     models = import_models(source, dataset)
-    _prepare(out)
+    prepare(out)
     write_map(out, f"imported by {source} from {dataset.name}", objects, models=models)
     moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
     removed = "".join(f", {key} removed" for key in remove or [])
@@ -164,6 +166,21 @@ def why(
         line(f"{time_text(step.stamp_ns) or 'initially':>29}  {step.text}{times}")
 
 
+@app.command()
+def zones(
+    file: Annotated[Path, typer.Argument(help="Zones file, such as MAP.zones.geojson.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Check a zones file and list its zones."""
+    try:
+        found = read_zones(file)
+    except FileNotFoundError as error:
+        raise CairnError(f"{file}: no such file; give a zones file") from error
+    if not as_json:
+        line(f"{file.name}: {len(found)} zones")
+    show_rows([zone_row(zone) for zone in found], ZONE_COLUMNS, as_json=as_json, nothing="no zones")
+
+
 def _show_grid(file: Path, as_json: bool) -> None:
     grid = read_grid(file)
     values, (width, height), (x, y, theta) = grid.values, grid.size_m, grid.frame.origin
@@ -202,7 +219,8 @@ def _parse_displacements(given: list[str]) -> dict[int, tuple[float, float]]:
     return moves
 
 
-def _parse_mount(text: str) -> tuple[float, float, float]:
+def parse_mount(text: str) -> tuple[float, float, float]:
+    """Return the pose that the option `--scanner` gives as X,Y,THETA [m, rad]."""
     try:
         x, y, theta = (float(part) for part in text.split(","))
     except ValueError:
@@ -210,7 +228,8 @@ def _parse_mount(text: str) -> tuple[float, float, float]:
     return x, y, theta
 
 
-def _prepare(out: Path) -> None:
+def prepare(out: Path) -> None:
+    """Make the folder of a map; remove what an earlier map of that name has left beside it."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         for file in side_files(out):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -37,6 +37,8 @@ _INDEPENDENCE = 0.15
 _MOVED_M, _MOVED_GAIN, _MOVED_SHARE = 0.4, 30.0, 0.5
 # Most moves of one object, and times at which one is tried.
 _MOST_MOVES, _MOST_TIMES = 4, 60
+# The landmark of an object has the number of the object; after each move this more.
+_NEXT_PLACE = 2**32
 
 
 @dataclass(frozen=True)
@@ -108,11 +110,18 @@ class LandmarkBuilder:
     def __init__(self, graph: PoseGraph) -> None:
         """Start with a graph without sightings."""
         self._graph = graph
-        self._groups: dict[tuple[int, int], int] = {}  # rows by keyframe and object
-        self._seen: list[list[_Seen]] = []  # of each row of the graph's sightings
+        self._rows: dict[tuple[int, int], int] = {}  # of sightings, by keyframe and object
+        self._seen: list[list[_Seen]] = []  # of sightings from row `_first` on
+        self._first = 0
         self._ambiguous: list[_Seen] = []
-        self._objects: list[int] = []  # object id of each landmark of the graph
         self._newest: dict[int, int] = {}  # landmark of each object
+
+    def resume(self) -> None:
+        """Continue with sightings that were read from a file; they stay as they are."""
+        self._first = len(self._graph.sightings)
+        self._rows, self._seen, self._ambiguous, self._newest = {}, [], [], {}
+        for landmark in sorted(self._graph.landmarks):
+            self._newest[landmark % _NEXT_PLACE] = landmark
 
     def add(
         self, keyframe: int, stamp_ns: int, observation: Observation, path: OdometryPath, at_ns: int
@@ -155,51 +164,64 @@ class LandmarkBuilder:
 
         `stamps` are the times of the keyframes [ns].
         """
-        return self._merged(path, stamps)[:, :2]
+        old = [(s.range_m, s.bearing) for s in self._graph.sightings[: self._first]]
+        return np.vstack((np.array(old).reshape(-1, 2), self._merged(path, stamps)[:, :2]))
 
     def rebuild(self, path: OdometryPath, stamps: NDArray[np.int64]) -> None:
         """Replace all sightings of the graph by those with another odometry."""
-        rows = self._merged(path, stamps).tolist()
-        self._graph.sightings = [
-            Sighting(s.keyframe, s.landmark, *row)
-            for s, row in zip(self._graph.sightings, rows, strict=True)
-        ]
+        for row, measured in enumerate(self._merged(path, stamps).tolist(), self._first):
+            old = self._graph.sightings[row]
+            self._graph.sightings[row] = Sighting(old.keyframe, old.landmark, *measured)
 
-    def split_moved(self, stamps: NDArray[np.int64]) -> MovedObject | None:
-        """Make two landmarks of the object that was most clearly moved; return it, or None.
+    def split_moved(self) -> bool:
+        """Make two landmarks of the object that was most clearly moved; return whether one was.
 
         The graph has been optimized, with the object in one place, and has to be optimized again.
         """
         best: tuple[_Move, int, list[int]] | None = None
         points = self._graph.sighted_points()
         for object_id, landmark in sorted(self._newest.items()):
-            if self._objects.count(object_id) > _MOST_MOVES:
+            if landmark // _NEXT_PLACE == _MOST_MOVES:
                 continue
-            rows = self._rows(landmark)
+            rows = self._rows_of(landmark)
             found = _find_move(points[rows], self._spreads(rows))
             if found is not None and (best is None or found.gain > best[0].gain):
                 best = found, object_id, rows
         if best is None:
-            return None
+            return False
         move, object_id, rows = best
-        sightings = self._graph.sightings
         self._graph.landmarks[self._newest[object_id]] = move.old
-        self._newest[object_id] = self._new_landmark(object_id)
+        self._newest[object_id] += _NEXT_PLACE
         self._graph.landmarks[self._newest[object_id]] = move.new
-        for row in rows[move.split :]:
-            sightings[row] = replace(sightings[row], landmark=self._newest[object_id])
-        last = int(stamps[sightings[rows[move.split - 1]].keyframe])
-        return MovedObject(object_id, move.old, move.new, last)
+        self._assign(rows[move.split :], self._newest[object_id])
+        return True
 
-    def report(self, moved: Sequence[MovedObject]) -> LandmarkReport:
-        """Return the landmarks of the finished graph."""
+    def join_places(self) -> bool:
+        """Make one landmark of successive places of an object that are the same after all.
+
+        While other objects are not split yet, the map is bent, and an object may seem to move.
+        Return whether the graph has to be optimized again.
+        """
+        joined = False
+        for landmark in sorted(self._graph.landmarks, reverse=True):
+            after = landmark + _NEXT_PLACE
+            places = self._graph.landmarks
+            if after in places and math.dist(places[landmark], places[after]) < _MOVED_M:
+                self._assign(self._rows_of(after), landmark)
+                del self._graph.landmarks[after]
+                self._newest[landmark % _NEXT_PLACE] = landmark
+                joined = True
+        return joined
+
+    def report(self, stamps: NDArray[np.int64]) -> LandmarkReport:
+        """Return the landmarks of the finished graph; `stamps` are the times of keyframes [ns]."""
         graph = self._graph
         deviations = graph.sighting_deviations()
         covariances = graph.landmark_covariances() if graph.sightings else {}
         islands = graph.islands()
         certain, uncertain = [], []
         for object_id, landmark in sorted(self._newest.items()):
-            rows = self._rows(landmark)
+            rows = self._rows_of(landmark)
             agreeing = [row for row in rows if deviations[row] < _AGREES]
             if len(agreeing) < max(_LEAST_SIGHTINGS, _LEAST_SHARE * len(rows)):
                 uncertain.append(object_id)
@@ -211,7 +233,7 @@ class LandmarkBuilder:
             certain.append(MappedLandmark(object_id, position, len(agreeing), island))
         return LandmarkReport(
             landmarks=tuple(certain),
-            moved=tuple(moved),
+            moved=tuple(self._moves(stamps)),
             uncertain=tuple(uncertain),
             sightings=len(graph.sightings),
             outliers=int((deviations > _AGREES).sum()),
@@ -221,35 +243,45 @@ class LandmarkBuilder:
     def _add(self, one: _Seen) -> int:
         """Add an observation to the sighting from its keyframe; return the row of that."""
         key = (one.keyframe, one.observation.object_id)
-        row = self._groups.setdefault(key, len(self._seen))
-        if row == len(self._seen):
+        row = self._rows.setdefault(key, self._first + len(self._seen))
+        if row == self._first + len(self._seen):
             self._seen.append([])
-        self._seen[row].append(one)
+        self._seen[row - self._first].append(one)
         return row
 
     def _set(self, row: int, path: OdometryPath, at_ns: int) -> bool:
         """Set a sighting of the graph; return whether it contradicts the graph."""
-        group = self._seen[row]
+        group = self._seen[row - self._first]
         object_id = group[0].observation.object_id
-        if object_id not in self._newest:
-            self._newest[object_id] = self._new_landmark(object_id)
+        landmark = self._newest.setdefault(object_id, object_id)
         measured = _merged([group], path, [at_ns])[0].tolist()
-        sighting = Sighting(group[0].keyframe, self._newest[object_id], *measured)
+        sighting = Sighting(group[0].keyframe, landmark, *measured)
         if row < len(self._graph.sightings):
             self._graph.sightings[row] = sighting
         else:
             self._graph.add_sighting(sighting)
         return self._graph.deviation(sighting) > _AGREES
 
-    def _new_landmark(self, object_id: int) -> int:
-        self._objects.append(object_id)
-        return len(self._objects) - 1
-
     def _merged(self, path: OdometryPath, stamps: NDArray[np.int64]) -> Array:
         at = [int(stamps[group[0].keyframe]) for group in self._seen]
         return _merged(self._seen, path, at)
 
-    def _rows(self, landmark: int) -> list[int]:
+    def _moves(self, stamps: NDArray[np.int64]) -> Iterator[MovedObject]:
+        places = self._graph.landmarks
+        for landmark in sorted(places):
+            object_id = landmark % _NEXT_PLACE
+            later = [k for k in places if k % _NEXT_PLACE == object_id and k > landmark]
+            if later:
+                last = self._graph.sightings[self._rows_of(landmark)[-1]].keyframe
+                new = places[min(later)]
+                yield MovedObject(object_id, places[landmark], new, int(stamps[last]))
+
+    def _assign(self, rows: list[int], landmark: int) -> None:
+        for row in rows:
+            sighting = replace(self._graph.sightings[row], landmark=landmark)
+            self._graph.sightings[row] = sighting
+
+    def _rows_of(self, landmark: int) -> list[int]:
         sightings = self._graph.sightings
         rows = [row for row, s in enumerate(sightings) if s.landmark == landmark]
         return sorted(rows, key=lambda row: sightings[row].keyframe)

@@ -20,7 +20,7 @@ from cairn.components.slam.keyframes import (
     scan_cloud,
     scan_rays,
 )
-from cairn.components.slam.landmarks import LandmarkBuilder, LandmarkReport, MovedObject
+from cairn.components.slam.landmarks import LandmarkBuilder, LandmarkReport
 from cairn.components.slam.odometry_calibration import (
     CalibrationEstimate,
     estimate_calibration,
@@ -113,7 +113,7 @@ class Mapper:
         self.trajectory: list[Step] = []
         self.closer = LoopCloser()
         self.tracker = ScanTracker()
-        self._farthest = farthest
+        self.farthest = farthest
         self._odometry: Pose | None = None
         self._pose: Pose = (0.0, 0.0, 0.0)
         self._island = 0  # number of the first keyframe since the robot was moved
@@ -125,9 +125,13 @@ class Mapper:
         self._builder = LandmarkBuilder(self.graph)
         self._contradicted = False  # by an observation since the last optimization
         self._optimized = 0  # number of keyframes then
-        self._moved: list[MovedObject] = []
         self.calibration = CalibrationEstimate(calibration, OdometryCalibration(0.1, 0.1, 0.1))
         """The calibration of odometry, estimated when the map is finished."""
+
+    @property
+    def is_located(self) -> bool:
+        """Whether the robot is on the largest island, the map."""
+        return bool(self.keyframes) and bool(self.in_map()[-1])
 
     @property
     def pose(self) -> Pose:
@@ -145,7 +149,7 @@ class Mapper:
         """
         self._log.add(stamp_ns, odometry)
         self._scanned_ns = stamp_ns
-        cloud = scan_cloud(rays, self._farthest)
+        cloud = scan_cloud(rays, self.farthest)
         if self._odometry is None:
             tracked = Tracked(self._pose, np.zeros((3, 3)), None, False)
         else:
@@ -203,14 +207,50 @@ class Mapper:
             self._optimize()
             self._contradicted, self._optimized = False, len(self.keyframes)
 
-    def landmarks(self) -> LandmarkReport:
-        """Return the landmarks, and what became of the observations, of the finished map."""
-        return self._builder.report(self._moved)
+    def resume(self, *, here: bool) -> None:
+        """Continue a map that was read from a file.
+
+        With `here`, odometry continues since the last keyframe: the robot is near it. Otherwise it
+        may be anywhere: it is on a new island until a place of the map is recognized.
+        """
+        first = self.submaps[-1].last + 1 if self.submaps else 0
+        self._open = Submap(len(self.submaps), first, len(self.keyframes) - 1)
+        self._odometry = None
+        self._builder.resume()
+        if here and self.keyframes:
+            last = len(self.keyframes) - 1
+            self._log.add(self.keyframes[last].stamp_ns, self.keyframes[last].odometry)
+            self._odometry, self._pose = self.keyframes[last].odometry, self.graph.pose(last)
+            islands = self.graph.islands()
+            self._island = int(np.flatnonzero(islands == islands[last])[0])
+            self._set_surroundings()
+        else:
+            self._start_island()
+
+    def in_map(self) -> NDArray[np.bool_]:
+        """Return which keyframes (n,) belong to the map: those of its largest island.
+
+        An island that no recognized place joins to the others has no position in the map.
+        """
+        islands = self.graph.islands()
+        if not islands.size:
+            return np.zeros(0, bool)
+        numbers, sizes = np.unique(islands, return_counts=True)
+        largest: NDArray[np.bool_] = islands == numbers[np.argmax(sizes)]
+        return largest
 
     def poses(self) -> Array:
-        """Return the pose (n, 3) of the base in the map at each scan."""
-        poses = [compose(self.graph.pose(step.keyframe), step.offset) for step in self.trajectory]
-        return np.array(poses).reshape(-1, 3)
+        """Return the pose (n, 3) of the base in the map at each scan; NaN outside of the map."""
+        poses = np.array(
+            [compose(self.graph.pose(step.keyframe), step.offset) for step in self.trajectory]
+        ).reshape(-1, 3)
+        known = self.in_map()[[step.keyframe for step in self.trajectory]]
+        poses[~known] = np.nan
+        return poses
+
+    def landmarks(self) -> LandmarkReport:
+        """Return the landmarks, and what became of the observations, of the finished map."""
+        return self._builder.report(self._stamps())
 
     def finish(self, progress: Progress | None = None) -> None:
         """Close the last loops, and align all keyframes to those that saw the same."""
@@ -225,15 +265,17 @@ class Mapper:
         if self._scanned_ns is None:
             return
         for number in range(_ROUNDS):
-            self._align_neighbors(
-                _REACH_M[number], lambda share, n=number: report("alignment", (n + share) / _ROUNDS)
-            )
+
+            def aligned(share: float, done: int = number) -> None:
+                report("alignment", (done + share) / _ROUNDS)
+
+            self._align_neighbors(_REACH_M[number], aligned)
             self.graph.optimize()
         self._use_landmarks()
 
     def _use_landmarks(self) -> None:
         """Optimize the graph with all observations, and with the odometry that they imply."""
-        stamps = np.array([frame.stamp_ns for frame in self.keyframes], np.int64)
+        stamps = self._stamps()
         self.graph.optimize()
         self.calibration = estimate_calibration(
             self.calibration.calibration, self._log, self._model, stamps, self.graph, self._builder
@@ -241,8 +283,9 @@ class Mapper:
         path = self._log.path(self.calibration.calibration)
         self._builder.resolve(path, stamps)
         self.graph.optimize()
-        while moved := self._builder.split_moved(stamps):
-            self._moved.append(moved)
+        while self._builder.split_moved():
+            self.graph.optimize()
+        if self._builder.join_places():
             self.graph.optimize()
         self.trajectory = [
             step
@@ -250,6 +293,9 @@ class Mapper:
             else replace(step, offset=self._offset(path, step.keyframe, step.stamp_ns))
             for step in self.trajectory
         ]
+
+    def _stamps(self) -> NDArray[np.int64]:
+        return np.array([frame.stamp_ns for frame in self.keyframes], np.int64)
 
     def _has_scans(self, stamp_ns: int) -> bool:
         return self._scanned_ns is not None and stamp_ns - self._scanned_ns < _SILENT_NS
@@ -298,10 +344,12 @@ class Mapper:
         if self._way > _SUBMAP_M or length > _SUBMAP_KEYFRAMES:
             self._close_submap()
         self._close_loops(_COMPARED)
-        if frame.rays is None:
-            return
-        first = max(self._island, number + 1 - _SURROUNDINGS)
-        members = list(range(first, number + 1))
+        if frame.rays is not None:
+            self._set_surroundings()
+
+    def _set_surroundings(self) -> None:
+        count = len(self.keyframes)
+        members = list(range(max(self._island, count - _SURROUNDINGS), count))
         cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
         self.tracker.set_surroundings(cloud.thinned(DENSE_M))
 

@@ -53,7 +53,7 @@ def use_path(
     """Replace what follows from odometry in the graph: steps without scans, and sightings."""
     graph.edges = [
         odometry_edge(edge.first, edge.second, stamps, path, model)
-        if edge.kind is EdgeKind.ODOMETRY
+        if edge.kind is EdgeKind.ODOMETRY and path.covers(stamps[edge.first])
         else edge
         for edge in graph.edges
     ]
@@ -76,10 +76,11 @@ def estimate_calibration(
     now, origin = np.array(astuple(start)), np.array(astuple(start))
     information = np.diag(np.array(_USUAL) ** -2.0)
     covariance = np.linalg.inv(information)
+    covered = log.path(start).covers(stamps)
     pairs = [
         (edge.first, edge.second)
         for edge in graph.edges
-        if edge.kind in (EdgeKind.STEP, EdgeKind.ODOMETRY)
+        if edge.kind in (EdgeKind.STEP, EdgeKind.ODOMETRY) and covered[edge.first]
     ]
     ends = np.array(pairs, np.int64).reshape(-1, 2)
 

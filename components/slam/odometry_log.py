@@ -45,6 +45,7 @@ class OdometryPath:
     """The calibrated poses of odometry by time.
 
     Attributes:
+        origin_ns: when the odometry starts [ns].
         time: (n,) when the robot was at the poses [s] since `origin_ns`, increasing.
         poses: (n, 3) x, y [m] and heading [rad, not wrapped].
         moving: (n,) time in motion up to then [s].
@@ -55,6 +56,11 @@ class OdometryPath:
     time: Array
     poses: Array
     moving: Array
+
+    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which times (n,) are not before the path."""
+        covered: NDArray[np.bool_] = stamps_ns >= self.origin_ns
+        return covered
 
     def at(self, stamps_ns: NDArray[np.int64]) -> Array:
         """Return the poses (n, 3) at some times; before and after the path its ends."""

@@ -34,6 +34,8 @@ _DRIFT_M, _DRIFT_RAD = 0.006, math.radians(0.12)
 # Landmarks that two parts of the map have in common: at least this far from each other [m], and
 # equally far up to this [m]. A part is moved to them if it is farther from there [m], [rad].
 _LEAST_APART_M, _SAME_M, _ASIDE_M, _ASIDE_RAD = 1.0, 0.4, 0.5, 0.2
+# Landmarks of which pairs are tried to find that motion.
+_MOST_POINTS = 20
 # Poses that represent the map when covariances relative to it are computed.
 _MOST_REFERENCES = 50
 _ANCHOR_SD = 1e-4  # of the pose that stays [m], [rad]
@@ -479,7 +481,8 @@ def aligned(points: Array, targets: Array) -> Pose | None:
     1 m; None if no pair is.
     """
     best: tuple[int, float, list[int]] | None = None
-    for i, j in combinations(range(len(points)), 2):
+    chosen = range(0, len(points), 1 + len(points) // _MOST_POINTS)
+    for i, j in combinations(chosen, 2):
         a, b = points[j] - points[i], targets[j] - targets[i]
         far = math.hypot(*a)
         if far < _LEAST_APART_M or abs(far - math.hypot(*b)) > _SAME_M:
@@ -553,7 +556,7 @@ def _drift(
     heap = [(0.0, origin)]
     adjoint = np.zeros((3, 3))
     while len(heap) > 0:
-        cost, a = heappop(heap)
+        _, a = heappop(heap)
         if done[a]:
             continue
         done[a] = True

@@ -1,0 +1,1 @@
+"""Building maps from recordings: the command `cairn map build`."""

@@ -1,0 +1,151 @@
+"""`cairn map`: builds maps from recordings; the other commands are those of the map builder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cairn import CairnError
+from cairn.cli.options import Json
+from cairn.cli.output import line, note, print_json
+from cairn.components.map_builder.cli import app, parse_mount, prepare
+from cairn.components.replay.open_recording import open_recording
+from cairn.planar.map_file import write_map
+
+if TYPE_CHECKING:
+    from cairn.tools.mapping.build import BuiltMap, Progress
+
+__all__ = ["app"]
+
+
+@app.command()
+def build(
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="CARMEN log, ROS 1 bag, ROS 2 bag's folder, or MCAP file with scans and odometry.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Name of the map's files, without their endings.")
+    ],
+    extend: Annotated[
+        Path | None,
+        typer.Option(metavar="GRAPH", help="Graph of an earlier map that is extended."),
+    ] = None,
+    scanner: Annotated[
+        str,
+        typer.Option(
+            metavar="X,Y,THETA",
+            help="Pose of the scanner on the robot [m, rad].",
+            show_default="as the recording says, else 0,0,0",
+        ),
+    ] = "",
+    scan: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of scans, if a bag has several.")
+    ] = None,
+    odom: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Topic of odometry, if a bag has several.")
+    ] = None,
+    scan_only: Annotated[
+        bool, typer.Option("--scan-only", help="Use no odometry: for a robot that moves slowly.")
+    ] = False,
+    resolution: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Size of the grid map's cells [m].")
+    ] = 0.05,
+    reach: Annotated[
+        float, typer.Option(min=0.5, help="Longer rays only show free space [m].")
+    ] = 20.0,
+    force: Annotated[bool, typer.Option("--force", help="Replace the map's files.")] = False,
+    json: Json = False,
+) -> None:
+    """Build a map from a recording of odometry and scans: SLAM.
+
+    Writes OUT.yaml and OUT.pgm (grid map), OUT.graph (from which mapping can continue), OUT.tum
+    (pose of the robot's base at each scan) and OUT.png (a picture).
+    """
+    from cairn.components.slam.graph_file import read_graph, write_graph
+    from cairn.tools.mapping.build import BuildSettings, build_map, write_trajectory
+    from cairn.tools.mapping.picture import draw_built_map
+
+    files = [out.with_name(out.name + ending) for ending in _ENDINGS]
+    existing = [file for file in files if file.exists()]
+    if existing and not force:
+        raise CairnError(
+            f"{existing[0]} exists already. Give another name, or --force to replace it."
+        )
+    named = {"scan": scan, "odom": odom}
+    topics = {kind: topic for kind, topic in named.items() if topic is not None}
+    opened = open_recording(recording, topics=topics)
+    for text in opened.notes():
+        note(f"{recording}: {text}")
+    settings = BuildSettings(
+        mount=parse_mount(scanner) if scanner else (0.0, 0.0, 0.0),
+        scan_only=scan_only,
+        resolution=resolution,
+        reach=reach,
+    )
+    mapper = None
+    if extend is not None:
+        mapper = read_graph(extend)
+        mapper.resume(here=False)
+    with _shown_progress() as progress:
+        built = build_map(opened, str(recording), settings, progress, mapper)
+    yaml, _, graph, tum, png = files
+    prepare(yaml)
+    write_map(yaml, built.grid)
+    write_graph(graph, built.mapper, f"built from {recording.name}")
+    write_trajectory(tum, built.stamps, built.poses)
+    draw_built_map(built, f"{out.name}: map of {recording.name}", png)
+    _print_result(built, files, json)
+
+
+_ENDINGS = (".yaml", ".pgm", ".graph", ".tum", ".png")
+
+
+def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
+    quality, (width, height) = built.quality, built.grid.size_m
+    if as_json:
+        written: dict[str, Any] = {"files": [str(file) for file in files]}
+        print_json({**written, "width_m": width, "height_m": height, **asdict(quality)})
+        return
+    line(f"{files[0]}: {width:.1f} m x {height:.1f} m, cells of {built.grid.frame.resolution:g} m")
+    line(f"  scans      {quality.scans}, of which {quality.keyframes} are in the map; "
+         f"{quality.driven_m:.0f} m driven")  # fmt: skip
+    if quality.left_out:
+        line(f"  left out   {quality.left_out} scans: no place that they show was recognized")
+    line(f"  fit        {quality.fit:.2f} of 1")
+    line(f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected; they differ by "
+         f"{quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg")  # fmt: skip
+    line(f"  entropy    {quality.entropy_bit:.3f} bit per known cell")
+    line(
+        f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for most"
+    )
+    line(f"also written: {', '.join(file.name for file in files[1:])}")
+
+
+@contextmanager
+def _shown_progress() -> Iterator[Progress]:
+    """Show the progress on the terminal, if stderr is one."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda _stage, _share: None
+        return
+    with Bars(console=console, transient=True) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, share: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=1.0)
+            bars.update(tasks[stage], completed=share)
+
+        yield report

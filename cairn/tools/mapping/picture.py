@@ -1,0 +1,55 @@
+"""Draws a map that was built: its cells, the robot's way, and the loops that were found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from cairn import CairnError
+from cairn.components.slam.pose_graph import EdgeKind
+from cairn.planar.grid import OCCUPIED_FROM, UNKNOWN
+from cairn.tools.mapping.build import BuiltMap
+
+_WIDTH = 12.0  # of the picture [in]
+_WAY, _LOOPS = "#1f6fb4", "#d98200"
+
+
+def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
+    """Draw a map to a PNG file; raises `CairnError` if it cannot be written."""
+    cells, frame = built.grid.values, built.grid.frame
+    width, height = built.grid.size_m
+    picture = np.full((*cells.shape, 3), 1.0)
+    picture[cells == UNKNOWN] = 0.85
+    picture[cells >= OCCUPIED_FROM] = 0.1
+    figure = Figure(figsize=(_WIDTH, max(4.0, _WIDTH * height / width + 1.0)), layout="constrained")
+    axes = figure.add_subplot()
+    x, y, _ = frame.origin
+    axes.imshow(
+        picture, origin="lower", extent=(x, x + width, y, y + height), interpolation="nearest"
+    )
+    poses, graph = built.poses, built.mapper.graph
+    shown = built.mapper.in_map()
+    loops = [
+        graph.poses[[edge.first, edge.second], :2]
+        for edge in graph.edges
+        if edge.kind is EdgeKind.CLOSURE and shown[edge.first]
+    ]
+    axes.add_collection(LineCollection(loops, colors=_LOOPS, linewidths=0.5, alpha=0.5))
+    axes.plot(poses[:, 0], poses[:, 1], color=_WAY, linewidth=0.8, label="way of the robot")
+    axes.plot([], [], color=_LOOPS, linewidth=1.0, label=f"{len(loops)} loops closed")
+    axes.plot(poses[0, 0], poses[0, 1], "o", color="tab:green", label="start")
+    axes.plot(poses[-1, 0], poses[-1, 1], "s", color="tab:red", label="end")
+    for landmark, (lx, ly) in sorted(graph.landmarks.items()):
+        axes.plot(lx, ly, "*", color="tab:purple")
+        axes.annotate(str(landmark), (lx, ly), fontsize=8)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_title(title)
+    axes.legend(loc="best", fontsize=8)
+    try:
+        figure.savefig(file, dpi=110, metadata={"Software": None})
+    except OSError as error:
+        raise CairnError(f"{file} cannot be written: {error.strerror or error}") from error

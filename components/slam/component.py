@@ -1,0 +1,336 @@
+"""The component Slam: maps an unknown building, and localizes the robot in what it has mapped."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from cairn import (
+    LATCHED,
+    RELIABLE,
+    SECOND,
+    SENSOR,
+    CairnError,
+    Component,
+    Config,
+    In,
+    Out,
+    ParameterRejected,
+    RateLimitedLog,
+    RetriedSave,
+    every,
+    from_ns,
+    on,
+    to_ns,
+)
+from cairn.components.slam.config import SlamConfig
+from cairn.components.slam.graph_file import GraphFile, read_graph
+from cairn.components.slam.map_grid import MapGrid
+from cairn.components.slam.mapping import Mapper
+from cairn.components.slam.tracking import Tracked
+from cairn.planar.grid import OccupancyCells, map_message
+from cairn.planar.map_file import write_map
+from cairn.planar.messages import planar_pose, transform_message, with_covariance
+from cairn.planar.odometry import OdometryChange, OdometryHistory
+from cairn.planar.pose_tracker import sweep_of
+from cairn.planar.poses import Pose, compose, inverse
+from cairn.planar.scans import rays_of, sweep_s
+from cairn.schemas.cairn_nav_msgs import NO_REASON, LocalizationEstimate, Reason, ReasonCode
+from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
+from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
+
+# The graph is saved this often [s]: what a kill loses.
+_SAVE_S = 3.0
+# A full map follows its updates after this [s], for readers that start later.
+_FULL_MAP_S = 5.0
+# Scans that are drawn per second, at about 1 ms each.
+_DRAWN = 60
+# Odometry is kept for so long [s]: longer than scans wait.
+_HISTORY_S = 10
+# A component that is restarted within this time [s] continues where it was: until then the robot is
+# not carried away.
+_RESUMED_S = 60.0
+# Health of the pose: full from this fit of the scans on, and none below the other.
+_FITS, _MISFITS = 0.6, 0.25
+# The most health while scans have too few points, as in the localizer.
+_MOST_WITHOUT_POINTS = 0.5
+_MOST_SCANS = 50  # that wait for odometry: 5 s at 10 Hz
+
+
+class Slam(Component):
+    """Builds the grid map while the robot drives, and publishes the robot's pose in it.
+
+    Replaces localizer and map_builder until the map is finished. The request `save` writes the map.
+    """
+
+    config: SlamConfig
+    request_roles = MappingProxyType({"save": "operate", "status": "view"})
+
+    odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
+    scan: In[LaserScan] = In(qos=SENSOR.with_depth(20))
+    map: Out[OccupancyGrid] = Out(qos=LATCHED)
+    map_updates: Out[OccupancyGridUpdate] = Out(qos=RELIABLE.with_depth(50))
+    localization: Out[LocalizationEstimate] = Out(qos=RELIABLE.with_depth(50))
+    pose: Out[PoseWithCovarianceStamped]
+    tf: Out[TFMessage] = Out(qos=RELIABLE.with_depth(100))
+
+    _file: GraphFile | None = None
+
+    def on_configure(self) -> None:
+        """Check the files, so that a wrong one is reported before anything moves."""
+        config = self.config
+        folder = config.map_file.parent
+        if not folder.is_dir():
+            raise CairnError(f"{folder}: no such folder to write the map to (map_file)")
+        if config.map_file.suffix != ".yaml":
+            raise CairnError(f"{config.map_file}: map_file must end in .yaml")
+        if config.extend is not None:
+            read_graph(config.extend)
+        self._warnings = RateLimitedLog(self.log)
+        self._saved = RetriedSave(self, "map")
+        self._history = OdometryHistory(_HISTORY_S * SECOND)
+        self._waiting: deque[LaserScan] = deque(maxlen=_MOST_SCANS)
+        self._mapper: Mapper | None = None
+        self._drawing = MapGrid(config.resolution, config.reach)
+        self._published_frame: tuple[object, ...] | None = None
+        self._full_map_at = self._saved_at = 0
+        self._full_map_is_outdated = False
+        self._was_located = False
+
+    def on_deactivate(self) -> None:
+        """Save the map."""
+        if self._mapper is not None and self._mapper.keyframes:
+            self._save_graph(now=True)
+            self._save_grid()
+        self._close()
+
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
+        """Close the graph file; a restarted component continues from it."""
+        self._close()
+        return False
+
+    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
+        """Reject all changes: the map would be of two kinds."""
+        raise ParameterRejected(f"{self.name} takes its parameters when it is configured")
+
+    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
+        """Answer `save` with the written files, and `status` with figures of the map."""
+        if verb not in ("save", "status") or arguments:
+            return super().on_request(verb, arguments)
+        mapper = self._mapper
+        if mapper is None or not mapper.keyframes:
+            raise CairnError(
+                f"{self.name}: has no map yet: no scan was received on {self.scan.topic} with "
+                f"odometry on {self.odom.topic}"
+            )
+        if verb == "save":
+            self._save_graph(now=True)
+            self._save_grid()
+            if self._saved.has_failed:
+                raise CairnError(f"{self.name}: the map is not saved; `cairn ps` has the reason")
+            file = self.config.map_file
+            return {"files": [str(file.with_suffix(end)) for end in (".yaml", ".pgm", ".graph")]}
+        return {
+            "keyframes": len(mapper.keyframes),
+            "submaps": len(mapper.submaps),
+            "loops": mapper.closer.counts.accepted,
+            "located": mapper.is_located,
+        }
+
+    @on("odom")
+    def on_odometry(self, odom: Odometry) -> None:
+        """Add odometry; map the scans that waited for it."""
+        stamp = to_ns(odom.header.stamp)
+        change = self._history.add(stamp, planar_pose(odom.pose.pose))
+        if change is OdometryChange.RESET:
+            self.log.warning("time on %s was set back: restarted its history", self.odom.topic)
+            self._waiting.clear()
+        self._process()
+
+    @on("scan")
+    def on_scan(self, scan: LaserScan) -> None:
+        """Keep a scan until odometry has reached its last beam."""
+        self._waiting.append(scan)
+        self._process()
+
+    @every(hz=1)
+    def publish_map(self) -> None:
+        """Draw and publish what has changed; save the graph."""
+        self._process()
+        mapper = self._mapper
+        if mapper is None or not mapper.keyframes:
+            return
+        self._draw(_DRAWN)
+        now = self.clock.now()
+        changes = self._drawing.counts.take_changes()
+        frame = self._drawing.counts.frame
+        if (frame, self._drawing.counts.shape) != self._published_frame:
+            self._publish_full_map(now)
+        elif changes is not None:
+            row, column, cells = changes
+            self.map_updates.publish(
+                OccupancyGridUpdate(
+                    header=Header(stamp=from_ns(now), frame_id="map"),
+                    x=column,
+                    y=row,
+                    width=cells.shape[1],
+                    height=cells.shape[0],
+                    data=cells.ravel(),
+                )
+            )
+            self._full_map_is_outdated = True
+        if self._full_map_is_outdated and now - self._full_map_at >= _FULL_MAP_S * SECOND:
+            self._publish_full_map(now)
+        if now - self._saved_at >= _SAVE_S * SECOND:
+            self._save_graph()
+
+    def _process(self) -> None:
+        """Map the scans whose odometry has arrived, or will not arrive any more."""
+        newest = self._history.newest
+        now = self.clock.now()
+        while self._waiting and newest is not None:
+            scan = self._waiting[0]
+            end_ns = to_ns(scan.header.stamp) + round(sweep_s(scan) * SECOND)
+            if end_ns > newest and now - end_ns < self.config.hold_s * SECOND:
+                return
+            self._waiting.popleft()
+            self._map_scan(scan)
+
+    def _map_scan(self, scan: LaserScan) -> None:
+        sweep = sweep_of(scan, self._history.at)
+        if sweep is None:
+            self._warnings.warn(
+                "odometry", f"scan on {self.scan.topic} ignored: it is older than all odometry"
+            )
+            return
+        stamp = to_ns(scan.header.stamp)
+        if self._mapper is None:
+            self._mapper = self._start(scan, stamp)
+        mapper = self._mapper
+        motion = sweep.motion
+        rays = rays_of(scan, self.config.mount.pose, motion).placed(motion)
+        before = mapper.closer.counts.accepted
+        tracked = mapper.add_scan(stamp, sweep.start, rays)
+        if mapper.closer.counts.accepted > before:
+            self.log.info("closed a loop (%d in all)", mapper.closer.counts.accepted)
+        if tracked.is_lost:
+            self.log.warning(
+                "the robot was moved: scans on %s fit nowhere near; searching the map for it",
+                self.scan.topic,
+            )
+        located = mapper.is_located
+        if located and not self._was_located:
+            self.log.info("found the robot in the map at (%.2f m, %.2f m, %.2f rad)", *mapper.pose)
+        self._was_located = located
+        self._publish_pose(Header(stamp=scan.header.stamp, frame_id="map"), sweep.start, tracked)
+
+    def _start(self, scan: LaserScan, stamp: int) -> Mapper:
+        """Return the mapper of a new map, or of the one that an earlier process or run has left."""
+        config = self.config
+        path = config.map_file.with_suffix(".graph")
+        if self.restarts > 0 and path.exists():
+            self._file, mapper = GraphFile.open(path)
+            age_s = (stamp - mapper.keyframes[-1].stamp_ns) / SECOND if mapper.keyframes else 0.0
+            mapper.resume(here=0.0 <= age_s < _RESUMED_S)
+            self.log.warning("continued the map of %d scans", len(mapper.keyframes))
+            return mapper
+        farthest = min(config.reach, float(scan.range_max))
+        for old in _with_side_files(path):
+            old.unlink(missing_ok=True)
+        if config.extend is not None:
+            mapper = read_graph(config.extend)
+            mapper.resume(here=False)
+            self.log.info("extending the map of %d scans: searching it", len(mapper.keyframes))
+        else:
+            mapper = Mapper(farthest)
+        self._file = GraphFile.create(path, mapper.farthest, f"mapped by {self.name}")
+        return mapper
+
+    def _draw(self, most: int | None) -> None:
+        mapper = self._mapper
+        assert mapper is not None
+        try:
+            self._drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map(), most)
+        except ValueError as error:
+            self._warnings.warn("size", f"map not drawn further: {error}; raise `resolution`")
+
+    def _publish_full_map(self, now: int) -> None:
+        counts = self._drawing.counts
+        self._full_map_at, self._full_map_is_outdated = now, False
+        self._published_frame = counts.frame, counts.shape
+        grid: OccupancyCells = counts.whole()
+        stamp = from_ns(now)
+        self.map.publish(map_message(Header(stamp=stamp, frame_id="map"), grid, stamp))
+
+    def _publish_pose(self, header: Header, odometry: Pose, tracked: Tracked) -> None:
+        mapper = self._mapper
+        assert mapper is not None
+        located = mapper.is_located
+        health, reason = _health(tracked, located=located)
+        covariance = np.asarray(np.linalg.inv(tracked.information + np.eye(3)), np.float64)
+        pose = with_covariance(mapper.pose, covariance) if located else None
+        self.localization.publish(
+            LocalizationEstimate(
+                header=header,
+                located=located,
+                pose=pose or PoseWithCovariance(),
+                health=health,
+                position_sd=math.sqrt(covariance[0, 0] + covariance[1, 1]) if located else 0.0,
+                heading_sd=math.sqrt(covariance[2, 2]) if located else 0.0,
+                scan_fit=math.nan if tracked.fit is None else tracked.fit,
+                reason=reason.text,
+                reason_code=int(reason.code),
+            )
+        )
+        if pose is not None:
+            self.pose.publish(PoseWithCovarianceStamped(header=header, pose=pose))
+            offset = compose(mapper.pose, inverse(odometry))
+            self.tf.publish(TFMessage(transforms=(transform_message(header, "odom", offset),)))
+
+    def _save_graph(self, *, now: bool = False) -> None:
+        mapper, file = self._mapper, self._file
+        if mapper is None or file is None:
+            return
+        lost = "what was mapped since the last save is lost"
+        if self._saved.attempt(lambda: file.save(mapper), lambda: lost, now=now):
+            self._saved_at = self.clock.now()
+
+    def _save_grid(self) -> None:
+        self._draw(None)
+        grid, file = self._drawing.grid(), self.config.map_file
+        lost = "the grid map is not written; the graph has all of it"
+        self._saved.attempt(lambda: write_map(file, grid), lambda: lost, now=True)
+
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+def _health(tracked: Tracked, *, located: bool) -> tuple[float, Reason]:
+    """Return the health of the pose and what lowers it."""
+    if not located:
+        text = "no place of the map is recognized yet"
+        return 0.0, Reason(ReasonCode.NOT_LOCATED, text)
+    if tracked.fit is None:
+        text = "the scan has too few points: the pose follows odometry"
+        return _MOST_WITHOUT_POINTS, Reason(ReasonCode.SCAN_HITS_NOTHING, text)
+    share = min(1.0, max(0.0, (tracked.fit - _MISFITS) / (_FITS - _MISFITS)))
+    if share < 1.0:
+        text = f"the map explains {tracked.fit:.0%} of the scan"
+        return share, Reason(ReasonCode.SCAN_MISMATCH, text)
+    return 1.0, NO_REASON
+
+
+def _with_side_files(path: Path) -> list[Path]:
+    return [path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")]
