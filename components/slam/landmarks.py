@@ -203,14 +203,19 @@ class LandmarkBuilder:
         Return whether the graph has to be optimized again.
         """
         joined = False
-        for landmark in sorted(self._graph.landmarks, reverse=True):
-            after = landmark + _NEXT_PLACE
-            places = self._graph.landmarks
-            if after in places and math.dist(places[landmark], places[after]) < _MOVED_M:
-                self._assign(self._rows_of(after), landmark)
-                del self._graph.landmarks[after]
-                self._newest[landmark % _NEXT_PLACE] = landmark
+        points = self._graph.sighted_points()
+        for object_id, newest in self._newest.items():
+            before = object_id
+            for landmark in range(object_id + _NEXT_PLACE, newest + 1, _NEXT_PLACE):
+                old, new = self._rows_of(before), self._rows_of(landmark)
+                both = old + new
+                if _move_at(len(old), points[both], self._spreads(both)).is_clear:
+                    before = landmark
+                    continue
+                self._assign(new, before)
+                del self._graph.landmarks[landmark]
                 joined = True
+            self._newest[object_id] = before
         return joined
 
     def report(self, stamps: NDArray[np.int64]) -> LandmarkReport:
@@ -353,39 +358,46 @@ def _medians(values: Array, group_of: NDArray[np.int64], counts: NDArray[np.int6
 
 @dataclass(frozen=True)
 class _Move:
-    """A move of an object before its sighting `split`, and by how much the errors decrease."""
+    """A move of an object before its sighting `split`.
+
+    `gain` is by how much two places decrease the sum of squared errors, `share` by which share.
+    """
 
     split: int
     old: tuple[float, float]
     new: tuple[float, float]
     gain: float
+    share: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the object was certainly moved."""
+        way = math.dist(self.old, self.new)
+        return way > _MOVED_M and self.gain > _MOVED_GAIN and self.share > _MOVED_SHARE
 
 
 def _find_move(points: Array, spreads: Array) -> _Move | None:
-    """Return the move that explains the sightings of an object; None if it stood still.
+    """Return the move that explains the sightings of an object best; None if it stood still.
 
     Args:
         points: where its sightings (n, 2) put it [m], in the order of time.
         spreads: standard deviations (n,) of them [m].
 
     """
+    stride = max(1, len(points) // _MOST_TIMES)
+    splits = range(_LEAST_SIGHTINGS, len(points) - _LEAST_SIGHTINGS + 1, stride)
+    moves = [_move_at(split, points, spreads) for split in splits]
+    return max((move for move in moves if move.is_clear), key=lambda one: one.gain, default=None)
 
-    def cost(some: slice) -> tuple[float, tuple[float, float]]:
+
+def _move_at(split: int, points: Array, spreads: Array) -> _Move:
+    def place(some: slice) -> tuple[float, tuple[float, float]]:
         x, y = np.median(points[some], axis=0).tolist()
         deviations = np.hypot(*(points[some] - (x, y)).T) / spreads[some]
         return float((np.minimum(deviations, _AGREES) ** 2).sum()), (x, y)
 
-    if len(points) < 2 * _LEAST_SIGHTINGS:
-        return None
-    in_one_place, _ = cost(slice(None))
-    best: _Move | None = None
-    stride = max(1, len(points) // _MOST_TIMES)
-    for split in range(_LEAST_SIGHTINGS, len(points) - _LEAST_SIGHTINGS + 1, stride):
-        before, old = cost(slice(split))
-        after, new = cost(slice(split, None))
-        gain = in_one_place - before - after
-        if math.dist(old, new) > _MOVED_M and (best is None or gain > best.gain):
-            best = _Move(split, old, new, gain)
-    if best is None or best.gain < max(_MOVED_GAIN, _MOVED_SHARE * in_one_place):
-        return None
-    return best
+    in_one_place, _ = place(slice(None))
+    before, old = place(slice(split))
+    after, new = place(slice(split, None))
+    gain = in_one_place - before - after
+    return _Move(split, old, new, gain, gain / max(in_one_place, 1e-9))
