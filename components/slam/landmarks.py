@@ -207,6 +207,8 @@ class LandmarkBuilder:
         for object_id, newest in self._newest.items():
             before = object_id
             for landmark in range(object_id + _NEXT_PLACE, newest + 1, _NEXT_PLACE):
+                if landmark not in self._graph.landmarks:
+                    continue
                 old, new = self._rows_of(before), self._rows_of(landmark)
                 both = old + new
                 if _move_at(len(old), points[both], self._spreads(both)).is_clear:

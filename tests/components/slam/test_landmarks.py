@@ -14,12 +14,20 @@ from cairn.components.slam.landmarks import LandmarkReport, write_landmarks
 from cairn.components.slam.mapping import Mapper
 from cairn.planar.motion_model import MotionModel
 from cairn.planar.poses import Pose
+from cairn.planar.scans import Rays
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.observations import Observation
-from tests.components.slam.object_drive import OBJECTS, Base, Camera, Drive, map_errors
+from tests.components.slam.object_drive import (
+    OBJECTS,
+    STEP_NS,
+    Base,
+    Camera,
+    Drive,
+    look,
+    map_errors,
+)
 
 COMMANDED = MotionModel(0.025, 0.04)
-RIGHT = Base()
 
 
 def mapped(
@@ -28,7 +36,7 @@ def mapped(
     camera: Camera | None = None,
     model: MotionModel = COMMANDED,
 ) -> Mapper:
-    drive = Drive(seconds, base)
+    drive = Drive(seconds, base or Base())
     if camera is not None:
         drive.camera = camera
     mapper = drive.into(Mapper(10.0, model))
@@ -214,6 +222,32 @@ def test_landmarks_of_a_graph_file_are_extended(tmp_path: Path) -> None:
     assert {one.island for one in report.landmarks} == {0}
     assert mapper.in_map().all()
     assert max(map_errors(places(report), OBJECTS).values()) < 0.1
+
+
+@pytest.mark.parametrize("with_objects", [False, True])
+def test_objects_show_where_the_robot_is_along_a_corridor(with_objects: bool) -> None:
+    """The walls look the same everywhere, and the wheels slip for 1.5 m."""
+    objects = {1: (3.0, 0.9), 2: (6.0, -0.9), 3: (9.0, 0.9), 4: (12.0, -0.9)}
+    random = np.random.default_rng(0)
+    mapper = Mapper(5.0)
+    angles = np.linspace(-2.0, 2.0, 181)
+    with np.errstate(divide="ignore"):
+        ranges = np.abs(1.0 / np.sin(angles))
+    rays = Rays(np.zeros((181, 2)), angles, np.where(ranges < 5.0, ranges, np.inf), 5.0)
+    x = odometry = 0.0
+    true = []
+    for k in range(200):
+        mapper.add_scan(k * 5 * STEP_NS, (odometry, 0.0, 0.0), rays)
+        if with_objects:
+            seen = look((x, 0.0, 0.0), objects, random)
+            mapper.add_observations(k * 5 * STEP_NS, (odometry, 0.0, 0.0), seen)
+        true.append(x)
+        step = 0.1 if k < 100 else -0.1
+        odometry += step
+        x += 0.0 if 110 < k <= 125 else step
+    mapper.finish()
+    error = np.abs(mapper.poses()[:, 0] - true).max()
+    assert error < 0.25 if with_objects else error > 1.0
 
 
 def moved_by(dx: float, pose: Pose, one: Observation) -> Observation:
