@@ -32,7 +32,7 @@ COMMANDED = MotionModel(0.025, 0.04)
 
 def mapped(
     seconds: float,
-    base: Base = Base(),
+    base: Base | None = None,
     camera: Camera | None = None,
     model: MotionModel = COMMANDED,
 ) -> Mapper:
@@ -226,7 +226,7 @@ def test_landmarks_of_a_graph_file_are_extended(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("with_objects", [False, True])
 def test_objects_show_where_the_robot_is_along_a_corridor(with_objects: bool) -> None:
-    """The walls look the same everywhere, and the wheels slip for 1.5 m."""
+    """The walls look the same everywhere, and the wheels slip by 15 % on the way back."""
     objects = {1: (3.0, 0.9), 2: (6.0, -0.9), 3: (9.0, 0.9), 4: (12.0, -0.9)}
     random = np.random.default_rng(0)
     mapper = Mapper(5.0)
@@ -244,10 +244,10 @@ def test_objects_show_where_the_robot_is_along_a_corridor(with_objects: bool) ->
         true.append(x)
         step = 0.1 if k < 100 else -0.1
         odometry += step
-        x += 0.0 if 110 < k <= 125 else step
+        x += step if k < 100 else 0.85 * step
     mapper.finish()
     error = np.abs(mapper.poses()[:, 0] - true).max()
-    assert error < 0.25 if with_objects else error > 1.0
+    assert error < 0.3 if with_objects else error > 1.0, error
 
 
 def moved_by(dx: float, pose: Pose, one: Observation) -> Observation:
