@@ -103,8 +103,8 @@ class Mapper:
         Args:
             farthest: surfaces farther from the scanner are ignored [m].
             model: the uncertainty of odometry.
-            calibration: how the robot moves when odometry states a motion; it is estimated anew
-                when the map is finished.
+            calibration: how the robot moves when odometry states a motion; an estimate
+                replaces it when the map is finished.
 
         """
         self.graph = PoseGraph()
@@ -261,7 +261,9 @@ class Mapper:
         while self.closer.pending:
             self._close_loops(_COMPARED)
             report("loops", 1.0 - self.closer.pending / planned)
-        self._use_landmarks()
+        if self.graph.depends_on_odometry:
+            self.graph.optimize()
+            self._use_landmarks()
         if self._scanned_ns is None:
             return
         for number in range(_ROUNDS):
@@ -274,12 +276,13 @@ class Mapper:
         self._use_landmarks()
 
     def _use_landmarks(self) -> None:
-        """Optimize the graph with all observations, and with the odometry that they imply."""
+        """Estimate the odometry; optimize with it, and with observations that became clear."""
         stamps = self._stamps()
-        self.graph.optimize()
         self.calibration = estimate_calibration(
             self.calibration.calibration, self._log, self._model, stamps, self.graph, self._builder
         )
+        if not self.graph.depends_on_odometry:
+            return
         path = self._log.path(self.calibration.calibration)
         self._builder.resolve(path, stamps)
         self.graph.optimize()

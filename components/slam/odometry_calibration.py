@@ -108,8 +108,9 @@ def estimate_calibration(
         )
         before_change = now
         now = np.clip(now + change, _LOW, _HIGH)
-        use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
-        graph.refine()
+        if graph.depends_on_odometry:
+            use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
+            graph.refine()
         if (np.abs(now - before_change) < _ENOUGH).all():
             break
     deviations = np.sqrt(np.diag(covariance)).tolist()

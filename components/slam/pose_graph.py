@@ -124,6 +124,12 @@ class PoseGraph:
         """Return how far an observation is from where its landmark is, in standard deviations."""
         return float(self._sighting_deviations([sighting])[0])
 
+    @property
+    def depends_on_odometry(self) -> bool:
+        """Whether there are observations, or steps that no scan supports."""
+        odometry = (edge.kind is EdgeKind.ODOMETRY for edge in self.edges)
+        return bool(self.sightings) or any(odometry)
+
     def islands(self) -> NDArray[np.int64]:
         """Return for each pose (n,) the first one to which constraints connect it.
 
