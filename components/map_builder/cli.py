@@ -12,13 +12,7 @@ import typer
 from cairn import CairnError
 from cairn.cli.output import line, print_json
 from cairn.cli.output import show as show_rows
-from cairn.components.map_builder.importing import (
-    alter,
-    import_grid,
-    import_models,
-    importer,
-    write_map,
-)
+from cairn.components.map_builder.importing import alter, import_grid, import_models, importer
 from cairn.components.map_builder.why import (
     describe_state,
     find_landmark,
@@ -35,6 +29,7 @@ from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.zones import read_zones
 from cairn.visual_map.landmark_store import open_landmarks
+from cairn.visual_map.new_map import write_map
 from cairn.visual_map.sqlite_file import side_files
 
 DEFAULT_MAP = Path("visual_map.cairn")

@@ -62,7 +62,7 @@ class GraphFile:
         self._connection = connection
         self._keyframes = self._submaps = 0
         self._edges: list[Edge] = []
-        self._sightings = 0
+        self._sightings: list[Sighting] = []
         self._poses = np.zeros((0, 3))
 
     @classmethod
@@ -120,8 +120,8 @@ class GraphFile:
                 [(s.number, s.first, s.last) for s in mapper.submaps[self._submaps :]],
             )
             connection.executemany(
-                "INSERT INTO sightings VALUES (?, ?, ?, ?)",
-                _sighting_rows(graph.sightings, self._sightings),
+                "REPLACE INTO sightings VALUES (?, ?, ?, ?)",
+                _sighting_rows(graph.sightings, _first_change(self._sightings, graph.sightings)),
             )
             same = len(self._poses)
             if not np.array_equal(self._poses, graph.poses[:same]):
@@ -152,7 +152,7 @@ class GraphFile:
     def _note(self, mapper: Mapper) -> None:
         self._keyframes, self._submaps = len(mapper.keyframes), len(mapper.submaps)
         self._edges = list(mapper.graph.edges)
-        self._sightings = len(mapper.graph.sightings)
+        self._sightings = list(mapper.graph.sightings)
         self._poses = mapper.graph.poses.copy()
 
 
@@ -265,6 +265,12 @@ def _edge_rows(edges: Sequence[Edge], first: int) -> Iterable[tuple[object, ...]
             np.array(edge.measured, "<f8").tobytes(),
             edge.information.astype("<f8").tobytes(),
         )
+
+
+def _first_change(old: Sequence[Sighting], new: Sequence[Sighting]) -> int:
+    """Return the number of the first sighting that was replaced or added."""
+    pairs = enumerate(zip(old, new, strict=False))
+    return next((number for number, (a, b) in pairs if a is not b), len(old))
 
 
 def _sighting_rows(sightings: Sequence[Sighting], first: int) -> Iterable[tuple[object, ...]]:

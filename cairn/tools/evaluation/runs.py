@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cairn import CairnError
 from cairn.cli.runs import log_file
-from cairn.components.map_builder.importing import alter, write_map
+from cairn.components.map_builder.importing import alter
 from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
 from cairn.components.simulation.world_file import Event, read_world
 from cairn.deployment.load import load_deployment
@@ -18,6 +18,7 @@ from cairn.placement.lockstep import LockstepRun
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.poses import Pose
 from cairn.tools.evaluation.results import RunResult
+from cairn.visual_map.new_map import write_map
 
 _POSE = ("x", "y", "theta")
 
