@@ -46,7 +46,7 @@ from cairn.components.motion_control.velocity_limits import STAND, Command, Comm
 from cairn.components.motion_control.zone_limits import ZoneLimits, slowed
 from cairn.planar.messages import packed_poses, planar_pose, planar_poses
 from cairn.planar.odometry import OdometryChange, time_went_back
-from cairn.planar.pose_tracker import PoseTracker
+from cairn.planar.pose_tracker import PoseTracker, WaitingScans
 from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.scans import rays_of
 from cairn.schemas.cairn_nav_msgs import (
@@ -72,8 +72,9 @@ _RECENT_SHARE = 0.5
 # Minimum rates: the base stops if no command arrives for 0.3 s (six periods), AutoMove if no status
 # arrives for 2 s (ten).
 _COMMAND_HZ, _STATUS_HZ = 20.0, 5.0
-# The robot is assumed to keep its velocity for so long [s] after the newest odometry.
-_EXTRAPOLATION_S = 0.1
+# The robot is assumed to keep its velocity for so long [s] after the newest odometry: by default it
+# stands then (`timeouts.odom`).
+_EXTRAPOLATION_S = 0.3
 # A step of odometry faster than this multiple [1] of the robot's limits is a jump.
 _JUMP_FACTOR = 2.0
 _HORIZON_S = 5.0  # of odometry
@@ -131,6 +132,7 @@ class MotionControl(Component):
         self._tracker = PoseTracker(
             _HORIZON_S, _JUMP_FACTOR * fastest, _JUMP_FACTOR * fastest_turn, _EXTRAPOLATION_S
         )
+        self._waiting = WaitingScans()
         self._apply(self.config)
 
     def on_deactivate(self) -> None:
@@ -187,13 +189,24 @@ class MotionControl(Component):
         )
         if change in (OdometryChange.JUMPED, OdometryChange.RESET):
             reason = f"odometry on {self.odom.topic} {self._tracker.change}"
+            self._waiting.clear()
             self._restart(now, reason)
             self.log.warning("%s: pausing for %.1f s", reason, _PAUSE_NS / SECOND)
             self._drive()
+        self._take_scans()
 
     @on("scan")
     def on_scan(self, scan: LaserScan) -> None:
-        """Take the obstacles around the robot, and command at once."""
+        """Take the obstacles around the robot, and command at once, unless odometry is late."""
+        self._waiting.add(scan)
+        self._take_scans()
+
+    def _take_scans(self) -> None:
+        """Take the scans that odometry has reached."""
+        for scan in self._waiting.release(self._tracker.newest, self.clock.now()):
+            self._take_scan(scan)
+
+    def _take_scan(self, scan: LaserScan) -> None:
         stamp = to_ns(scan.header.stamp)
         sweep = self._tracker.sweep(scan)
         if sweep is None:
@@ -350,7 +363,8 @@ class MotionControl(Component):
                 reason=f"stopped by the velocity gate: {self._gate.reason}",
                 code=ReasonCode.OBSTACLE,
             )
-        return result, self._limiter.command(result.target, now, (speed, turn), obstacles)
+        late_s = self._tracker.late_s(now)
+        return result, self._limiter.command(result.target, now, (speed, turn), obstacles, late_s)
 
     def _must_stand(self, now: int) -> BehaviorResult | None:
         """Return the state of a robot that must stand still; None if it may move."""

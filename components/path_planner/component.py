@@ -36,7 +36,7 @@ from cairn.components.path_planner.planning import (
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import packed_poses, planar_pose, pose_message
 from cairn.planar.odometry import OdometryChange
-from cairn.planar.pose_tracker import PoseTracker
+from cairn.planar.pose_tracker import PoseTracker, WaitingScans
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
 from cairn.schemas.cairn_nav_msgs import (
@@ -68,6 +68,9 @@ AVOIDED_AHEAD_M = 0.4
 # Odometry is kept for so long [s], more than a pose is late; a step faster than this [m/s, rad/s]
 # is a jump: about three times the default limits of motion control.
 _HORIZON_S, _FASTEST, _FASTEST_TURN = 3.0, 2.0, 4.0
+# A scan waits until odometry is no more than this [s] older: a period of 50 Hz. The pose of its
+# time is not extrapolated.
+_NEARLY_S = 0.02
 
 
 class PathPlanner(Component):
@@ -98,6 +101,7 @@ class PathPlanner(Component):
         self._avoided = AvoidedPositions()
         self._stuck = StuckDetector()
         self._tracker = PoseTracker(_HORIZON_S, _FASTEST, _FASTEST_TURN)
+        self._waiting = WaitingScans(_NEARLY_S)
         self._command: NavCommand | None = None
         self._result: PlanResult | None = None
         self._planned_at = 0
@@ -151,6 +155,8 @@ class PathPlanner(Component):
         """Track the robot's motion."""
         stamp = to_ns(odom.header.stamp)
         change = self._tracker.add_odometry(stamp, planar_pose(odom.pose.pose))
+        if change in (OdometryChange.JUMPED, OdometryChange.RESET):
+            self._waiting.clear()
         if change is OdometryChange.JUMPED:
             self.log.warning(
                 "odometry on %s %s: waiting for a new localization estimate",
@@ -170,6 +176,7 @@ class PathPlanner(Component):
                 self._scan_obstacles = RecentObstacles(self._costs.frame, self._costs.shape)
                 self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
                 self._costs.set_avoided_positions(())
+        self._use_scans()
 
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
@@ -189,7 +196,18 @@ class PathPlanner(Component):
         if self._command is None or now - self._scan_used_at < SECOND / config.check_hz - 1:
             return
         self._scan_used_at = now
-        stamp = to_ns(scan.header.stamp)
+        self._waiting.add(scan)
+        self._use_scans()
+
+    def _use_scans(self) -> None:
+        """Use the scans that odometry has reached."""
+        for scan in self._waiting.release(self._tracker.newest, self.clock.now()):
+            self._use_scan(scan)
+
+    def _use_scan(self, scan: LaserScan) -> None:
+        config, stamp = self.config, to_ns(scan.header.stamp)
+        if self._costs is None or self._scan_obstacles is None:
+            return
         pose = self._pose_at(stamp)
         estimate = self.localization.latest
         if pose is None or estimate is None or estimate.health < config.least_health:

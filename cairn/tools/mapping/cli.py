@@ -86,7 +86,7 @@ def build(
     for text in opened.notes():
         note(f"{recording}: {text}")
     settings = BuildSettings(
-        mount=parse_mount(scanner) if scanner else (0.0, 0.0, 0.0),
+        mount=parse_mount(scanner) if scanner else None,
         scan_only=scan_only,
         resolution=resolution,
         reach=reach,

@@ -142,7 +142,7 @@ def test_existing_map_is_kept_without_force(built: Path) -> None:
 def without_odometry(logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a log whose scans have no poses: the first 300, which show 60 s of driving."""
     path = tmp_path_factory.mktemp("bare") / "bare.log"
-    lines = []
+    lines: list[str] = []
     for line in logs[0].read_text().splitlines():
         words = line.split()
         if words[0] != "FLASER" or len(lines) == 300:
