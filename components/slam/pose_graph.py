@@ -457,7 +457,8 @@ class PoseGraph:
         measured = np.array([e.measured for e in self.edges]).reshape(-1, 3)
         information = np.array([e.information for e in self.edges]).reshape(-1, 3, 3)
         floor = np.diag([_DRIFT_M**2, _DRIFT_M**2, _DRIFT_RAD**2])
-        covariances = np.linalg.inv(information + 1e-6 * np.eye(3)) + floor
+        inverses = np.asarray(np.linalg.inv(information + 1e-6 * np.eye(3)), np.float64)
+        covariances = inverses + floor
         both = np.concatenate((ends, ends[:, ::-1]))
         order = np.argsort(both[:, 0], kind="stable")
         first = np.concatenate(
