@@ -34,8 +34,8 @@ from cairn.components.explorer.frontiers import (
     Clearance,
     Frontier,
     FrontierSearch,
+    Reach,
     free_area,
-    nearest_of,
 )
 from cairn.files import replace_file
 from cairn.planar.grid import Grid, OccupancyCells, grid_of
@@ -74,7 +74,7 @@ class _Goal:
     """The goal under way: where it leads to, and what is known of its mission."""
 
     pose: Pose
-    frontier: Frontier | None  # None: the goal of an earlier process
+    frontier: Frontier
     heard_ns: int
     mission_id: int | None = None
     closed_ns: int | None = None
@@ -119,15 +119,12 @@ class Explorer(Component):
     def on_activate(self) -> None:
         """Start exploring if that is configured, or if an earlier process was exploring."""
         earlier, goal = self._load()
+        if earlier:
+            self.log.warning("continued the exploration")
         if earlier or (self.restarts == 0 and self.config.explore == "on_activation"):
             self._start()
         if goal is not None:
-            self.log.warning("continued the exploration")
             self._own.append(goal)
-            self._goal = _Goal(goal, None, self.clock.now())
-            self._save()
-            if self.navigate_goal.latest is not None:
-                self.on_navigate_goal(self.navigate_goal.latest)
         self._publish()
 
     def on_parameters(self, new: Config) -> None:
@@ -218,7 +215,7 @@ class Explorer(Component):
             goal.arrived_ns = self.clock.now()
         else:
             self.log.warning("frontier not reached: %s", status.reason)
-            self._count_try(goal)
+            self._choice.failed(goal.frontier)
             self._goal = None
 
     @every(hz=2)
@@ -248,7 +245,7 @@ class Explorer(Component):
                 if now - self._complete_ns > _MISSING_S * SECOND:
                     self._end(ExplorationStatus.FAILED, self._reason)
                 return
-            self._frontiers = found
+            self._reach = found
         self._complete_ns = now
         if self._goal is not None and not self._is_left(self._goal, now):
             return
@@ -261,20 +258,21 @@ class Explorer(Component):
 
     def _is_left(self, goal: _Goal, now: int) -> bool:
         """Whether the robot needs another goal: what the goal is for is known, or it has ended."""
-        x, y, _ = goal.pose
+        x, y, _ = goal.frontier.pose
         if goal.arrived_ns is None and goal.closed_ns is not None:
             if now - goal.closed_ns > _CANCELED_S * SECOND:
                 self._end(ExplorationStatus.STOPPED, "its goal was canceled")
             return False
-        if not nearest_of(self._frontiers, x, y, SAME_M):
+        reach = self._reach
+        if reach is None or not reach.has_frontier_near(x, y, SAME_M):
             return True
         if goal.arrived_ns is not None:
             if now - goal.arrived_ns < _SETTLED_S * SECOND:
                 return False
-            self._count_try(goal)
+            self._choice.failed(goal.frontier)
             return True
         if now - goal.heard_ns <= _SILENT_S * SECOND:
-            return False
+            return not reach.has(goal.pose[0], goal.pose[1])  # a wall beside it was unknown
         self._resent += 1
         if self._resent > _MOST_RESENT:
             self._end(
@@ -286,13 +284,15 @@ class Explorer(Component):
         return True
 
     def _send(self, chosen: Frontier, now: int) -> None:
-        x, y, theta = chosen.pose
+        # After a try that did not show what is beyond, from nearer.
+        pose = chosen.pose if self._choice.tries(chosen) else chosen.view
+        x, y, theta = pose
         self.log.info(
             "exploring a frontier of %.1f m at (%.2f, %.2f); %d are reachable",
             chosen.width_m, x, y, len(self._frontiers),
         )  # fmt: skip
-        self._goal = _Goal(chosen.pose, chosen, now)
-        self._own.append(chosen.pose)
+        self._goal = _Goal(pose, chosen, now)
+        self._own.append(pose)
         self._save()
         goals = packed_poses(np.array([(x, y, theta)]))
         header = Header(stamp=from_ns(now), frame_id="map")
@@ -313,7 +313,7 @@ class Explorer(Component):
 
     def _reset(self) -> None:
         self._choice = FrontierChoice()
-        self._frontiers: tuple[Frontier, ...] = ()
+        self._reach: Reach | None = None
         self._area = 0.0
         self._goal: _Goal | None = None
         self._own: deque[Pose] = deque(maxlen=_OWN)
@@ -333,6 +333,10 @@ class Explorer(Component):
         if self.config.finish:
             self.finish(f"exploration {EXPLORATION_STATES[self._state]}: {reason}",
                         success=state == ExplorationStatus.FINISHED)  # fmt: skip
+
+    @property
+    def _frontiers(self) -> tuple[Frontier, ...]:
+        return () if self._reach is None else self._reach.frontiers
 
     @property
     def _is_exploring(self) -> bool:
@@ -357,10 +361,6 @@ class Explorer(Component):
             body_m=config.radius + config.margin,
             width_m=2.0 * config.radius,
         )
-
-    def _count_try(self, goal: _Goal) -> None:
-        if goal.frontier is not None:
-            self._choice.failed(goal.frontier)
 
     def _status(self) -> ExplorationStatus:
         now = self.clock.now()
