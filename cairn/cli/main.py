@@ -50,6 +50,8 @@ COMMANDS = (
                 "Send the robot to a goal, or cancel.", _CONTROL, negative_numbers=True),
     LazyCommand("locate", "cairn.supervisors.mobile.cli:locate",
                 "Set the robot's pose in the map.", _CONTROL, negative_numbers=True),
+    LazyCommand("explore", "cairn.tools.mapping.explore_cli:explore",
+                "Explore until nothing reachable is unknown; save the map.", _CONTROL),
     LazyCommand("stop", "cairn.cli.control:stop",
                 "Engage the emergency stop, or release it.", _CONTROL),
     LazyCommand("param", "cairn.cli.control:param",

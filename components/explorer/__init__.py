@@ -1,1 +1,1 @@
-"""Explorer: drives the robot to the borders of what is mapped until nothing reachable is unknown."""
+"""Explorer: drives to the borders of what is mapped until nothing reachable is unknown."""

@@ -100,6 +100,10 @@ class Explorer(Component):
     exploration_goal: Out[NavigateGoal] = Out(qos=RELIABLE)
     exploration_status: Out[ExplorationStatus] = Out(qos=LATCHED)
 
+    _goal: _Goal | None = None
+    _reach: Reach | None = None
+    _complete_ns = _frontier_ns = 0  # the last times of complete inputs, and of a frontier
+
     def on_configure(self) -> None:
         """Start without a map, and idle."""
         file = self.config.state_file
@@ -313,9 +317,9 @@ class Explorer(Component):
 
     def _reset(self) -> None:
         self._choice = FrontierChoice()
-        self._reach: Reach | None = None
+        self._reach = None
         self._area = 0.0
-        self._goal: _Goal | None = None
+        self._goal = None
         self._own: deque[Pose] = deque(maxlen=_OWN)
         self._resent = 0
         self._begin_ns = self._complete_ns = self._frontier_ns = self.clock.now()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -33,13 +34,14 @@ from cairn.components.slam.config import SlamConfig
 from cairn.components.slam.graph_file import GraphFile, read_graph
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
+from cairn.components.slam.quality import quality_of
 from cairn.components.slam.tracking import Tracked
 from cairn.planar.grid import OccupancyCells, map_message
 from cairn.planar.map_file import write_map
 from cairn.planar.messages import planar_pose, transform_message, with_covariance
-from cairn.planar.odometry import OdometryChange, OdometryHistory
+from cairn.planar.odometry import OdometryChange, OdometryHistory, is_jump
 from cairn.planar.pose_tracker import sweep_of
-from cairn.planar.poses import Pose, compose, inverse
+from cairn.planar.poses import Pose, compose, distance, inverse
 from cairn.planar.scans import rays_of, sweep_s
 from cairn.schemas.cairn_nav_msgs import NO_REASON, LocalizationEstimate, Reason, ReasonCode
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
@@ -58,8 +60,11 @@ _DRAWN = 60
 # Odometry is kept for so long [s]: longer than scans wait.
 _HISTORY_S = 10
 # A component that is restarted within this time [s] continues where it was: nobody has carried the
-# robot away meanwhile.
-_RESUMED_S = 60.0
+# robot away meanwhile. Since the last keyframe odometry has moved by less than this [m], and this
+# for each second [m/s]; after a longer time it has stood still. Otherwise it has restarted, too.
+_RESUMED_S, _STOOD_M, _FASTEST = 60.0, 0.3, 2.0
+# Odometry that turns faster than this jumps [rad/s], as in the path planner.
+_FASTEST_TURN = 4.0
 # Health of the pose: full from this fit of the scans on, and none below the other.
 _FITS, _MISFITS = 0.6, 0.25
 # The most health while scans have too few points, as in the localizer.
@@ -98,6 +103,7 @@ class Slam(Component):
             read_graph(config.extend)
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "map")
+        self._saved_grid = RetriedSave(self, "grid map")
         self._history = OdometryHistory(_HISTORY_S * SECOND)
         self._waiting: deque[LaserScan] = deque(maxlen=_MOST_SCANS)
         self._mapper: Mapper | None = None
@@ -124,7 +130,7 @@ class Slam(Component):
         raise ParameterRejected(f"{self.name} takes its parameters when it is configured")
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Answer `save` with the written files, and `status` with figures of the map."""
+        """Answer `save` with the written files and the map's quality, `status` with figures."""
         if verb not in ("save", "status") or arguments:
             return super().on_request(verb, arguments)
         mapper = self._mapper
@@ -136,10 +142,14 @@ class Slam(Component):
         if verb == "save":
             self._save_graph(now=True)
             self._save_grid()
-            if self._saved.has_failed:
+            if self._saved.has_failed or self._saved_grid.has_failed:
                 raise CairnError(f"{self.name}: the map is not saved; `cairn ps` has the reason")
-            file = self.config.map_file
-            return {"files": [str(file.with_suffix(end)) for end in (".yaml", ".pgm", ".graph")]}
+            file = self.config.map_file.absolute()
+            return {
+                "files": [str(file.with_suffix(end)) for end in (".yaml", ".pgm", ".graph")],
+                "keyframes": len(mapper.keyframes),
+                "quality": asdict(quality_of(mapper, self._drawing)),
+            }
         return {
             "keyframes": len(mapper.keyframes),
             "submaps": len(mapper.submaps),
@@ -150,8 +160,20 @@ class Slam(Component):
     @on("odom")
     def on_odometry(self, odom: Odometry) -> None:
         """Add odometry; map the scans that waited for it."""
-        stamp = to_ns(odom.header.stamp)
-        change = self._history.add(stamp, planar_pose(odom.pose.pose))
+        stamp, pose = to_ns(odom.header.stamp), planar_pose(odom.pose.pose)
+        newest = self._history.newest
+        before = None if newest is None else self._history.at(newest)
+        if newest is not None and before is not None and stamp > newest:
+            seconds = (stamp - newest) / SECOND
+            if is_jump(before, pose, seconds, _FASTEST, _FASTEST_TURN):
+                self.log.warning(
+                    "odometry on %s jumped: the robot is where it was", self.odom.topic
+                )
+                self._history.clear()
+                self._waiting.clear()
+                if self._mapper is not None:
+                    self._mapper.restart_odometry()
+        change = self._history.add(stamp, pose)
         if change is OdometryChange.RESET:
             self.log.warning("time on %s was set back: restarted its history", self.odom.topic)
             self._waiting.clear()
@@ -215,7 +237,7 @@ class Slam(Component):
             return
         stamp = to_ns(scan.header.stamp)
         if self._mapper is None:
-            self._mapper = self._start(scan, stamp)
+            self._mapper = self._start(scan, stamp, sweep.start)
         mapper = self._mapper
         motion = sweep.motion
         rays = rays_of(scan, self.config.mount.pose, motion).placed(motion)
@@ -234,14 +256,13 @@ class Slam(Component):
         self._was_located = located
         self._publish_pose(Header(stamp=scan.header.stamp, frame_id="map"), sweep.start, tracked)
 
-    def _start(self, scan: LaserScan, stamp: int) -> Mapper:
+    def _start(self, scan: LaserScan, stamp: int, odometry: Pose) -> Mapper:
         """Return the mapper of a new map, or of the one that an earlier process or run has left."""
         config = self.config
         path = config.map_file.with_suffix(".graph")
         if self.restarts > 0 and path.exists():
             self._file, mapper = GraphFile.open(path)
-            age_s = (stamp - mapper.keyframes[-1].stamp_ns) / SECOND if mapper.keyframes else 0.0
-            mapper.resume(here=0.0 <= age_s < _RESUMED_S)
+            mapper.resume(here=_continues(mapper, stamp, odometry))
             self.log.warning("continued the map of %d scans", len(mapper.keyframes))
             return mapper
         farthest = min(config.reach, float(scan.range_max))
@@ -309,12 +330,22 @@ class Slam(Component):
         self._draw(None)
         grid, file = self._drawing.grid(), self.config.map_file
         lost = "the grid map is not written; the graph has all of it"
-        self._saved.attempt(lambda: write_map(file, grid), lambda: lost, now=True)
+        self._saved_grid.attempt(lambda: write_map(file, grid), lambda: lost, now=True)
 
     def _close(self) -> None:
         if self._file is not None:
             self._file.close()
             self._file = None
+
+
+def _continues(mapper: Mapper, stamp: int, odometry: Pose) -> bool:
+    """Return whether odometry has continued since the last keyframe of a map."""
+    if not mapper.keyframes:
+        return False
+    last = mapper.keyframes[-1]
+    age_s = (stamp - last.stamp_ns) / SECOND
+    moved_m = _STOOD_M + (_FASTEST * age_s if age_s < _RESUMED_S else 0.0)
+    return age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m
 
 
 def _health(tracked: Tracked, *, located: bool) -> tuple[float, Reason]:

@@ -138,6 +138,10 @@ class Mapper:
         else:
             self._start_island()
 
+    def restart_odometry(self) -> None:
+        """Continue where the robot is, as odometry counts from another origin from now on."""
+        self._odometry = None
+
     def in_map(self) -> NDArray[np.bool_]:
         """Return which keyframes (n,) belong to the map: those of its largest island.
 

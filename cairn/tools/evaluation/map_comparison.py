@@ -1,4 +1,4 @@
-"""Compares a map that a robot made with the world: walls, and what of the reachable area is known."""
+"""Compares a robot's map with the world: its walls, and the known share of the reachable area."""
 
 from __future__ import annotations
 
@@ -120,7 +120,8 @@ def _at(field: NDArray[np.float32], frame: Frame, points: Array) -> Array:
 
 def _placed(pose: Array, points: Array) -> Array:
     cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    return points @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2]
+    placed: Array = points @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2]
+    return placed
 
 
 def _points(frame: Frame, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
