@@ -27,6 +27,11 @@ from cairn.planar.poses import Pose, compose, inverse
 
 Array = NDArray[np.float64]
 
+WALL_M = 0.05
+"""A wall of a map that is so near to one of the world agrees with it [m]."""
+ROBOT_RADIUS_M = 0.22
+"""Radius of the shipped deployments' robot [m]."""
+
 # Cells [m] of the world's map in which distances to its walls are measured.
 _FINE_M = 0.01
 # Walls farther than this [m] do not pull: in the alignment of the maps, they have no counterpart.
