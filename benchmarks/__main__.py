@@ -22,6 +22,7 @@ BENCHMARKS = (
     "v4l2_camera",
     "hokuyo",
     "navigation",
+    "explore",
     "velocity_gate",
     "recorder",
     "silent_peers",
