@@ -41,7 +41,7 @@ from cairn.planar.map_file import write_map
 from cairn.planar.messages import planar_pose, transform_message, with_covariance
 from cairn.planar.odometry import OdometryChange, OdometryHistory, is_jump
 from cairn.planar.pose_tracker import sweep_of
-from cairn.planar.poses import Pose, compose, distance, inverse
+from cairn.planar.poses import Pose, compose, inverse
 from cairn.planar.scans import rays_of, sweep_s
 from cairn.schemas.cairn_nav_msgs import NO_REASON, LocalizationEstimate, Reason, ReasonCode
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
@@ -59,12 +59,8 @@ _FULL_MAP_S = 5.0
 _DRAWN = 60
 # Odometry is kept for so long [s]: longer than scans wait.
 _HISTORY_S = 10
-# A component that is restarted within this time [s] continues where it was: nobody has carried the
-# robot away meanwhile. Since the last keyframe odometry has moved by less than this [m], and this
-# for each second [m/s]; after a longer time it has stood still. Otherwise it has restarted, too.
-_RESUMED_S, _STOOD_M, _FASTEST = 60.0, 0.3, 2.0
-# Odometry that turns faster than this jumps [rad/s], as in the path planner.
-_FASTEST_TURN = 4.0
+# Faster odometry jumps [m/s], [rad/s], as in the path planner.
+_FASTEST, _FASTEST_TURN = 2.0, 4.0
 # Health of the pose: full from this fit of the scans on, and none below the other.
 _FITS, _MISFITS = 0.6, 0.25
 # The most health while scans have too few points, as in the localizer.
@@ -163,7 +159,7 @@ class Slam(Component):
         stamp, pose = to_ns(odom.header.stamp), planar_pose(odom.pose.pose)
         newest = self._history.newest
         before = None if newest is None else self._history.at(newest)
-        if newest is not None and before is not None and stamp > newest:
+        if newest is not None and before is not None and stamp >= newest:
             seconds = (stamp - newest) / SECOND
             if is_jump(before, pose, seconds, _FASTEST, _FASTEST_TURN):
                 self.log.warning(
@@ -237,7 +233,7 @@ class Slam(Component):
             return
         stamp = to_ns(scan.header.stamp)
         if self._mapper is None:
-            self._mapper = self._start(scan, stamp, sweep.start)
+            self._mapper = self._start(scan)
         mapper = self._mapper
         motion = sweep.motion
         rays = rays_of(scan, self.config.mount.pose, motion).placed(motion)
@@ -256,13 +252,13 @@ class Slam(Component):
         self._was_located = located
         self._publish_pose(Header(stamp=scan.header.stamp, frame_id="map"), sweep.start, tracked)
 
-    def _start(self, scan: LaserScan, stamp: int, odometry: Pose) -> Mapper:
+    def _start(self, scan: LaserScan) -> Mapper:
         """Return the mapper of a new map, or of the one that an earlier process or run has left."""
         config = self.config
         path = config.map_file.with_suffix(".graph")
         if self.restarts > 0 and path.exists():
             self._file, mapper = GraphFile.open(path)
-            mapper.resume(here=_continues(mapper, stamp, odometry))
+            mapper.resume(here=True)
             self.log.warning("continued the map of %d scans", len(mapper.keyframes))
             return mapper
         farthest = min(config.reach, float(scan.range_max))
@@ -336,16 +332,6 @@ class Slam(Component):
         if self._file is not None:
             self._file.close()
             self._file = None
-
-
-def _continues(mapper: Mapper, stamp: int, odometry: Pose) -> bool:
-    """Return whether odometry has continued since the last keyframe of a map."""
-    if not mapper.keyframes:
-        return False
-    last = mapper.keyframes[-1]
-    age_s = (stamp - last.stamp_ns) / SECOND
-    moved_m = _STOOD_M + (_FASTEST * age_s if age_s < _RESUMED_S else 0.0)
-    return age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m
 
 
 def _health(tracked: Tracked, *, located: bool) -> tuple[float, Reason]:
