@@ -26,7 +26,8 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import spsolve
 
 from cairn.components.replay.bounded_streams import text_lines
-from cairn.components.replay.carmen import LaserLine, read_log, restore_driving_direction
+from cairn.components.replay.carmen_lines import LaserLine, read_log
+from cairn.components.replay.carmen_odometry import restore_driving_direction
 from cairn.planar.poses import compose, wrap, wrap_all
 
 Array = NDArray[np.float64]

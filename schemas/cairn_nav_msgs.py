@@ -1,11 +1,15 @@
-"""Cairn's own messages of navigation: missions, commands, plans, motion and localization."""
+"""Cairn's own messages of navigation: missions, commands, plans, motion, localization, zones."""
 
 from enum import IntEnum
-from math import isinf, isnan, nan
+from math import isinf, isnan, nan, pi
 from typing import Annotated, ClassVar, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.field_types import (
+    Array,
     Bool,
     FiniteFloat64,
     Float64,
@@ -14,6 +18,8 @@ from cairn.schemas.field_types import (
     UInt8,
     UInt32,
     UInt64,
+    empty,
+    finite,
 )
 from cairn.schemas.geometry_msgs import Pose, PoseWithCovariance, Twist
 from cairn.schemas.message import message, reject
@@ -63,6 +69,10 @@ class ReasonCode(IntEnum):
     GOAL_BLOCKED = 43
     GOAL_OUTSIDE_MAP = 44
     GOAL_UNREACHABLE = 45
+    GOAL_IN_KEEPOUT = 46
+    """The goal is in a keepout zone of the map, or too near to one."""
+    IN_KEEPOUT = 47
+    """The robot is in a keepout zone."""
 
     # Driving.
     OFF_PATH = 60
@@ -70,6 +80,8 @@ class ReasonCode(IntEnum):
     NO_ROOM = 62
     """There is not enough free space to explore."""
     NO_PROGRESS = 63
+    KEEPOUT_ZONE = 64
+    """A keepout zone is in the way."""
 
     # The velocity gate, between the sources of velocity commands and the base.
     EMERGENCY_STOP = 70
@@ -156,7 +168,9 @@ class Plan:
 
     NOT_READY: an input is missing. START_BLOCKED: the robot is in an obstacle. GOAL_BLOCKED: the
     goal is, in one that may go or may have gone. GOAL_IMPOSSIBLE: the goal is in a wall or in
-    unknown space. UNREACHABLE: obstacles lie between the two.
+    unknown space. UNREACHABLE: obstacles lie between the two. GOAL_IN_KEEPOUT: the goal is in a
+    keepout zone or too near to one. START_IN_KEEPOUT: the robot is in a keepout zone and must not
+    leave it by itself.
     """
 
     FOUND: ClassVar[UInt8] = 0
@@ -166,10 +180,12 @@ class Plan:
     OUTSIDE_MAP: ClassVar[UInt8] = 4
     UNREACHABLE: ClassVar[UInt8] = 5
     GOAL_IMPOSSIBLE: ClassVar[UInt8] = 6
+    GOAL_IN_KEEPOUT: ClassVar[UInt8] = 7
+    START_IN_KEEPOUT: ClassVar[UInt8] = 8
 
     header: Header = Header()
     goal_id: UInt32 = 0
-    outcome: Annotated[int, Scalar("uint8", at_most=6)] = 0
+    outcome: Annotated[int, Scalar("uint8", at_most=8)] = 0
     reason: String = ""
     length: NotNegative = 0.0
     nearest_x: Float64 = nan
@@ -191,6 +207,8 @@ PLAN_REASON_CODES: Final = {
     Plan.OUTSIDE_MAP: ReasonCode.GOAL_OUTSIDE_MAP,
     Plan.UNREACHABLE: ReasonCode.GOAL_UNREACHABLE,
     Plan.GOAL_IMPOSSIBLE: ReasonCode.GOAL_BLOCKED,
+    Plan.GOAL_IN_KEEPOUT: ReasonCode.GOAL_IN_KEEPOUT,
+    Plan.START_IN_KEEPOUT: ReasonCode.IN_KEEPOUT,
 }
 """The reason code of each `Plan.outcome`."""
 
@@ -408,3 +426,131 @@ class VelocityGateStatus:
     refused_invalid: UInt32 = 0
     refused_disabled: UInt32 = 0
     clamped: UInt32 = 0
+
+
+MAX_ZONES: Final = 200
+"""A map has at most so many zones."""
+MAX_ZONE_POINTS: Final = 1000
+"""A zone has at most so many points."""
+MAX_POINTS_OF_ZONES: Final = 10_000
+"""All zones of a map have at most so many points together."""
+MAX_ZONE_NAME: Final = 64
+"""The name of a zone has at most so many characters."""
+FARTHEST_ZONE_M: Final = 1e5
+"""Coordinates of zones are at most so large [m], as those of goals."""
+SLOWEST_ZONE: Final = 0.05
+"""Lowest speed of a slow zone [m/s]: a base can hardly follow slower commands."""
+FASTEST_ZONE: Final = 3.0
+"""Highest speed of a slow zone [m/s]: that of motion control's parameter."""
+WIDEST_LANE_M: Final = 20.0
+"""Largest width of a lane [m]."""
+
+
+@message("cairn_nav_msgs/msg/Zone")
+class Zone:
+    """A zone on the map, in frame map: an area, a preferred lane, or a named place.
+
+    KEEPOUT: an area that the robot must not enter. SLOW: an area in which it drives at most `speed`
+    [m/s]. LANE: a line on which, over `width` [m], paths are preferred. PLACE: a position to drive
+    to by its name, with the `heading` [rad] on arrival, NaN if any will do. `speed` and `width` are
+    0 in zones of other kinds, `heading` is NaN.
+
+    `points` has x, y [m] of the corners of an area, of the points of a lane, or of the place, one
+    after the other. An area may have holes: `rings` has the number of corners of its outline and of
+    each hole, in this order; the last corner is joined to the first. For a lane and a place it has
+    the number of points.
+    """
+
+    KEEPOUT: ClassVar[UInt8] = 0
+    SLOW: ClassVar[UInt8] = 1
+    LANE: ClassVar[UInt8] = 2
+    PLACE: ClassVar[UInt8] = 3
+
+    kind: Annotated[int, Scalar("uint8", at_most=3)] = 0
+    name: String = ""
+    speed: NotNegative = 0.0
+    width: NotNegative = 0.0
+    heading: Float64 = nan
+    rings: Annotated[npt.NDArray[np.uint32], Array("uint32")] = empty("uint32")
+    points: Annotated[npt.NDArray[np.float64], Array("float64", check=finite)] = empty("float64")
+
+    def __post_init__(self) -> None:
+        """Check name, numbers of points, bounds, and which fields the kind has."""
+        if problem := zone_name_problem(self.name):
+            reject(self, "name", self.name[: 2 * MAX_ZONE_NAME], problem)
+        count, rings = self.points.size // 2, self.rings.tolist()
+        if count > MAX_ZONE_POINTS:
+            reject(self, "number of points", count, f"are too many: at most {MAX_ZONE_POINTS}")
+        if 2 * sum(rings) != self.points.size or not rings:
+            reject(self, "rings", self.rings, f"must sum up to the {self.points.size} / 2 points")
+        is_area = self.kind in (Zone.KEEPOUT, Zone.SLOW)
+        least = 3 if is_area else 2 if self.kind == Zone.LANE else 1
+        if min(rings) < least or (self.kind == Zone.PLACE and count > 1):
+            reject(self, "number of points", min(rings), f"of this kind must be {least} or more")
+        if not is_area and len(rings) > 1:
+            reject(self, "rings", len(rings), "must be one: only areas have holes")
+        if count and float(np.abs(self.points).max()) > FARTHEST_ZONE_M:
+            reject(self, "points", "a coordinate", f"must be at most {FARTHEST_ZONE_M:g} m")
+        slow, lane = self.kind == Zone.SLOW, self.kind == Zone.LANE
+        if not (SLOWEST_ZONE <= self.speed <= FASTEST_ZONE if slow else self.speed == 0):
+            rule = f"must be {SLOWEST_ZONE:g} to {FASTEST_ZONE:g} m/s in a slow zone, else 0"
+            reject(self, "speed", self.speed, rule)
+        if not (0.0 < self.width <= WIDEST_LANE_M if lane else self.width == 0):
+            rule = f"must be above 0 and at most {WIDEST_LANE_M:g} m for a lane, else 0"
+            reject(self, "width", self.width, rule)
+        has_heading = not isnan(self.heading)
+        if has_heading and not (self.kind == Zone.PLACE and abs(self.heading) <= 2 * pi):
+            reject(self, "heading", self.heading, "must be -2 pi to 2 pi for a place, else NaN")
+
+
+@message("cairn_nav_msgs/msg/Zones")
+class Zones:
+    """The zones on the map; their names differ. `version` increases with each change.
+
+    The stamp is the time at which they came into force.
+    """
+
+    header: Header = Header()
+    version: UInt32 = 0
+    zones: tuple[Zone, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the number of zones, and that their names differ."""
+        if len(self.zones) > MAX_ZONES:
+            reject(self, "number of zones", len(self.zones), f"must be at most {MAX_ZONES}")
+        points = sum(zone.points.size // 2 for zone in self.zones)
+        if points > MAX_POINTS_OF_ZONES:
+            rule = f"must be at most {MAX_POINTS_OF_ZONES:,} together"
+            reject(self, "number of points", points, rule)
+        names = [zone.name for zone in self.zones]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            reject(self, "name", twice, "is the name of two zones: names must differ")
+
+
+ZONE_KINDS: Final = {
+    Zone.KEEPOUT: "keepout",
+    Zone.SLOW: "slow",
+    Zone.LANE: "lane",
+    Zone.PLACE: "place",
+}
+"""The names of the kinds of a `Zone`."""
+
+
+def zone_name_problem(name: str) -> str:
+    """Return what is wrong with the name of a zone; empty if it is valid.
+
+    A command must be able to distinguish a name from coordinates and from an option.
+    """
+    if not 0 < len(name) <= MAX_ZONE_NAME:
+        return f"must have 1 to {MAX_ZONE_NAME} characters"
+    if not name.isprintable() or name != name.strip() or "," in name:
+        return "must have neither control characters, nor commas, nor spaces at its ends"
+    if not name[0].isalpha():
+        return "must begin with a letter"
+    if name.lower() in _NUMBERS:
+        return "must not be a number"
+    return ""
+
+
+_NUMBERS: Final = frozenset({"inf", "infinity", "nan"})

@@ -508,6 +508,18 @@ def _gzipped_lines() -> bytes:
     return gzip.compress(line * (10 * MB // len(line)), compresslevel=9) * 30
 
 
+def _bad_lines() -> bytes:
+    """Return 6 MB of lines of which none is good."""
+    return b"ODOM nan 0.0 0.0 0.0 0.0 0.0 1.0 robot 1.0\n" * 140_000
+
+
+def _backward_lines() -> bytes:
+    """Return 6 MB of lines, each two seconds before the last one."""
+    return b"".join(
+        b"ODOM 0.0 0.0 0.0 0.0 0.0 0.0 %d robot 1.0\n" % (2 * k) for k in range(140_000, 0, -1)
+    )
+
+
 def mcap(
     compression: str, packed: bytes, size: int, *, chunks: int = 1, claim: int | None = None
 ) -> bytes:
@@ -817,6 +829,10 @@ RECORDINGS: Final[Mapping[str, HostileFile]] = {
     "carmen_scans": HostileFile(
         _bytes("scans.log.gz", lambda: gzip.compress(_SCAN_OF_ZEROS * 8_200)), "16 MB"
     ),
+    "carmen_bad": HostileFile(_bytes("bad.log", _bad_lines), "140000 of 140000 records are bad"),
+    "carmen_backward": HostileFile(
+        _bytes("backward.log", _backward_lines), "139999 of 140000 records are bad"
+    ),
     "carmen_sparse": HostileFile(sparse("s.log", 5_000 * MB, b"ODOM 0 0 0 0 0 0 1 r 1\n"), "MB"),
     "carmen_zeros": HostileFile(device("/dev/zero", "zeros.log"), "device"),
     "carmen_fifo": HostileFile(fifo("pipe.log"), "FIFO"),
@@ -1049,6 +1065,41 @@ VISUAL_MAPS: Final[Mapping[str, HostileFile]] = {
 }
 
 
+def _zones(geometry: str, properties: str = '"zone": "keepout", "name": "a"') -> str:
+    feature = f'{{"type": "Feature", "properties": {{{properties}}}, "geometry": {geometry}}}'
+    return f'{{"type": "FeatureCollection", "features": [{feature}]}}'
+
+
+def _polygon(corners: int) -> str:
+    ring = ", ".join(f"[{k % 1000}.5, {k // 1000}]" for k in range(corners))
+    return f'{{"type": "Polygon", "coordinates": [[{ring}, [0.5, 0]]]}}'
+
+
+_ZONES: Final = "map.zones.geojson"
+ZONE_FILES: Final[Mapping[str, HostileFile]] = {
+    "nested": HostileFile(_text(_ZONES, nested(1_000_000)), "not a zones file"),
+    "nested_below": HostileFile(_text(_ZONES, _zones(nested(90))), "geometry"),
+    "corners": HostileFile(_text(_ZONES, _zones(_polygon(200_000))), "at most 1000"),
+    "features": HostileFile(
+        _text(_ZONES, f'{{"type": "FeatureCollection", "features": [{"1," * 3_000_000}1]}}'),
+        "at most 200",
+    ),
+    "rings": HostileFile(
+        _text(_ZONES, _zones(f'{{"type": "Polygon", "coordinates": [{"[]," * 500_000}[]]}}')),
+        "four positions",
+    ),
+    "huge_number": HostileFile(
+        _text(_ZONES, _zones('{"type": "Point", "coordinates": [1e999, 0]}')), "too large"
+    ),
+    "long_name": HostileFile(
+        _text(_ZONES, _zones(_polygon(3), f'"zone": "keepout", "name": "{"a" * 10_000_000}"')),
+        "1 to 64 characters",
+    ),
+    "too_large": HostileFile(sparse(_ZONES, 17 << 20), "MB"),
+    "device": HostileFile(device("/dev/zero", _ZONES), "device"),
+    "fifo": HostileFile(fifo(_ZONES), "FIFO"),
+}
+
 HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "deployment": DEPLOYMENTS,
     "world": WORLDS,
@@ -1060,4 +1111,5 @@ HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "recording": RECORDINGS,
     "mcap": MCAPS,
     "visual_map": VISUAL_MAPS,
+    "zones": ZONE_FILES,
 }

@@ -40,6 +40,7 @@ _MODULES: Final = (
     "components.simulation.world_file",
     "deployment.yaml_document",
     "planar.map_file",
+    "planar.zones",
     "recording.decoding",
     "recording.reader",
     "vision.camera_file",
@@ -150,6 +151,12 @@ def _mcap(file: Path) -> None:
             raise CairnError("; ".join(recording.notes))
 
 
+def _zones(file: Path) -> None:
+    from cairn.planar.zones import read_zones
+
+    read_zones(file)
+
+
 def _visual_map(file: Path) -> None:
     from cairn.visual_map.landmark_store import open_landmarks
     from cairn.visual_map.object_models import read_models
@@ -170,6 +177,7 @@ READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     "recording": _recording,
     "mcap": _mcap,
     "visual_map": _visual_map,
+    "zones": _zones,
 }
 
 

@@ -59,6 +59,29 @@ def components(ctx: typer.Context, incomplete: str) -> list[str]:
     return _matching(_short_names(_asked(ctx, read)), incomplete)
 
 
+def places(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the named places on the map of the running robot."""
+
+    def read(robot: Robot) -> list[str]:
+        from cairn.schemas.cairn_nav_msgs import Zone, Zones
+
+        zones = robot.latest("zones", Zones, timeout_s=_LIMIT_S).zones
+        return sorted(zone.name for zone in zones if zone.kind == Zone.PLACE)
+
+    return _matching(_asked(ctx, read), incomplete)
+
+
+def zones(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the zones on the map of the running robot."""
+
+    def read(robot: Robot) -> list[str]:
+        from cairn.schemas.cairn_nav_msgs import Zones
+
+        return sorted(zone.name for zone in robot.latest("zones", Zones, timeout_s=_LIMIT_S).zones)
+
+    return _matching(_asked(ctx, read), incomplete)
+
+
 def parameters(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the parameters of the component that is given before."""
     component = ctx.params.get("component")

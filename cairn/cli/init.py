@@ -11,8 +11,10 @@ from typing import Annotated
 import typer
 
 from cairn.cli.output import line
+from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
 
+_FIRST_MAP = "ground_floor"
 _SKELETON = Path(__file__).parent / "skeleton"
 _RENAMED = {"package": "{package}", "deployment.yaml": "{package}.yaml", "gitignore": ".gitignore"}
 # Modules of these names would hide Python's, Cairn's, or the skeleton's own.
@@ -66,4 +68,12 @@ def _write(folder: Path, names: dict[str, str]) -> int:
         file.parent.mkdir(parents=True, exist_ok=True)
         text = Template(template.read_text(encoding="utf-8")).substitute(names)
         file.write_text(text, encoding="utf-8")
-    return len(templates)
+    (folder / "deploy" / "robot.yaml").write_text(_robot(names["package"]), encoding="utf-8")
+    return len(templates) + 1
+
+
+def _robot(package: str) -> str:
+    """Return the shipped deployment of a robot, with this name and a map that is not made yet."""
+    text = (FOLDER / "robot.yaml").read_text(encoding="utf-8")
+    text = re.sub("^robot: robot$", f"robot: {package}", text, flags=re.MULTILINE)
+    return text.replace("/maps/room.", f"/maps/{_FIRST_MAP}.")

@@ -48,6 +48,8 @@ COMMANDS = (
                 "Print the log messages of the components.", _INSPECT),
     LazyCommand("go", "cairn.supervisors.mobile.cli:go",
                 "Send the robot to a goal, or cancel.", _CONTROL, negative_numbers=True),
+    LazyCommand("zone", "cairn.components.map_builder.zone_cli:app",
+                "List, add and remove zones on the robot's map.", _CONTROL),
     LazyCommand("locate", "cairn.supervisors.mobile.cli:locate",
                 "Set the robot's pose in the map.", _CONTROL, negative_numbers=True),
     LazyCommand("explore", "cairn.tools.mapping.explore_cli:explore",

@@ -74,8 +74,8 @@ class Navigator:
             navigator.await_active()
         return navigator
 
-    def goal(self, poses: Sequence[Sequence[float]]) -> NavigationGoal:
-        """Return a goal of poses [x, y, theta] in frame map, not sent yet.
+    def goal(self, poses: Sequence[Sequence[float] | str]) -> NavigationGoal:
+        """Return a goal of poses [x, y, theta] in frame map or names of places, not sent yet.
 
         Raises `CairnError` if there are too many poses for one mission.
         """
@@ -84,7 +84,10 @@ class Navigator:
                 f"{len(poses):,} goals: a mission has at most {MAX_GOALS:,}; send the further ones "
                 "when it has ended"
             )
-        return NavigationGoal(self, [[float(value) for value in pose] for pose in poses])
+        goals: list[Sequence[float] | str] = [
+            pose if isinstance(pose, str) else [float(value) for value in pose] for pose in poses
+        ]
+        return NavigationGoal(self, goals)
 
     def cancel(self, **selection: Any) -> int:
         """Cancel the goal under way; return its mission id.
@@ -158,7 +161,7 @@ class Navigator:
 class NavigationGoal:
     """A goal: iterate over its progress, await its result, cancel it. A context manager."""
 
-    def __init__(self, navigator: Navigator, poses: Sequence[Sequence[float]]) -> None:
+    def __init__(self, navigator: Navigator, poses: Sequence[Sequence[float] | str]) -> None:
         self.mission_id = 0
         """Number of the mission, once it is accepted."""
         self.poses = poses
@@ -185,7 +188,8 @@ class NavigationGoal:
         If this is interrupted, the goal may have been accepted: `cancel` it.
         """
         self._samples = self._listening.__enter__()  # first, so that no status is missed
-        arguments = {"goals": [list(pose) for pose in self.poses], "token": self._token}
+        goals = [pose if isinstance(pose, str) else list(pose) for pose in self.poses]
+        arguments = {"goals": goals, "token": self._token}
         try:
             self.mission_id = int(self._navigator.ask("go", arguments, _LOADING_S)["mission_id"])
         except CairnError:

@@ -6,10 +6,10 @@ import logging
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar, overload
 
 import zenoh
 
@@ -336,12 +336,20 @@ class Robot:
             accept=lambda entry: self._is_of(entry, component),
         )  # fmt: skip
 
-    def go(self, x: float, y: float, theta: float = 0.0) -> NavigationGoal:
-        """Send the robot to a pose in frame map [m, m, rad]; this preempts an earlier goal."""
-        return self.go_through([(x, y, theta)])
+    @overload
+    def go(self, x: str) -> NavigationGoal: ...
+    @overload
+    def go(self, x: float, y: float, theta: float = 0.0) -> NavigationGoal: ...
+    def go(self, x: float | str, y: float = 0.0, theta: float = 0.0) -> NavigationGoal:
+        """Send the robot to a pose in frame map [m, m, rad], or to a place by its name.
 
-    def go_through(self, poses: list[tuple[float, float, float]]) -> NavigationGoal:
-        """Send the robot to several poses in frame map, at most 1,000, one after the other."""
+        This preempts an earlier goal. Raises `CairnError` with the known places if there is no
+        place of that name on the map.
+        """
+        return self.go_through([x if isinstance(x, str) else (x, y, theta)])
+
+    def go_through(self, poses: Sequence[tuple[float, float, float] | str]) -> NavigationGoal:
+        """Send the robot to several poses in frame map or places, at most 1,000, one by one."""
         goal = self.navigator().goal(poses)
         try:
             goal.send()

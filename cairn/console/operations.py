@@ -30,7 +30,7 @@ from cairn.console.lease import Operator, OperatorLeases
 from cairn.console.monitoring import ProcessMonitor, StateEvents
 from cairn.console.protocol import WARNING
 from cairn.errors import CairnError
-from cairn.schemas.cairn_nav_msgs import MAX_GOALS
+from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_ZONE_NAME
 from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
@@ -48,7 +48,7 @@ R = TypeVar("R")
 LIVE_METHODS: Final = (
     "acquire_lease", "release_lease", "ask_lease", "answer_lease", "go", "cancel", "locate",
     "stop", "release_stop", "drive", "restart", "load", "unload", "parameters", "set_parameters",
-    "logs", "world", "why",
+    "logs", "world", "why", "zones",
 )  # fmt: skip
 """The methods of a console of running robots."""
 
@@ -66,6 +66,7 @@ _VIEW_ONLY: Final = (
 )
 _GATE_ATTEMPTS: Final = 3  # to read its limits: the computer may be busy
 _WORLD, _MAP_BUILDER = "simulated_world", "map_builder"
+_LOAD_MAP_BUILDER: Final = "load the map builder, or send a goal, which loads it"
 _POSE_TOPIC: Final = "initialpose"
 _PERIOD_S: Final = 1.0
 _WORKERS: Final = 16
@@ -74,6 +75,7 @@ _STOP_WORKERS: Final = 4
 _GATE_LIMIT_S: Final = 8.0  # to find the gate and to acquire its lease
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
+PlaceName = Annotated[str, Field(min_length=1, max_length=MAX_ZONE_NAME)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Heading = Annotated[float, Field(ge=-1e3, le=1e3)]
 # No characters that control a terminal, or the direction of a text.
@@ -105,10 +107,11 @@ class ParameterChanges(OfComponent):
 
 
 class GoRequest(OfRobot):
-    """Goals [x, y, heading] in frame map [m, m, rad], one after the other."""
+    """Goals [x, y, heading] in frame map [m, m, rad] or places by name, one after the other."""
 
     poses: Annotated[
-        list[tuple[Coordinate, Coordinate, Heading]], Field(min_length=1, max_length=MAX_GOALS)
+        list[tuple[Coordinate, Coordinate, Heading] | PlaceName],
+        Field(min_length=1, max_length=MAX_GOALS),
     ]
 
 
@@ -151,6 +154,13 @@ class WorldRequest(OfRobot):
 
     verb: Literal["list", "move", "remove", "furniture", "object", "person", "kidnap"]
     arguments: Annotated[dict[str, Any], Field(max_length=20)] = {}
+
+
+class ZonesRequest(OfRobot):
+    """A request about the zones on the map, as the map builder answers it."""
+
+    verb: Literal["zones", "set_zones", "add_zone", "remove_zone"]
+    arguments: Annotated[dict[str, Any], Field(max_length=2)] = {}
 
 
 class WhyRequest(OfRobot):
@@ -235,6 +245,7 @@ class Operations:
             "set_parameters": ConsoleMethod(ParameterChanges, self._set_parameters),
             "logs": ConsoleMethod(OfRobot, self._logs, changes=False),
             "world": ConsoleMethod(WorldRequest, self._world, changes=False, is_service=True),
+            "zones": ConsoleMethod(ZonesRequest, self._zones, changes=False, is_service=True),
             "why": ConsoleMethod(WhyRequest, self._why, changes=False, is_service=True),
         }
 
@@ -450,12 +461,21 @@ class Operations:
 
     async def _why(self, browser: Browser, of: WhyRequest) -> Any:
         arguments = {"object": str(of.object_id), "last": of.last}
-        remedy = "load the map builder, or send a goal, which loads it"
         return await self._call(
             browser,
             of.robot,
-            lambda robot: _of_plugin(robot, _MAP_BUILDER, "why", arguments, remedy),
+            lambda robot: _of_plugin(robot, _MAP_BUILDER, "why", arguments, _LOAD_MAP_BUILDER),
         )
+
+    async def _zones(self, browser: Browser, of: ZonesRequest) -> Any:
+        def ask(robot: Robot) -> Any:
+            return _of_plugin(robot, _MAP_BUILDER, of.verb, of.arguments, _LOAD_MAP_BUILDER)
+
+        if of.verb == "zones":
+            return await self._call(browser, of.robot, ask)
+        if reason := self.refusal(browser, of.robot):
+            raise CairnError(reason)
+        return await self._steer(browser, of.robot, ask)
 
     # Calls of the robot, which block
 

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cairn.planar.odometry import OdometryChange, OdometryHistory, is_jump
+from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
 from cairn.planar.poses import Pose, compose, distance, relative
 from cairn.planar.scans import sweep_s
 from cairn.schemas.sensor_msgs import LaserScan
 
 _NS_PER_S = 1_000_000_000
+
+EXACT_S = 0.1
+"""A pose is extrapolated for so long [s] as if it were measured.
+
+Meanwhile the simulated robot's accelerations of 0.8 m/s^2 and 3 rad/s^2 displace it by 4 mm and
+0.015 rad: at 1 m that is the noise of its scanner, 15 mm. Odometry at 10 Hz is never older.
+"""
+# A scan waits for odometry for no longer than this [s]: motion control and the velocity gate stop
+# the robot by then. At most so many scans wait, those of 0.5 s at 40 Hz.
+_LONGEST_WAIT_S, _MOST_WAITING = 0.5, 20
 
 
 @dataclass(frozen=True)
@@ -39,11 +50,61 @@ def sweep_of(scan: LaserScan, odometry_at: Callable[[int], Pose | None]) -> Swee
         None if odometry does not reach back to the first beam.
 
     """
-    stamp = scan.header.stamp
-    start_ns = stamp.sec * _NS_PER_S + stamp.nanosec
-    end_ns = start_ns + round(sweep_s(scan) * _NS_PER_S)
+    start_ns = _stamp_of(scan)
+    end_ns = end_of(scan)
     start, end = odometry_at(start_ns), odometry_at(end_ns)
     return None if start is None or end is None else Sweep(start, end, end_ns)
+
+
+def end_of(scan: LaserScan) -> int:
+    """Return the time of the last beam [ns]."""
+    return _stamp_of(scan) + round(sweep_s(scan) * _NS_PER_S)
+
+
+def _stamp_of(scan: LaserScan) -> int:
+    stamp = scan.header.stamp
+    return stamp.sec * _NS_PER_S + stamp.nanosec
+
+
+class WaitingScans:
+    """Scans that wait for odometry that is late: until it has nearly reached their last beam.
+
+    With odometry that is on time no scan waits.
+    """
+
+    def __init__(self, nearly_s: float = EXACT_S) -> None:
+        """Release a scan when odometry is no more than `nearly_s` [s] older."""
+        self._nearly_s = nearly_s
+        self._scans: deque[LaserScan] = deque(maxlen=_MOST_WAITING)
+
+    @property
+    def waiting(self) -> tuple[LaserScan, ...]:
+        """The scans that still wait, oldest first."""
+        return tuple(self._scans)
+
+    def add(self, scan: LaserScan) -> None:
+        """Add a scan; if too many wait, drop the oldest."""
+        self._scans.append(scan)
+
+    def release(self, newest: int | None, now: int) -> list[LaserScan]:
+        """Return the scans that are due at `now` [ns] with odometry up to `newest` [ns].
+
+        These are also scans for which no odometry arrived in time, or that are from the future.
+        """
+        ready = []
+        while self._scans and not self._waits(end_of(self._scans[0]), newest, now):
+            ready.append(self._scans.popleft())
+        return ready
+
+    def clear(self) -> None:
+        """Drop all scans, as when odometry restarts."""
+        self._scans.clear()
+
+    def _waits(self, end: int, newest: int | None, now: int) -> bool:
+        nearly = self._nearly_s * _NS_PER_S
+        if newest is None or newest >= end - nearly:
+            return False
+        return -nearly <= now - end <= _LONGEST_WAIT_S * _NS_PER_S
 
 
 class PoseTracker:
@@ -66,12 +127,12 @@ class PoseTracker:
         `extrapolation_s` [s] after the newest odometry the robot is assumed to keep its velocity;
         later it is assumed to stand.
         """
-        self._fastest, self._fastest_turn = fastest, fastest_turn
         self._extrapolation_s = extrapolation_s
-        self._history = OdometryHistory(round(horizon_s * _NS_PER_S))
+        self._history = OdometryHistory[int](
+            round(horizon_s * _NS_PER_S), WheelLimits(fastest, fastest_turn)
+        )
         self._odometry: Pose = (0.0, 0.0, 0.0)
         self._pose: tuple[int, Pose] | None = None
-        self._restarted: int | None = None
         self.speed = 0.0
         """The newest speed [m/s]."""
         self.turn = 0.0
@@ -82,7 +143,20 @@ class PoseTracker:
     @property
     def waits_for_pose(self) -> bool:
         """Whether no pose in the map has arrived since odometry jumped or was reset."""
-        return self._pose is None and self._restarted is not None
+        return self._pose is None and self._history.restarted is not None
+
+    @property
+    def newest(self) -> int | None:
+        """Time [ns] of the newest odometry; None before the first."""
+        return self._history.newest
+
+    def late_s(self, now: int) -> float:
+        """Return how much [s] older odometry is at `now` [ns] than extrapolation is exact for.
+
+        So long the robot may have moved otherwise than `odometry_at` and `pose_at` assume.
+        """
+        newest = self._history.newest
+        return 0.0 if newest is None else max(0.0, (now - newest) / _NS_PER_S - EXACT_S)
 
     @property
     def last_pose(self) -> Pose | None:
@@ -92,21 +166,20 @@ class PoseTracker:
     def add_odometry(
         self, stamp: int, pose: Pose, speed: float = 0.0, turn: float = 0.0
     ) -> OdometryChange:
-        """Add a pose in the odometry frame at `stamp` [ns], and the velocities [m/s], [rad/s]."""
+        """Add a pose in the odometry frame at `stamp` [ns], and the velocities [m/s], [rad/s].
+
+        Late odometry completes the past; only the newest is compared with the last pose.
+        """
         newest = self._history.newest
         change = self._history.add(stamp, pose)
-        if change is OdometryChange.OUTDATED:
+        if change in (OdometryChange.LATE, OdometryChange.OUTDATED):
             return change
         if change is OdometryChange.RESET:
             assert newest is not None  # otherwise there is nothing to go back from
             self.change = f"went back in time by {(newest - stamp) / _NS_PER_S:.1f} s"
-            self._restarted, self._pose = stamp, None
-        elif newest is not None and self._is_jump(pose, (stamp - newest) / _NS_PER_S):
-            change = OdometryChange.JUMPED
+            self._pose = None
+        elif change is OdometryChange.JUMPED:
             self.change = f"jumped by {distance(self._odometry, pose):.2f} m"
-            self._restarted = stamp
-            self._history.clear()
-            self._history.add(stamp, pose)
             if self._pose is not None and self._pose[0] < stamp:
                 self._pose = None
         self._odometry, self.speed, self.turn = pose, speed, turn
@@ -114,7 +187,8 @@ class PoseTracker:
 
     def set_pose(self, stamp: int, pose: Pose) -> None:
         """Set the pose in the map at `stamp` [ns]; ignored if odometry restarted after that."""
-        if self._restarted is None or stamp >= self._restarted:
+        restarted = self._history.restarted
+        if restarted is None or stamp >= restarted:
             self._pose = stamp, pose
 
     def odometry_at(self, stamp: int) -> Pose | None:
@@ -142,6 +216,3 @@ class PoseTracker:
     def sweep(self, scan: LaserScan) -> Sweep | None:
         """Return where the base was during a scan; None if odometry does not reach back to it."""
         return sweep_of(scan, self.odometry_at)
-
-    def _is_jump(self, pose: Pose, seconds: float) -> bool:
-        return is_jump(self._odometry, pose, seconds, self._fastest, self._fastest_turn)

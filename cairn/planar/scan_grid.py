@@ -29,7 +29,7 @@ _BORDER_M = 1.0
 _NEIGHBOR, _SURFACE_M = 3, 1.0
 # Least sine of the angle between a ray and a surface: smaller ones count as this.
 _GRAZING = 0.1
-_HITS = 3  # ends of rays that make an obstacle, when conflicts are counted
+_HITS = 3  # ends of rays from which a cell counts when conflicts are counted
 # The counts grow by blocks of so many cells, so that they are rarely copied.
 _BLOCK = 128
 
@@ -92,13 +92,15 @@ class ScanGrid:
         return float(bits.sum() / max(1, share.size))
 
     def conflicts(self) -> float:
-        """Return the share of the cells with obstacles that rays have mostly passed.
+        """Return the share of the cells with ends of rays that are free for most rays.
 
-        Of the cells in which at least three rays ended, those with fewer ends than passages.
+        Of the cells in which at least three rays ended, those that are not drawn as obstacles.
+        Moving things, glass and wrong poses cause them.
         """
         hit = self._ended >= _HITS
-        passed = self._passed[hit] > self._ended[hit]
-        return float(np.count_nonzero(passed) / max(1, passed.size))
+        ended = self._ended[hit]
+        free = ended < _OCCUPIED_SHARE * (ended + self._passed[hit])
+        return float(np.count_nonzero(free) / max(1, free.size))
 
     def seen_through(self, points: Array, passes: int) -> float:
         """Return the share of points (n, 2) [m] that lie where rays show free space.
@@ -132,7 +134,7 @@ class ScanGrid:
         return rows, columns
 
     def whole(self) -> OccupancyCells:
-        """Return the map with room around it, in which it can grow without a change of its frame."""
+        """Return the map with room around it: it can grow there without a change of its frame."""
         rows, columns = self._ended.shape
         return Grid(self._cells((slice(0, rows), slice(0, columns))), self.frame)
 

@@ -24,12 +24,16 @@ from cairn.planar.braille import BrailleCanvas
 from cairn.planar.grid import Grid, OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose
+from cairn.planar.zones import points_of, zone_edges
 from cairn.runtime.log_output import printable
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,
     NAVIGATION_STATES,
+    ZONE_KINDS,
     LocalizationEstimate,
     NavigationStatus,
+    Zone,
+    Zones,
 )
 from cairn.schemas.geometry_msgs import Pose as PoseMessage
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -54,7 +58,17 @@ _PAN = 0.25  # of the picture's smaller side
 _LEAST_METERS, _MOST_METERS = 0.002, 50.0  # of a dot
 _LEAST_SIZE = (20, 6)
 _ARROWS = "→↗↑↖←↙↓↘"  # by heading, from the x axis to the left
-_STYLES = {"map": "", "scan": "red", "path": "blue", "goal": "bold magenta", "robot": "bold green"}
+_STYLES = {
+    "map": "",
+    "scan": "red",
+    "path": "blue",
+    "keepout": "magenta",
+    "slow": "yellow",
+    "lane": "cyan",
+    "place": "bold cyan",
+    "goal": "bold magenta",
+    "robot": "bold green",
+}
 _KEYS = "q quit  + - zoom  arrows move  f follow  a all"
 
 
@@ -68,6 +82,7 @@ class Scene:
         self.status: NavigationStatus | None = None
         self.path: Points = np.empty((0, 2))
         self.scan: LaserScan | None = None
+        self.zones: tuple[Zone, ...] = ()
         self.mounts: dict[str, Pose] = {}
         self.arrived: dict[str, float] = {}
         self._map: OccupancyCells | None = None
@@ -91,6 +106,8 @@ class Scene:
                 self.status = message
             case LaserScan():
                 self.scan = message
+            case Zones():
+                self.zones = message.zones
             case TFMessage():
                 for one in message.transforms:
                     moved, turned = one.transform.translation, one.transform.rotation
@@ -222,6 +239,14 @@ def draw(scene: Scene, camera: Camera, size: tuple[int, int]) -> BrailleCanvas:
     dots = canvas.dots
     camera.aim(scene, dots)
     canvas.add(camera.project(scene.walls, dots), _STYLES["map"])
+    for zone in scene.zones:
+        style = _STYLES[ZONE_KINDS[zone.kind]]
+        if zone.kind == Zone.PLACE:
+            across, down = camera.project(points_of(zone), dots)[0]
+            canvas.put(across, down, "o", style)
+            continue
+        for edge in zone_edges(zone).reshape(-1, 2, 2):
+            canvas.add(camera.project(_dense(edge, camera.meters), dots), style)
     canvas.add(camera.project(_dense(scene.path, camera.meters), dots), _STYLES["path"])
     canvas.add(camera.project(scene.scan_points(), dots), _STYLES["scan"])
     if scene.goal is not None:
@@ -311,6 +336,7 @@ def _subscribed(client: Robot) -> dict[str, Subscription[Any]]:
         "localization": LocalizationEstimate,
         "path": Path,
         "navigation_status": NavigationStatus,
+        "zones": Zones,
         "tf_static": TFMessage,
     }
     found = {}

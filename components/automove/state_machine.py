@@ -43,7 +43,10 @@ _DETOUR_M, _MOST_DETOURS = 2.0, 10
 # positions look alike, it takes some way until one of them stands out.
 _EXPLORE_M, _MOST_EXPLORE_M = 2.0, 8.0
 
-_WAITED_FOR = frozenset({ReasonCode.EMERGENCY_STOP, ReasonCode.OPERATOR_DRIVES})
+# A person has stopped the robot, drives it, or must lead it out of a keepout zone.
+_WAITED_FOR = frozenset(
+    {ReasonCode.EMERGENCY_STOP, ReasonCode.OPERATOR_DRIVES, ReasonCode.IN_KEEPOUT}
+)
 
 
 @dataclass
@@ -178,8 +181,10 @@ class NavigatorStateMachine:
         elif plan.outcome == Plan.FOUND:
             self.state, self.reason = NavigationStatus.DRIVING, NO_REASON
             self._restart_timers(now_s)
-        elif plan.outcome in (Plan.OUTSIDE_MAP, Plan.GOAL_IMPOSSIBLE):
+        elif plan.outcome in (Plan.OUTSIDE_MAP, Plan.GOAL_IMPOSSIBLE, Plan.GOAL_IN_KEEPOUT):
             self.fail(_no_path(plan))
+        elif plan.outcome == Plan.START_IN_KEEPOUT:
+            self.reason = Reason(ReasonCode.IN_KEEPOUT, plan.reason)
         else:
             self.reason = _no_path(plan)
             if waited > self.limits.blocked_s:
@@ -196,6 +201,10 @@ class NavigatorStateMachine:
             return
         if motion.distance_left > 0.0:
             self._note_progress(now_s, motion.distance_left)
+        plan = self._current_plan(inputs)
+        if plan is not None and plan.outcome == Plan.GOAL_IN_KEEPOUT:
+            self.fail(_no_path(plan))
+            return
         if motion.state == MotionStatus.MOVING:
             self._moving_s = now_s
             self.reason = NO_REASON
@@ -205,7 +214,6 @@ class NavigatorStateMachine:
                 )
                 self._start_recovery(now_s, inputs, WHEN_STUCK, cause)
             return
-        plan = self._current_plan(inputs)
         if plan is not None and plan.outcome != Plan.FOUND:
             self.reason = _no_path(plan)
         else:
@@ -265,7 +273,7 @@ class NavigatorStateMachine:
             return motion
         self._moving_s = now_s
         if self.reason.code in _WAITED_FOR and silent_s <= self.limits.silent_s:
-            # A person has stopped the robot, or drives it: the goal waits as long as that takes.
+            # The goal waits for the person as long as that takes.
             self._running_s = self._progress_s = now_s
         if now_s - self._running_s > self.limits.stopped_s:
             self.fail(self.reason)

@@ -43,7 +43,7 @@ from cairn.components.localizer.pose_health import ScannerMonitor
 from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save_last_pose
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
-from cairn.planar.odometry import OdometryHistory
+from cairn.planar.odometry import OUTDATED_IN_A_ROW, OdometryChange, OdometryHistory
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose, inverse, relative
 from cairn.planar.scans import rays_of, sweep_s
@@ -71,10 +71,6 @@ POSE_EVERY_S = 0.0999
 # While scans arrive at least this often [s], each gives a pose; otherwise odometry does. Five scans
 # at 10 Hz: a lost scan does not switch between both.
 SCANS_S = 0.5
-# After so many records of odometry in a row that are older than the newest, time was set back; a
-# few may arrive out of order. Chosen by hand; `benchmarks/constants.yaml` has the effect of half
-# and double.
-OUTDATED_IN_A_ROW = 5
 # How far [m], [rad] the robot may have moved while odometry jumped: a robot at 0.6 m/s for the 0.25
 # s between two records. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
 # double.
@@ -165,10 +161,11 @@ class Localizer(Component):
         self._pending: PendingMessages[LaserScan | RecognizedObjectArray] = PendingMessages(
             self.config.hold_s
         )
-        self._history = OdometryHistory(_HISTORY_S * SECOND)
+        self._history = OdometryHistory[int](
+            _HISTORY_S * SECOND, self._track.limits, resets_after=OUTDATED_IN_A_ROW
+        )
         self._scanner = ScannerMonitor()
         self._published = self._scanned = -math.inf
-        self._jumps = self._outdated = 0
 
     def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
         """Reject all changes: the particles are allocated once."""
@@ -241,20 +238,24 @@ class Localizer(Component):
             self._warnings.warn(
                 "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
             )
-        if not self._localization.add_odometry(stamp, pose, speed, turn):
-            self._outdated += 1
-            if self._outdated < OUTDATED_IN_A_ROW:
-                self._warnings.warn(
-                    self.odom.topic,
-                    f"odometry on {self.odom.topic} ignored: time runs backwards, from "
-                    f"{latest:.3f} s to {stamp:.3f} s",
-                )
-                return
-            self._restart_at(stamp)
+        change = self._localization.add_odometry(stamp, pose, speed, turn)
+        if change is OdometryChange.OUTDATED:
+            self._warnings.warn(
+                self.odom.topic,
+                f"odometry on {self.odom.topic} ignored: time runs backwards, from "
+                f"{latest:.3f} s to {stamp:.3f} s",
+            )
+        elif change is OdometryChange.RESET:
+            self._restart_at(stamp, latest)
             self._localization.add_odometry(stamp, pose, speed, turn)
-        self._outdated = 0
-        self._handle_jump()
+        elif change is OdometryChange.JUMPED:
+            self._localization.widen(JUMP_M, JUMP_RAD)
+            self._warnings.warn(
+                "jump", f"odometry on {self.odom.topic} jumped: that step is ignored"
+            )
         self._history.add(to_ns(odom.header.stamp), pose)
+        if change in (OdometryChange.LATE, OdometryChange.OUTDATED):
+            return
         self._process_pending()
         without_scans = stamp - self._scanned > SCANS_S
         if without_scans and stamp - self._published >= POSE_EVERY_S:
@@ -314,23 +315,13 @@ class Localizer(Component):
         self._warnings.warn(topic, f"message on {topic} of {stamp:.3f} s ignored: it is {why}")
         return False
 
-    def _restart_at(self, stamp: float) -> None:
-        """Continue from the last pose, with a time that was set back to `stamp` [s]."""
-        last, by_s = self._localization, self._track.latest - stamp
-        self.log.warning("time on %s was set back by %.3f s", self.odom.topic, by_s)
+    def _restart_at(self, stamp: float, latest: float) -> None:
+        """Continue from the last pose, with time set back from `latest` to `stamp` [s]."""
+        last = self._localization
+        self.log.warning("time on %s was set back by %.3f s", self.odom.topic, latest - stamp)
         self._reset()
         self._localization.continue_from(last, stamp)
         self._localization.widen(JUMP_M, JUMP_RAD)
-
-    def _handle_jump(self) -> None:
-        track = self._track
-        if isinstance(track, MeasuredTrack) and track.jumps > self._jumps:
-            self._jumps = track.jumps
-            self._history.clear()
-            self._localization.widen(JUMP_M, JUMP_RAD)
-            self._warnings.warn(
-                "jump", f"odometry on {self.odom.topic} jumped: that step is ignored"
-            )
 
     def _process_pending(self) -> None:
         """Fuse the messages that odometry has reached, in the order of their stamps."""

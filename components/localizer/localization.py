@@ -37,6 +37,7 @@ from cairn.components.localizer.relocalization import ConfirmationHistory, Reloc
 from cairn.components.localizer.scan_fit import BeamSelector, RecentScans, ScanFit
 from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
+from cairn.planar.odometry import OdometryChange
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
@@ -142,9 +143,9 @@ class Localization:
         if self.map is None or not self.map.replace(grid):
             self.map = ScanMap(grid, self.settings.beam_sd_m, self.settings.stray)
 
-    def add_odometry(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:
-        """Add odometry (pose, velocities [m/s, rad/s]); return False if it is outdated."""
-        return self.track.append(stamp, pose, forward, turn)
+    def add_odometry(self, stamp: float, pose: Pose, forward: float, turn: float) -> OdometryChange:
+        """Add odometry: pose, and velocities [m/s, rad/s]."""
+        return self.track.add(stamp, pose, forward, turn)
 
     def advance(self, stamp: float) -> None:
         """Move all particles to the time `stamp` [s]."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections import deque
+from bisect import insort
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -12,8 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.compiled import compiled
-from cairn.planar.odometry import is_jump
-from cairn.planar.poses import Pose, between, compose, relative
+from cairn.planar.odometry import (
+    ODOMETRY_DISORDER_S,
+    OUTDATED_IN_A_ROW,
+    OdometryChange,
+    OdometryHistory,
+    WheelLimits,
+)
+from cairn.planar.poses import Pose, compose, relative, wrap
 
 Array = NDArray[np.float64]
 
@@ -118,13 +123,16 @@ def _move(
 class OdometryTrack(Protocol):
     """The motion as a function of time [s], consumed piece by piece."""
 
-    latest: float
+    limits: WheelLimits | None
     integrated_to: float
 
-    def append(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:
-        """Append a record: pose in the odometry frame, velocities [m/s, rad/s]; False if
-        outdated.
-        """
+    @property
+    def latest(self) -> float:
+        """The time of the newest record [s]; -inf before the first."""
+        ...
+
+    def add(self, stamp: float, pose: Pose, forward: float, turn: float) -> OdometryChange:
+        """Add a record: pose in the odometry frame, velocities [m/s, rad/s]."""
         ...
 
     def advance(self, stamp: float) -> OdometryStep:
@@ -150,31 +158,44 @@ class CommandedTrack:
         self.lag_s = lag_s
         self.forward_gain, self.turn_gain = forward_gain, turn_gain
         self.gap_s = gap_s
-        self._pending: deque[tuple[float, float, float]] = deque()
+        self.limits: WheelLimits | None = None
+        self._history = OdometryHistory[float](
+            ODOMETRY_DISORDER_S, resets_after=OUTDATED_IN_A_ROW, per_second=1.0
+        )
+        self._pending: list[tuple[float, float, float]] = []
+        self._taken = -math.inf  # when the base began to execute the command that it executes
         self._speed = (0.0, 0.0)
-        self._pose: Pose = (0.0, 0.0, 0.0)
         self.integrated_to = -math.inf
-        self.latest = -math.inf
 
-    def append(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:
-        """Append the command of `stamp` [s]; False if it is older than the newest one."""
-        if stamp < self.latest:
-            return False
-        if self.latest > -math.inf and stamp - self.latest > self.gap_s:
-            gap = stamp - self.latest
-            step = relative(self._pose, pose)
+    @property
+    def latest(self) -> float:
+        """The time of the newest command [s]; -inf before the first."""
+        newest = self._history.newest
+        return -math.inf if newest is None else newest
+
+    def add(self, stamp: float, pose: Pose, forward: float, turn: float) -> OdometryChange:
+        """Add the command of `stamp` [s]; a late one counts from where it still has an effect."""
+        latest = self.latest
+        before = self._history.at(latest)
+        change = self._history.add(stamp, pose)
+        if change in (OdometryChange.OUTDATED, OdometryChange.RESET):
+            return change
+        if before is not None and stamp - latest > self.gap_s:
+            gap = stamp - latest
+            step = relative(before, pose)
             ahead = math.copysign(math.hypot(step[0], step[1]), step[0])
-            self._pending.append((self.latest + self.lag_s, ahead / gap, step[2] / gap))
-        self.latest = stamp
-        self._pose = pose
-        self._pending.append((stamp + self.lag_s, forward, turn))
-        return True
+            self._pending.append((latest + self.lag_s, ahead / gap, step[2] / gap))
+        if stamp + self.lag_s >= self._taken:
+            command = (stamp + self.lag_s, forward, turn)
+            insort(self._pending, command, key=lambda entry: entry[0])
+        return change
 
     def advance(self, stamp: float) -> OdometryStep:
         """Return the motion performed from the time last advanced to until `stamp` [s]."""
         increment, self._speed, taken = self._integrate(stamp)
-        for _ in range(taken):
-            self._pending.popleft()
+        if taken:
+            self._taken = self._pending[taken - 1][0]
+            del self._pending[:taken]
         self.integrated_to = max(self.integrated_to, stamp)
         return increment
 
@@ -216,65 +237,51 @@ class MeasuredTrack:
     """Odometry whose poses the wheels measured; between two of them it is interpolated.
 
     A step that wheels cannot make (faster than `fastest` [m/s] or `turning` [rad/s]) is a jump: the
-    driver was restarted. Jumps are left out, and counted in `jumps`. Motion control
-    accepts limits of up to 3 m/s and 6 rad/s.
+    driver was restarted. Jumps are left out. Motion control accepts limits of up to 3 m/s and
+    6 rad/s. What a late record changes before the time advanced to counts in the next motion.
     """
 
     def __init__(self, fastest: float = 3.0, turning: float = 7.0) -> None:
-        self.fastest, self.turning = fastest, turning
-        self.jumps = 0
-        self._stamps: deque[float] = deque()
-        self._poses: deque[Pose] = deque()  # without the jumps
-        self._raw: Pose = (0.0, 0.0, 0.0)
+        self.limits: WheelLimits | None = WheelLimits(fastest, turning)
+        self._history = OdometryHistory[float](
+            math.inf, self.limits, resets_after=OUTDATED_IN_A_ROW, per_second=1.0
+        )
+        self._reached: Pose | None = None  # without the jumps
         self.integrated_to = -math.inf
-        self.latest = -math.inf
 
-    def append(self, stamp: float, pose: Pose, forward: float, turn: float) -> bool:  # noqa: ARG002
-        """Append the pose measured at `stamp` [s]; False if it is older than the newest one."""
-        if stamp < self.latest:
-            return False
-        if self._poses:
-            step = relative(self._raw, pose)
-            seconds = stamp - self.latest
-            if is_jump(self._raw, pose, seconds, self.fastest, self.turning):
-                self.jumps += 1
-                step = (0.0, 0.0, 0.0)
-            here = self._poses[-1]
-            cosine, sine = math.cos(here[2]), math.sin(here[2])
-            x = here[0] + cosine * step[0] - sine * step[1]
-            y = here[1] + sine * step[0] + cosine * step[1]
-            self._poses.append((x, y, here[2] + step[2]))
-        else:
-            self._poses.append(pose)
-        self._raw = pose
-        self._stamps.append(stamp)
-        self.latest = stamp
-        return True
+    @property
+    def latest(self) -> float:
+        """The time of the newest pose [s]; -inf before the first."""
+        newest = self._history.newest
+        return -math.inf if newest is None else newest
+
+    def add(self, stamp: float, pose: Pose, forward: float, turn: float) -> OdometryChange:  # noqa: ARG002
+        """Add the pose measured at `stamp` [s]."""
+        change = self._history.add(stamp, pose)
+        if change is OdometryChange.RESET:
+            self._reached = None
+        return change
 
     def advance(self, stamp: float) -> OdometryStep:
         """Return the motion from the time last advanced to until `stamp` [s]."""
         increment = self.preview(stamp)
-        self.integrated_to = max(self.integrated_to, stamp)
-        while len(self._stamps) > 1 and self._stamps[1] <= self.integrated_to:
-            self._stamps.popleft()
-            self._poses.popleft()
+        if stamp > self.integrated_to:
+            self.integrated_to = stamp
+            reached = self._at(stamp)
+            self._reached = reached and (reached[0], reached[1], wrap(reached[2]))
+        self._history.forget(self.integrated_to - ODOMETRY_DISORDER_S)
         return increment
 
     def preview(self, stamp: float) -> OdometryStep:
         """Return the motion that `advance(stamp)` would return, without consuming it."""
-        if self.integrated_to == -math.inf or not self._stamps or stamp <= self.integrated_to:
+        start, end = self._reached or self._at(self.integrated_to), self._at(stamp)
+        if self.integrated_to == -math.inf or stamp <= self.integrated_to:
             return OdometryStep(0.0, 0.0, 0.0, 0.0)
-        step = relative(self._at(self.integrated_to), self._at(stamp))
-        increment = odometry_step(step)
+        if start is None or end is None:
+            return OdometryStep(0.0, 0.0, 0.0, 0.0)
+        increment = odometry_step(relative(start, end))
         moving = stamp - self.integrated_to if increment.moving_s else 0.0
         return replace(increment, moving_s=moving)
 
-    def _at(self, stamp: float) -> Pose:
-        index = bisect_right(self._stamps, stamp)
-        if index == 0:
-            return self._poses[0]
-        if index == len(self._stamps):
-            return self._poses[-1]
-        before, after = self._stamps[index - 1], self._stamps[index]
-        share = (stamp - before) / (after - before)
-        return between(self._poses[index - 1], self._poses[index], share)
+    def _at(self, stamp: float) -> Pose | None:
+        return None if self._history.newest is None else self._history.driven_at(stamp)

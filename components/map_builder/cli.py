@@ -28,10 +28,12 @@ from cairn.components.map_builder.why import (
     summarize,
     time_text,
 )
+from cairn.components.map_builder.zone_cli import ZONE_COLUMNS, zone_row
 from cairn.files import explain_os_error
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
+from cairn.planar.zones import read_zones
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.sqlite_file import side_files
 
@@ -167,6 +169,21 @@ def why(
     for step in shown:
         times = f" ({step.times} times)" if step.times > 1 else ""
         line(f"{time_text(step.stamp_ns) or 'initially':>29}  {step.text}{times}")
+
+
+@app.command()
+def zones(
+    file: Annotated[Path, typer.Argument(help="Zones file, such as MAP.zones.geojson.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Check a zones file and list its zones."""
+    try:
+        found = read_zones(file)
+    except FileNotFoundError as error:
+        raise CairnError(f"{file}: no such file; give a zones file") from error
+    if not as_json:
+        line(f"{file.name}: {len(found)} zones")
+    show_rows([zone_row(zone) for zone in found], ZONE_COLUMNS, as_json=as_json, nothing="no zones")
 
 
 def _show_grid(file: Path, as_json: bool) -> None:

@@ -1,4 +1,4 @@
-"""The component MapBuilder: owns the visual map and the grid map, and their files."""
+"""The component MapBuilder: owns the visual map, the grid map, its zones, and their files."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedCh
 from cairn.components.map_builder.landmark_rule import rule_named
 from cairn.components.map_builder.posed_scans import PosedScans
 from cairn.components.map_builder.why import explain
+from cairn.components.map_builder.zone_keeper import CHANGES, ZoneKeeper
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
@@ -45,7 +46,7 @@ from cairn.schemas.cairn_msgs import (
     VisualMapChange,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization, Zones
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
@@ -72,17 +73,33 @@ _IN_TRANSIT_NS = 2 * SECOND
 # Steps of an object's history in one reply, by default and at most: 1 MiB would have some 3,000.
 _STEPS: Final = 30
 _MOST_STEPS: Final = 1000
+# Arguments of the requests that change zones: those needed, and all.
+_ARGUMENTS: Final = {
+    "set_zones": ({"features"}, {"features"}),
+    "add_zone": ({"feature"}, {"feature", "replace"}),
+    "remove_zone": ({"name"}, {"name"}),
+}
 
 
 class MapBuilder(Component):
     """Keeps the visual map and the grid map up to date while the robot works.
 
     Judges each landmark by the evidence about it: removes moved ones, registers them at their new
-    positions. Integrates scans into the grid map while the robot's pose is reliable.
+    positions. Integrates scans into the grid map while the robot's pose is reliable. Keeps the
+    zones that users draw on the map.
     """
 
     config: MapBuilderConfig
-    request_roles = MappingProxyType({"why": "view"})
+    request_roles = MappingProxyType(
+        {
+            "why": "view",
+            "zones": "view",
+            "set_zones": "operate",
+            "add_zone": "operate",
+            "remove_zone": "operate",
+        }
+    )
+    request_max_bytes = MappingProxyType({"set_zones": 256 << 10, "add_zone": 256 << 10})
 
     object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200), optional=True)
     relocalized: In[Relocalization] = In(optional=True)
@@ -91,11 +108,14 @@ class MapBuilder(Component):
     localization: In[LocalizationEstimate] = In(qos=RELIABLE.with_depth(200), optional=True)
     visual_map: Out[VisualMap] = Out(qos=LATCHED)
     visual_map_changes: Out[VisualMapChange] = Out(qos=RELIABLE.with_depth(100))
+    zones: Out[Zones] = Out(qos=LATCHED)
     map: Out[OccupancyGrid] = Out(qos=LATCHED)
     map_updates: Out[OccupancyGridUpdate] = Out(qos=RELIABLE.with_depth(50))
 
     _landmarks: LandmarkKeeper | None = None
     _grid: GridKeeper | None = None
+    _zones: ZoneKeeper | None = None
+    _zones_published = False
 
     def on_configure(self) -> None:
         """Check the map files, so that a wrong one is reported before anything moves."""
@@ -104,6 +124,7 @@ class MapBuilder(Component):
             open_landmarks(config.map_file, read_only=True).close()
         if config.grid_file is not None:
             read_map(config.grid_file)
+        self._zones = None if config.zones_file is None else ZoneKeeper(config.zones_file)
         self._scans = PosedScans(
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
@@ -111,6 +132,7 @@ class MapBuilder(Component):
         self._warnings = RateLimitedLog(self.log)
         self._saved_landmarks = RetriedSave(self, "visual map")
         self._saved_grid = RetriedSave(self, "grid map")
+        self._saved_zones = RetriedSave(self, "zones")
         self._full_map_at = self._saved_at = 0
         self._relocalized_at = -_IN_TRANSIT_NS
 
@@ -121,6 +143,9 @@ class MapBuilder(Component):
 
     def on_deactivate(self) -> None:
         """Save the maps."""
+        if self._zones is not None:
+            self._save_zones(self._zones, now=True)
+            self._zones_published = False
         if self._grid is not None:
             self._save_grid(self._grid, now=True)
             self._grid = None
@@ -145,8 +170,14 @@ class MapBuilder(Component):
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `why` with the chain of evidence about `object` (number or name), as far as saved.
 
-        It has the `last` newest steps, by default 30.
+        It has the `last` newest steps, by default 30. `zones` returns the zones as GeoJSON features
+        with their version; `set_zones` (`features`), `add_zone` (`feature`, and the name of one to
+        `replace`) and `remove_zone` (`name`) change them.
         """
+        if verb == "zones" and not arguments:
+            return self._zones_in_force().describe()
+        if verb in CHANGES and _has_arguments_of(verb, set(arguments)):
+            return self._change_zones(verb, arguments)
         if verb != "why" or not {"object"} <= set(arguments) <= {"object", "last"}:
             return super().on_request(verb, arguments)
         called, last = str(arguments["object"]), arguments.get("last", _STEPS)
@@ -161,6 +192,33 @@ class MapBuilder(Component):
                 "`cairn ps` for what keeps the map from being saved"
             )
         return explain(keeper.store, called, last)
+
+    def _zones_in_force(self) -> ZoneKeeper:
+        if self._zones is None:
+            raise CairnError(
+                f"{self.name}: has no file for zones; set its parameter zones_file, such as "
+                "MAP.zones.geojson beside the map"
+            )
+        if not self._zones_published:
+            raise CairnError(f"{self.name}: is not active yet; try again")
+        return self._zones
+
+    def _change_zones(self, verb: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Make a change, on the disk before it is published.
+
+        If the disk takes no data, it is in force all the same, and saved later.
+        """
+        keeper = self._zones_in_force()
+        keeper.change(verb, arguments)
+        self._save_zones(keeper, now=True)
+        self.log.info("zones changed (version %d): %d zones", keeper.version, len(keeper.zones))
+        self._publish_zones(keeper)
+        return {
+            "version": keeper.version,
+            "zones": len(keeper.zones),
+            "saved": keeper.is_saved,
+            "file": str(keeper.file),
+        }
 
     @on("object_evidence")
     def on_object_evidence(self, message: ObjectEvidenceArray) -> None:
@@ -235,6 +293,8 @@ class MapBuilder(Component):
         if now <= 0:
             return
         self._open_both()
+        if self._zones is not None:
+            self._save_zones(self._zones)
         if self._landmarks is not None:
             self._save_landmarks(self._landmarks)
         if self._grid is None:
@@ -270,7 +330,15 @@ class MapBuilder(Component):
         if self._saved_grid.attempt(lambda: grid.save(at), lambda: lost, now=now):
             self._saved_at = at
 
+    def _save_zones(self, keeper: ZoneKeeper, *, now: bool = False) -> None:
+        if not keeper.is_saved:
+            lost = f"the zones of version {keeper.version} are lost"
+            self._saved_zones.attempt(keeper.save, lambda: lost, now=now)
+
     def _open_both(self) -> None:
+        # Zones first, so that no path is planned on the map without them.
+        if self._zones is not None and not self._zones_published:
+            self._publish_zones(self._zones)
         self._open_landmarks()
         self._open_grid()
 
@@ -299,6 +367,11 @@ class MapBuilder(Component):
             self._saved_at = now
             self._publish_full_map(now)
         return self._grid
+
+    def _publish_zones(self, keeper: ZoneKeeper) -> None:
+        self._zones_published = True
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
+        self.zones.publish(Zones(header=header, version=keeper.version, zones=keeper.zones))
 
     def _publish_grid_update(self, now: int) -> None:
         assert self._grid is not None
@@ -339,6 +412,11 @@ class MapBuilder(Component):
             )
             self.visual_map_changes.publish(change_message(stamp, version, change))
         self.visual_map.publish(map_message(stamp, keeper.version, keeper.landmarks))
+
+
+def _has_arguments_of(verb: str, given: set[str]) -> bool:
+    needed, allowed = _ARGUMENTS[verb]
+    return needed <= given <= allowed
 
 
 def evidence_of(message: ObjectEvidenceArray) -> list[LandmarkEvidence]:

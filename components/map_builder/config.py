@@ -47,6 +47,12 @@ class MapBuilderConfig(Config):
         "copy of the same map, not later than now, is used again. None: keep it in memory.",
     )
     update_grid: bool = Field(True, description="Whether scans change the grid map.")
+    zones_file: Path | None = Field(
+        None,
+        description="The zones on the map, a GeoJSON file; usually MAP.zones.geojson beside the "
+        "map MAP.yaml. It is written with each change; one that does not exist has no zones. "
+        "none: no zones.",
+    )
     mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     scans_per_s: float = Field(
         5.0,

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from cairn import CairnError
-from cairn.planar.scan_grid import build_grid
 from cairn.files import replacing
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
+from cairn.planar.scan_grid import build_grid
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.vision.object_model import ObjectModel

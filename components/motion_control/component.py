@@ -6,6 +6,8 @@ import logging
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from cairn import (
     LATCHED,
     RELIABLE,
@@ -35,12 +37,17 @@ from cairn.components.motion_control.followed_path import FollowedPath
 from cairn.components.motion_control.local_planner import OBSTACLE_RANGE_M
 from cairn.components.motion_control.moving_obstacles import MovingObstacleTracker
 from cairn.components.motion_control.safety_stop import SafetyStop
-from cairn.components.motion_control.scan_memory import NearbyObstacles, ScanMemory
+from cairn.components.motion_control.scan_memory import (
+    MAX_RANGE_M,
+    NearbyObstacles,
+    ScanMemory,
+)
 from cairn.components.motion_control.velocity_limits import STAND, Command, CommandLimiter
+from cairn.components.motion_control.zone_limits import ZoneLimits, slowed
 from cairn.planar.messages import packed_poses, planar_pose, planar_poses
 from cairn.planar.odometry import OdometryChange, time_went_back
-from cairn.planar.pose_tracker import PoseTracker
-from cairn.planar.poses import Pose
+from cairn.planar.pose_tracker import PoseTracker, WaitingScans
+from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.scans import rays_of
 from cairn.schemas.cairn_nav_msgs import (
     PLAN_REASON_CODES,
@@ -50,6 +57,7 @@ from cairn.schemas.cairn_nav_msgs import (
     Plan,
     ReasonCode,
     VelocityGateStatus,
+    Zones,
 )
 from cairn.schemas.geometry_msgs import PoseArray, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
@@ -64,8 +72,9 @@ _RECENT_SHARE = 0.5
 # Minimum rates: the base stops if no command arrives for 0.3 s (six periods), AutoMove if no status
 # arrives for 2 s (ten).
 _COMMAND_HZ, _STATUS_HZ = 20.0, 5.0
-# The robot is assumed to keep its velocity for so long [s] after the newest odometry.
-_EXTRAPOLATION_S = 0.1
+# The robot is assumed to keep its velocity for so long [s] after the newest odometry: by default it
+# stands then (`timeouts.odom`).
+_EXTRAPOLATION_S = 0.3
 # A step of odometry faster than this multiple [1] of the robot's limits is a jump.
 _JUMP_FACTOR = 2.0
 _HORIZON_S = 5.0  # of odometry
@@ -76,12 +85,14 @@ _EXTERNAL = "external"  # source of a VelocityGateStatus: another program
 class MotionControl(Component):
     """Drive the robot along plans among obstacles, and report the progress.
 
+    It does not drive into keepout zones of the map, and in slow zones at most at their speed.
     The robot stands still, and reports the reason, when an input is stale or the robot is lost.
     """
 
     config: MotionControlConfig
     nav_command: In[NavCommand] = In(qos=LATCHED.with_depth(5))
     plan: In[Plan] = In(qos=LATCHED)
+    zones: In[Zones] = In(qos=LATCHED, optional=True)
     localization: In[LocalizationEstimate]
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR)
@@ -102,6 +113,8 @@ class MotionControl(Component):
         )
         self._command: NavCommand | None = None
         self._plan: Plan | None = None
+        self._zones = Zones()
+        self._in_keepout = ""
         self._behavior: Behavior | None = None
         self._done = False
         self._commanded_at = 0
@@ -119,6 +132,7 @@ class MotionControl(Component):
         self._tracker = PoseTracker(
             _HORIZON_S, _JUMP_FACTOR * fastest, _JUMP_FACTOR * fastest_turn, _EXTRAPOLATION_S
         )
+        self._waiting = WaitingScans()
         self._apply(self.config)
 
     def on_deactivate(self) -> None:
@@ -148,6 +162,13 @@ class MotionControl(Component):
         self._plan = plan
         self._follow_plan()
 
+    @on("zones")
+    def on_zones(self, message: Zones) -> None:
+        """Obey the zones of the map from now on."""
+        self._zones = message
+        self._zone_limits = ZoneLimits(self._limits, message.zones)
+        self._drive()
+
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
         """Take the pose in the map and its reliability."""
@@ -168,13 +189,24 @@ class MotionControl(Component):
         )
         if change in (OdometryChange.JUMPED, OdometryChange.RESET):
             reason = f"odometry on {self.odom.topic} {self._tracker.change}"
+            self._waiting.clear()
             self._restart(now, reason)
             self.log.warning("%s: pausing for %.1f s", reason, _PAUSE_NS / SECOND)
             self._drive()
+        self._take_scans()
 
     @on("scan")
     def on_scan(self, scan: LaserScan) -> None:
-        """Take the obstacles around the robot, and command at once."""
+        """Take the obstacles around the robot, and command at once, unless odometry is late."""
+        self._waiting.add(scan)
+        self._take_scans()
+
+    def _take_scans(self) -> None:
+        """Take the scans that odometry has reached."""
+        for scan in self._waiting.release(self._tracker.newest, self.clock.now()):
+            self._take_scan(scan)
+
+    def _take_scan(self, scan: LaserScan) -> None:
         stamp = to_ns(scan.header.stamp)
         sweep = self._tracker.sweep(scan)
         if sweep is None:
@@ -236,6 +268,7 @@ class MotionControl(Component):
         self._limiter = CommandLimiter(self._limits)
         self._movers = MovingObstacleTracker()
         self._memory = ScanMemory(round(config.memory * SECOND), config.radius)
+        self._zone_limits = ZoneLimits(self._limits, self._zones.zones)
 
     def _restart(self, now: int, reason: str) -> None:
         """Forget the obstacles, pause, and restart the behavior."""
@@ -298,11 +331,14 @@ class MotionControl(Component):
 
     def _next(self, now: int) -> tuple[BehaviorResult, Command]:
         """Return the result of the current behavior and the velocity command."""
+        self._take_edges_of_zones(now)
         standing = self._must_stand(now)
         if standing is not None:
             return standing, STAND
         if self._behavior is None:
             return self._without_plan(), STAND
+        if self._in_keepout and (waiting := self._waits_in_keepout()):
+            return waiting, STAND
         odometry = self._tracker.odometry_at(now)
         if odometry is None:  # its first stamp is in the future
             reason = f"no odom yet on {self.odom.topic}"
@@ -317,6 +353,8 @@ class MotionControl(Component):
         if result.state is MotionState.DONE:
             self._done = True
             return result, STAND
+        if pose is not None:
+            result = self._within_zones(result, pose, obstacles)
         if result.state is MotionState.MOVING and self._gate_blocks(now):
             assert self._gate is not None
             result = replace(
@@ -325,7 +363,8 @@ class MotionControl(Component):
                 reason=f"stopped by the velocity gate: {self._gate.reason}",
                 code=ReasonCode.OBSTACLE,
             )
-        return result, self._limiter.command(result.target, now, (speed, turn), obstacles)
+        late_s = self._tracker.late_s(now)
+        return result, self._limiter.command(result.target, now, (speed, turn), obstacles, late_s)
 
     def _must_stand(self, now: int) -> BehaviorResult | None:
         """Return the state of a robot that must stand still; None if it may move."""
@@ -334,7 +373,11 @@ class MotionControl(Component):
         if stale or command is None:
             return _stopped(ReasonCode.NO_NAV_COMMAND, stale)
         if command.behavior == NavCommand.STAND:
-            return BehaviorResult(state=MotionState.STANDING)
+            return BehaviorResult(
+                state=MotionState.STANDING,
+                reason=f"in keepout zone {self._in_keepout}" if self._in_keepout else "",
+                code=ReasonCode.IN_KEEPOUT if self._in_keepout else ReasonCode.NONE,
+            )
         if self._done:
             last = self._result
             return BehaviorResult(state=MotionState.DONE, reason=last.reason, code=last.code)
@@ -344,6 +387,53 @@ class MotionControl(Component):
         if not reason:
             code, reason = self._held_by_gate(now)
         return _stopped(code, reason) if reason else None
+
+    def _take_edges_of_zones(self, now: int) -> None:
+        """Take where keepout zones are, as the robot is now."""
+        pose = self._tracker.pose_at(now) if self._zones.zones else None
+        odometry = self._tracker.odometry_at(now)
+        if pose is None or odometry is None:
+            self._in_keepout = ""
+            self._memory.set_edges(np.empty((0, 2)))
+            return
+        before, self._in_keepout = self._in_keepout, self._zone_limits.enter(pose)
+        if self._in_keepout and not before:
+            self.log.warning("the robot is in keepout zone %s", self._in_keepout)
+        elif before and not self._in_keepout:
+            self.log.info("the robot has left keepout zone %s", before)
+        edges = self._zone_limits.edges_near(pose, MAX_RANGE_M)
+        x, y, theta = compose(odometry, relative(pose, (0.0, 0.0, 0.0)))  # of the map
+        cosine, sine = math.cos(theta), math.sin(theta)
+        self._memory.set_edges(edges @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y))
+
+    def _waits_in_keepout(self) -> BehaviorResult | None:
+        """Return the state of a robot that must not move in a keepout zone; None if it may.
+
+        It follows a plan that was made with this zone, and nothing else.
+        """
+        where = f"in keepout zone {self._in_keepout}"
+        if isinstance(self._behavior, LookAround):
+            return None
+        if not isinstance(self._behavior, Follow):
+            return _blocked(f"{where}: only a plan leads out of it")
+        plan = self._plan
+        if plan is None or to_ns(plan.header.stamp) < to_ns(self._zones.header.stamp):
+            return _blocked(f"{where}: no plan since the zones changed yet")
+        return None
+
+    def _within_zones(
+        self, result: BehaviorResult, pose: Pose, obstacles: NearbyObstacles
+    ) -> BehaviorResult:
+        """Return a result with the speed that zones allow; name the zone that blocks the robot."""
+        target = slowed(result.target, self._zone_limits.speed_at(pose))
+        result = replace(result, target=target)
+        if result.code == ReasonCode.OBSTACLE:
+            name, apart = self._zone_limits.nearest(pose)
+            if apart <= obstacles.nearest:
+                gap = max(0.0, apart - self.config.radius)
+                reason = f"keepout zone {name} is in the way, {gap:.2f} m from the robot"
+                result = replace(result, reason=reason, code=ReasonCode.KEEPOUT_ZONE)
+        return result
 
     def _held_by_gate(self, now: int) -> tuple[int, str]:
         """Return why the velocity gate does not let this component drive; "" if it does."""
@@ -379,11 +469,17 @@ class MotionControl(Component):
         else:
             code = PLAN_REASON_CODES[plan.outcome]
             reason = f"there is no path: {plan.reason}"
+            if plan.outcome == Plan.START_IN_KEEPOUT:
+                return _stopped(code, plan.reason)
         return BehaviorResult(state=MotionState.BLOCKED, reason=reason, code=code)
 
 
 def _stopped(code: int, reason: str) -> BehaviorResult:
     return BehaviorResult(state=MotionState.STOPPED, reason=reason, code=code)
+
+
+def _blocked(reason: str) -> BehaviorResult:
+    return BehaviorResult(state=MotionState.BLOCKED, reason=reason, code=ReasonCode.IN_KEEPOUT)
 
 
 def _field_of_view(scan: LaserScan, mount: Pose) -> tuple[float, float]:

@@ -160,6 +160,7 @@ class ScanMemory:
         self._cells = SeenGround()
         self._local = np.empty((_ROOM, 2))
         self._predictions = np.empty((0, 3))
+        self._edges = np.empty((0, 2))
         self._newest = 0
 
     def add(self, stamp: int, robot: Pose, rays: Rays) -> None:
@@ -189,11 +190,16 @@ class ScanMemory:
         """
         self._predictions = np.ascontiguousarray(predictions)
 
+    def set_edges(self, points: Array) -> None:
+        """Replace the points (n, 2) [m] in the odometry frame on edges that count as obstacles."""
+        self._edges = points
+
     def around(
         self, robot: Pose, reach: float, speed: float = 0.0, fastest: float = 0.0
     ) -> NearbyObstacles:
         """Return the obstacles within `reach` [m] of the robot; valid until the next call.
 
+        Edges are among the points, but `nearest` is of an obstacle.
         Predicted positions count if a robot with `speed`, and at most `fastest` [m/s], may be near
         by then and not have passed.
         """
@@ -210,7 +216,10 @@ class ScanMemory:
         )
         ahead = min(GROUND_REACH_M - self._radius - CELL_M, _SEEN_AHEAD + speed * abs(speed), free)
         seen = self.is_ground_seen(robot, 0.0, ahead, self._newest - self._memory)
-        return NearbyObstacles(self._local[:count], nearest, seen)
+        points = self._local[:count]
+        if len(self._edges):
+            points = np.vstack((points, self._edges_around(robot, reach)))
+        return NearbyObstacles(points, nearest, seen)
 
     def is_ground_seen(self, robot: Pose, direction: float, length: float, since: int) -> bool:
         """Return whether the ground on a straight drive was seen since that time [ns].
@@ -228,6 +237,14 @@ class ScanMemory:
         self._count = 0
         self._predictions = np.empty((0, 3))
         self._cells.forget()
+
+    def _edges_around(self, robot: Pose, reach: float) -> Array:
+        """Return the points of edges within reach, in the robot's frame."""
+        x, y, theta = robot
+        cosine, sine = math.cos(theta), math.sin(theta)
+        local = (self._edges - (x, y)) @ np.array([[cosine, -sine], [sine, cosine]])
+        near: Array = local[np.hypot(local[:, 0], local[:, 1]) < reach]
+        return near
 
     def _make_room(self, size: int) -> None:
         """Drop the oldest points if there is no room for so many more."""

@@ -49,9 +49,12 @@ class MotionLimits:
     latency: float
     lookahead: float
 
-    def speed_to_stop_in(self, distance: float) -> float:
-        """Return the speed [m/s] from which the robot stops within a distance [m]."""
-        return min(self.speed, _stopping(distance, self.braking, self.latency))
+    def speed_to_stop_in(self, distance: float, late_s: float = 0.0) -> float:
+        """Return the speed [m/s] from which the robot stops within a distance [m].
+
+        It begins to brake `late_s` [s] later than usual.
+        """
+        return min(self.speed, _stopping(distance, self.braking, self.latency + late_s))
 
     def speed_beside(self, clearance: float) -> float:
         """Return the speed [m/s] for a clearance [m] between robot and obstacle."""
@@ -142,9 +145,18 @@ class CommandLimiter:
         return STAND
 
     def command(
-        self, target: VelocityTarget, now: int, measured: Command, obstacles: NearbyObstacles
+        self,
+        target: VelocityTarget,
+        now: int,
+        measured: Command,
+        obstacles: NearbyObstacles,
+        late_s: float = 0.0,
     ) -> Command:
-        """Return the next command at `now` [ns], while the robot moves as `measured`."""
+        """Return the next command at `now` [ns], while the robot moves as `measured`.
+
+        If odometry is late by `late_s` [s], the robot may have moved on for so long, so it drives
+        more slowly toward obstacles.
+        """
         limits = self._limits
         step = min(_LONGEST_STEP_S, max(_SHORTEST_STEP_S, (now - self._at) / 1e9))
         speed, turn = self._command
@@ -156,11 +168,13 @@ class CommandLimiter:
         desired = target.turn + target.curvature * forward
         desired = min(limits.turn_speed, max(-limits.turn_speed, desired))
         turned = min(turn + turn_change, max(turn - turn_change, desired))
-        forward = self._guarded(forward, turned, obstacles)
+        forward = self._guarded(forward, turned, obstacles, late_s)
         self._command, self._at = (forward, turned), now
         return self._command
 
-    def _guarded(self, forward: float, turn: float, obstacles: NearbyObstacles) -> float:
+    def _guarded(
+        self, forward: float, turn: float, obstacles: NearbyObstacles, late_s: float
+    ) -> float:
         """Return the speed from which the robot can still stop before obstacles on this arc."""
         limits = self._limits
         if abs(forward) < _NO_SPEED or (forward > 0.0 and not obstacles.ground_seen_ahead):
@@ -179,5 +193,5 @@ class CommandLimiter:
             self._free,
             self._clear,
         )
-        most = limits.speed_to_stop_in(self._free[0] - _TOUCH)
+        most = limits.speed_to_stop_in(self._free[0] - _TOUCH, late_s)
         return math.copysign(min(abs(forward), most), forward)

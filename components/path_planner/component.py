@@ -21,7 +21,7 @@ from cairn import (
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.components.path_planner.cost_map import CostMap
 from cairn.components.path_planner.obstacle_memory import (
-    KeepoutZones,
+    AvoidedPositions,
     RecentObstacles,
     StuckDetector,
 )
@@ -36,10 +36,17 @@ from cairn.components.path_planner.planning import (
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import packed_poses, planar_pose, pose_message
 from cairn.planar.odometry import OdometryChange
-from cairn.planar.pose_tracker import PoseTracker
+from cairn.planar.pose_tracker import PoseTracker, WaitingScans
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
-from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan
+from cairn.schemas.cairn_nav_msgs import (
+    LocalizationEstimate,
+    MotionStatus,
+    NavCommand,
+    Plan,
+    Zone,
+    Zones,
+)
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
@@ -55,25 +62,29 @@ NEAR_GOAL_M = 0.5
 # is remembered longer within this radius [m]; otherwise the planner would return to the old path as
 # soon as the obstacle is out of view.
 DETOUR_M, BLOCKAGE_RADIUS_M = 1.0, 1.0
-# A keepout zone is so far [m] ahead of a robot that is stuck: just before its front (its radius is
-# 0.22 m).
-KEEPOUT_AHEAD_M = 0.4
+# An avoided position is so far [m] ahead of a robot that is stuck: just before its front (its
+# radius is 0.22 m).
+AVOIDED_AHEAD_M = 0.4
 # Odometry is kept for so long [s], more than a pose is late; a step faster than this [m/s, rad/s]
 # is a jump: about three times the default limits of motion control.
 _HORIZON_S, _FASTEST, _FASTEST_TURN = 3.0, 2.0, 4.0
+# A scan waits until odometry is no more than this [s] older: a period of 50 Hz. The pose of its
+# time is not extrapolated.
+_NEARLY_S = 0.02
 
 
 class PathPlanner(Component):
     """Plan the path to the goal of the current navigation command, and replan when necessary.
 
-    It replans when an obstacle on the path is seen or mapped, when the robot has left the path, and
-    when another path has become clearly better.
+    It replans when an obstacle on the path is seen or mapped, when zones of the map change, when
+    the robot has left the path, and when another path has become clearly better.
     """
 
     config: PathPlannerConfig
     nav_command: In[NavCommand] = In(qos=LATCHED.with_depth(5))
     map: In[OccupancyGrid] = In(qos=LATCHED)
     map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50))
+    zones: In[Zones] = In(qos=LATCHED, optional=True)
     localization: In[LocalizationEstimate]
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
@@ -85,10 +96,12 @@ class PathPlanner(Component):
         """Start without a map, a pose and a goal."""
         self._planner = Planner(self.config.step)
         self._costs: CostMap | None = None
+        self._zones: tuple[Zone, ...] = ()
         self._scan_obstacles: RecentObstacles | None = None
-        self._keepout = KeepoutZones()
+        self._avoided = AvoidedPositions()
         self._stuck = StuckDetector()
         self._tracker = PoseTracker(_HORIZON_S, _FASTEST, _FASTEST_TURN)
+        self._waiting = WaitingScans(_NEARLY_S)
         self._command: NavCommand | None = None
         self._result: PlanResult | None = None
         self._planned_at = 0
@@ -127,11 +140,23 @@ class PathPlanner(Component):
             return
         self._check_path()
 
+    @on("zones")
+    def on_zones(self, message: Zones) -> None:
+        """Take the zones of the map, and plan again: motion control waits for a plan with them."""
+        self._zones = message.zones
+        if self._costs is not None:
+            self._costs.set_zones(message.zones)
+        if self._command is not None and self._result is not None:
+            self.log.info("replanning: the zones of the map changed (version %d)", message.version)
+            self._replan()
+
     @on("odom")
     def on_odom(self, odom: Odometry) -> None:
         """Track the robot's motion."""
         stamp = to_ns(odom.header.stamp)
         change = self._tracker.add_odometry(stamp, planar_pose(odom.pose.pose))
+        if change in (OdometryChange.JUMPED, OdometryChange.RESET):
+            self._waiting.clear()
         if change is OdometryChange.JUMPED:
             self.log.warning(
                 "odometry on %s %s: waiting for a new localization estimate",
@@ -145,12 +170,13 @@ class PathPlanner(Component):
                 self._tracker.change,
             )
             self._planned_at = self._scan_used_at = self._checked_at = 0
-            self._keepout = KeepoutZones()
+            self._avoided = AvoidedPositions()
             self._stuck = StuckDetector()
             if self._costs is not None:
                 self._scan_obstacles = RecentObstacles(self._costs.frame, self._costs.shape)
                 self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
-                self._costs.set_keepout_zones(())
+                self._costs.set_avoided_positions(())
+        self._use_scans()
 
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
@@ -170,7 +196,18 @@ class PathPlanner(Component):
         if self._command is None or now - self._scan_used_at < SECOND / config.check_hz - 1:
             return
         self._scan_used_at = now
-        stamp = to_ns(scan.header.stamp)
+        self._waiting.add(scan)
+        self._use_scans()
+
+    def _use_scans(self) -> None:
+        """Use the scans that odometry has reached."""
+        for scan in self._waiting.release(self._tracker.newest, self.clock.now()):
+            self._use_scan(scan)
+
+    def _use_scan(self, scan: LaserScan) -> None:
+        config, stamp = self.config, to_ns(scan.header.stamp)
+        if self._costs is None or self._scan_obstacles is None:
+            return
         pose = self._pose_at(stamp)
         estimate = self.localization.latest
         if pose is None or estimate is None or estimate.health < config.least_health:
@@ -199,11 +236,11 @@ class PathPlanner(Component):
             return
         from_index, _ = nearest_pose(result.route, pose)
         x, y, _ = result.route.poses[
-            result.route.index_beyond(from_index, KEEPOUT_AHEAD_M)
+            result.route.index_beyond(from_index, AVOIDED_AHEAD_M)
         ].tolist()
         self.log.info("the robot is stuck: avoiding (%.2f, %.2f)", x, y)
-        self._keepout.add((x, y), now + round(self.config.avoided_s * SECOND))
-        self._costs.set_keepout_zones(self._keepout.positions())
+        self._avoided.add((x, y), now + round(self.config.avoided_s * SECOND))
+        self._costs.set_avoided_positions(self._avoided.positions())
         self._improve(longer=True)
 
     @on("nav_command")
@@ -240,21 +277,21 @@ class PathPlanner(Component):
         return self._command is not None and self._result is None
 
     def _update_costs(self, grid: OccupancyCells, config: PathPlannerConfig) -> None:
-        self._costs = CostMap(grid, config.costs())
+        self._costs = CostMap(grid, config.costs(), self._zones)
         self._planner.prepare(self._costs)
         if self._scan_obstacles is None or not self._scan_obstacles.fits(
             grid.frame, self._costs.shape
         ):
             self._scan_obstacles = RecentObstacles(grid.frame, self._costs.shape)
         self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
-        self._costs.set_keepout_zones(self._keepout.positions())
+        self._costs.set_avoided_positions(self._avoided.positions())
 
     def _forget_old_obstacles(self) -> None:
-        """Forget expired obstacles of the scanner and expired keepout zones."""
+        """Forget expired obstacles of the scanner and expired avoided positions."""
         now = self.clock.now()
-        self._keepout.forget(now)
+        self._avoided.forget(now)
         if self._costs is not None:
-            self._costs.set_keepout_zones(self._keepout.positions())
+            self._costs.set_avoided_positions(self._avoided.positions())
         if self._scan_obstacles is not None and self._costs is not None:
             self._scan_obstacles.forget(now - round(self.config.obstacle_memory_s * SECOND))
             self._costs.set_scanner_obstacles(self._scan_obstacles.cells())
@@ -292,7 +329,12 @@ class PathPlanner(Component):
         missing = self._missing_input()
         if missing or pose is None or self._costs is None:
             return PlanResult(PlanOutcome.NOT_READY, reason=missing)
-        return self._planner.plan(self._costs, pose, planar_pose(command.goal))
+        return self._planner.plan(
+            self._costs,
+            pose,
+            planar_pose(command.goal),
+            may_leave_keepout=self.config.in_keepout == "leave",
+        )
 
     def _replan(self) -> None:
         result = self._plan_now()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from cairn import Config, Mount
@@ -82,6 +84,26 @@ class PathPlannerConfig(Config):
         description="Share of the remaining cost and length that another path must save [1].",
     )
 
+    in_keepout: Literal["leave", "stop"] = Field(
+        "leave",
+        description="What a robot with a goal does in a keepout zone: `leave` by the shortest way, "
+        "or `stop` and report it until the zone is changed or an operator drives it out.",
+    )
+    speed: float = Field(
+        0.6,
+        gt=0,
+        le=3,
+        description="Speed outside slow zones: motion control's `speed` [m/s]. Paths avoid slow "
+        "zones if the way around takes less time.",
+    )
+    off_lane: float = Field(
+        1.5,
+        ge=1,
+        le=4,
+        description="Cost per length outside the lanes of a map that has lanes, relative to that "
+        "on a lane [1].",
+    )
+
     def costs(self) -> CostParameters:
         """Return the parameters of the cost map."""
         return CostParameters(
@@ -90,4 +112,6 @@ class PathPlannerConfig(Config):
             inflation_weight=self.inflation_weight,
             margin=self.margin,
             allow_unknown=self.allow_unknown,
+            speed=self.speed,
+            off_lane=self.off_lane,
         )

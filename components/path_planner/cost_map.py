@@ -1,4 +1,4 @@
-"""The cost map: obstacles of map and scanner are inflated by the robot's size and safety margin."""
+"""The cost map: obstacles and keepout zones are inflated by the robot's size and safety margin."""
 
 from __future__ import annotations
 
@@ -10,6 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.path_planner.zone_cells import (
+    Window,
+    ZoneCells,
+    multiply_costs,
+    nearest_keepout,
+)
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import (
     OCCUPIED_FROM,
@@ -28,6 +34,7 @@ from cairn.planar.shortest_path import (
     CellCosts,
     open_costs,
 )
+from cairn.schemas.cairn_nav_msgs import Zone
 
 BLOCKED = 255
 """Cost of a cell in which the robot itself does not fit, even without its margin."""
@@ -45,6 +52,9 @@ class CostParameters:
     closes do not break an existing path, and the goal may be in one. Beyond, a cell costs up to
     `inflation_weight` times its length more, decreasing to none over `inflation_distance` [m].
     Unknown cells are closed unless `allow_unknown`.
+
+    `speed` [m/s] is the robot's outside slow zones. If the map has lanes, cells outside of them
+    cost `off_lane` times as much [1].
     """
 
     radius: float
@@ -52,16 +62,20 @@ class CostParameters:
     inflation_weight: float
     margin: float
     allow_unknown: bool
+    speed: float = 0.6
+    off_lane: float = 1.5
 
 
 class CostMap:
-    """Costs of a map's cells, updated with the map, the scanner's obstacles and keepout zones.
+    """Costs of a map's cells, updated with map, zones, obstacles of the scanner, avoided positions.
 
-    `map_costs` are those of the map alone; `cell_costs` include the scanner's obstacles and the
-    keepout zones. Both have the margin of `planar.shortest_path`.
+    `map_costs` are those of the map and its zones alone; `cell_costs` include the scanner's
+    obstacles and the avoided positions. Both have the margin of `planar.shortest_path`.
     """
 
-    def __init__(self, grid: OccupancyCells, costs: CostParameters) -> None:
+    def __init__(
+        self, grid: OccupancyCells, costs: CostParameters, zones: Sequence[Zone] = ()
+    ) -> None:
         rows, columns = grid.values.shape
         self.frame: Frame = grid.frame
         self.costs = costs
@@ -74,9 +88,12 @@ class CostMap:
         )
         self._mapped = np.zeros((rows, columns), np.bool_)
         self.map_costs: CellCosts = open_costs(rows, columns)
+        self._costs_without_keepout = self.map_costs  # the same array unless there are such zones
+        self._zone_cells = ZoneCells(grid.frame, self.shape, costs.speed, costs.off_lane)
+        self._replace_zones(zones)
         self._update_costs(0, rows, 0, columns)
         self.cell_costs: CellCosts = self.map_costs.copy()
-        self._scanner_cells = self._unmapped_cells = self._keepout_cells = np.empty(
+        self._scanner_cells = self._unmapped_cells = self._avoided_cells = np.empty(
             (0, 2), np.int64
         )
         self._overlay_window = (0, 0, 0, 0)
@@ -109,17 +126,16 @@ class CostMap:
             return False
         if values.size == 0:
             return True
-        self._values[row:bottom, column:right] = values
-        top, bottom = max(0, row - self._inflation_cells), min(rows, bottom + self._inflation_cells)
-        left, right = (
-            max(0, column - self._inflation_cells),
-            min(columns, right + self._inflation_cells),
-        )
-        self._update_costs(top, bottom, left, right)
-        window = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
-        self.cell_costs[window] = self.map_costs[window]
-        self._apply_overlay()
+        window = np.s_[row:bottom, column:right]
+        self._values[window] = values
+        self._update_around(window)
         return True
+
+    def set_zones(self, zones: Sequence[Zone]) -> None:
+        """Replace the zones of the map."""
+        window = self._replace_zones(zones)
+        if window is not None:
+            self._update_around(window)
 
     def set_scanner_obstacles(self, cells: NDArray[np.int64]) -> None:
         """Set the obstacles that the scanner sees: rows and columns (n, 2) of the map.
@@ -130,13 +146,37 @@ class CostMap:
             self._scanner_cells = cells
             self._apply_overlay()
 
-    def set_keepout_zones(self, places: Sequence[tuple[float, float]]) -> None:
+    def set_avoided_positions(self, places: Sequence[tuple[float, float]]) -> None:
         """Raise costs near these positions x, y [m] as far as possible without closing cells."""
         cells = [cell for x, y in places if (cell := self.cell(x, y)) is not None]
-        keepout_cells = np.array(cells, np.int64).reshape(-1, 2)
-        if not np.array_equal(keepout_cells, self._keepout_cells):
-            self._keepout_cells = keepout_cells
+        avoided_cells = np.array(cells, np.int64).reshape(-1, 2)
+        if not np.array_equal(avoided_cells, self._avoided_cells):
+            self._avoided_cells = avoided_cells
             self._apply_overlay()
+
+    @property
+    def has_keepout_zones(self) -> bool:
+        """Whether the map has keepout zones."""
+        return self._zone_cells.keepout is not None
+
+    def is_in_keepout(self, cell: Cell) -> bool:
+        """Return whether a cell of the map is in a keepout zone."""
+        return self._zone_cells.keepout is not None and bool(self._zone_cells.keepout[cell])
+
+    def is_closed_by_keepout(self, cell: Cell) -> bool:
+        """Return whether a cell is closed only because of a keepout zone in it or near."""
+        at = cell[0] + MARGIN, cell[1] + MARGIN
+        return bool(self._costs_without_keepout[at] < CLOSED <= self.map_costs[at])
+
+    def nearest_keepout(self, x: float, y: float) -> tuple[str, float]:
+        """Return name and distance [m] of the keepout zone nearest to a position; 0 inside."""
+        return nearest_keepout(self._zone_cells.zones, x, y)
+
+    def costs_without_keepout(self) -> CellCosts:
+        """Return what the cells would cost without keepout zones, with the scanner's obstacles."""
+        cell_costs = self._costs_without_keepout.copy()
+        _inflate(self._unmapped_cells, self._inflation_cells, self._inflation_table, cell_costs)
+        return cell_costs
 
     def is_unknown_space(self, cell: Cell) -> bool:
         """Return whether a cell of the map is closed because it is unknown."""
@@ -187,6 +227,26 @@ class CostMap:
         nearest = self._unmapped_cells[int(np.argmin(apart))]
         return self.frame.point(float(nearest[0]), float(nearest[1]))
 
+    def _replace_zones(self, zones: Sequence[Zone]) -> Window | None:
+        """Take the cells of zones; return the window of which the costs must be computed."""
+        window = self._zone_cells.replace(zones)
+        if self._zone_cells.keepout is None:
+            self._costs_without_keepout = self.map_costs
+        elif self._costs_without_keepout is self.map_costs:
+            self._costs_without_keepout = self.map_costs.copy()
+        return window
+
+    def _update_around(self, window: Window) -> None:
+        """Compute the costs in a window whose content has changed, and around it."""
+        rows, columns = self.shape
+        far = self._inflation_cells
+        top, bottom = max(0, window[0].start - far), min(rows, window[0].stop + far)
+        left, right = max(0, window[1].start - far), min(columns, window[1].stop + far)
+        self._update_costs(top, bottom, left, right)
+        inner = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
+        self.cell_costs[inner] = self.map_costs[inner]
+        self._apply_overlay()
+
     def _update_costs(self, top: int, bottom: int, left: int, right: int) -> None:
         """Compute the map's costs in a window from the obstacles in and around it."""
         rows, columns = self.shape
@@ -200,31 +260,51 @@ class CostMap:
         distance = distance_field(obstacles, resolution)[
             top - up : bottom - up, left - west : right - west
         ]
+        window = np.s_[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN]
+        without_keepout = self._costs_without_keepout[window]
         _fill_costs(
             np.ascontiguousarray(distance),
             resolution,
             self._inflation_table,
             self._values[top:bottom, left:right],
             self.costs.allow_unknown,
-            self.map_costs[top + MARGIN : bottom + MARGIN, left + MARGIN : right + MARGIN],
+            without_keepout,
         )
         np.less_equal(distance, self._same_distance, out=self._mapped[top:bottom, left:right])
+        zones = self._zone_cells
+        if zones.factors is not None:
+            multiply_costs(zones.factors[top:bottom, left:right], without_keepout)
+        if zones.keepout is None:
+            return
+        distance = distance_field(zones.keepout[up:low, west:east], resolution)[
+            top - up : bottom - up, left - west : right - west
+        ]
+        near_keepout = np.empty(distance.shape, np.uint8)
+        _fill_costs(
+            np.ascontiguousarray(distance),
+            resolution,
+            self._inflation_table,
+            self._values[top:bottom, left:right],
+            True,  # unknown cells are closed already, where they are to be
+            near_keepout,
+        )
+        np.maximum(near_keepout, without_keepout, out=self.map_costs[window])
 
     def _apply_overlay(self) -> None:
-        """Remove the previous overlay, and apply obstacles of the scanner and keepout zones."""
+        """Remove the previous overlay, and apply obstacles of the scanner and avoided positions."""
         top, bottom, left, right = self._overlay_window
         self.cell_costs[top:bottom, left:right] = self.map_costs[top:bottom, left:right]
         held = self._mapped[self._scanner_cells[:, 0], self._scanner_cells[:, 1]]
         self._unmapped_cells = np.ascontiguousarray(self._scanner_cells[~held])
-        overlay_cells = np.vstack((self._unmapped_cells, self._keepout_cells))
+        overlay_cells = np.vstack((self._unmapped_cells, self._avoided_cells))
         if not len(overlay_cells):
             self._overlay_window = (0, 0, 0, 0)
             return
         _inflate(
             self._unmapped_cells, self._inflation_cells, self._inflation_table, self.cell_costs
         )
-        around = math.ceil(KEEPOUT_M / self.frame.resolution)
-        _mark_keepout_zones(self._keepout_cells, around, self.cell_costs)
+        around = math.ceil(AVOIDED_M / self.frame.resolution)
+        _mark_avoided(self._avoided_cells, around, self.cell_costs)
         far = max(self._inflation_cells, around)
         low, high = overlay_cells.min(axis=0), overlay_cells.max(axis=0)
         rows, columns = self.cell_costs.shape
@@ -236,9 +316,9 @@ class CostMap:
         )
 
 
-KEEPOUT_M = 0.45
-"""Radius of a keepout zone [m]: driving straight through costs as much as some 13 m of free space.
-"""
+AVOIDED_M = 0.45
+"""Radius around an avoided position [m]: driving straight through costs as much as some 13 m of
+free space."""
 SAME_OBSTACLE_M = 0.15
 """An obstacle of the scanner this near [m] to an obstacle of the map is the same obstacle: a pose
 of full health errs by as much."""
@@ -318,7 +398,7 @@ def _inflate(
 
 
 @compiled("void(int64[:,::1], int64, uint8[:,::1])")
-def _mark_keepout_zones(cells: NDArray[np.int64], far: int, cell_costs: CellCosts) -> None:
+def _mark_avoided(cells: NDArray[np.int64], far: int, cell_costs: CellCosts) -> None:
     """Raise the costs around each cell to the highest of open cells."""
     for i in range(len(cells)):
         row, column = cells[i, 0] + MARGIN, cells[i, 1] + MARGIN

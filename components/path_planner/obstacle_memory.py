@@ -121,8 +121,9 @@ class RecentObstacles:
 # `benchmarks/constants.yaml` has the effect of half and double.
 _STUCK_M = 0.2
 _STUCK_BLOCKED_NS, _STUCK_MOVING_NS = round(2.2 * SECOND), 6 * SECOND
-# Positions nearer to one another [m] are the same keepout zone: less than its radius (`KEEPOUT_M`).
-_SAME_ZONE_M = 0.3
+# Positions nearer to one another [m] are the same one: less than the radius around one (0.45 m,
+# `AVOIDED_M`).
+_SAME_POSITION_M = 0.3
 
 
 class StuckDetector:
@@ -147,25 +148,25 @@ class StuckDetector:
         return True
 
 
-class KeepoutZones:
+class AvoidedPositions:
     """Positions x, y [m] in the map where the robot got stuck, each avoided for some time."""
 
     def __init__(self) -> None:
-        self._zones: dict[tuple[float, float], int] = {}
+        self._until: dict[tuple[float, float], int] = {}
 
     def add(self, position: tuple[float, float], until: int) -> None:
         """Avoid a position until that time [ns]."""
-        self._zones = {
-            zone: time
-            for zone, time in self._zones.items()
-            if math.dist(zone, position) > _SAME_ZONE_M
+        self._until = {
+            known: time
+            for known, time in self._until.items()
+            if math.dist(known, position) > _SAME_POSITION_M
         }
-        self._zones[position] = until
+        self._until[position] = until
 
     def forget(self, now: int) -> None:
-        """Forget the zones that have expired at that time [ns]."""
-        self._zones = {zone: until for zone, until in self._zones.items() if until > now}
+        """Forget the positions that have expired at that time [ns]."""
+        self._until = {known: until for known, until in self._until.items() if until > now}
 
     def positions(self) -> tuple[tuple[float, float], ...]:
         """Return the positions to avoid."""
-        return tuple(self._zones)
+        return tuple(self._until)

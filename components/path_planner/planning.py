@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.path_planner.cost_map import BLOCKED, CostMap, nearest_open
+from cairn.components.path_planner.zone_cells import way_out
 from cairn.planar.grid import Frame
 from cairn.planar.path_shape import (
     cell_centers,
@@ -19,7 +20,14 @@ from cairn.planar.path_shape import (
     resampled,
 )
 from cairn.planar.poses import Pose
-from cairn.planar.shortest_path import CLOSED, MARGIN, Cell, CellCosts, PathSearch
+from cairn.planar.shortest_path import (
+    CLOSED,
+    MARGIN,
+    MIN_COST,
+    Cell,
+    CellCosts,
+    PathSearch,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,6 +35,9 @@ Array = NDArray[np.float64]
 # and scans are noisy. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
 # double.
 ESCAPE_M = 0.4
+# Cells around the robot among which the way out of a keepout zone is sought at first, 3 m of the
+# usual 0.05 m; and by how much a way of steps is longer than a straight line (2.8 %), rounded up.
+_FIRST_REACH, _ABOUT_STRAIGHT = 64, 1.03
 # Larger coordinates [m] are rejected: their squares in cells would overflow.
 _MAX_COORDINATE_M = 1e9
 
@@ -41,13 +52,16 @@ class PlanOutcome(IntEnum):
     OUTSIDE_MAP = 4
     UNREACHABLE = 5
     GOAL_IMPOSSIBLE = 6
+    GOAL_IN_KEEPOUT = 7
+    START_IN_KEEPOUT = 8
 
 
 @dataclass(frozen=True)
 class PlannedPath:
     """Poses (n, 3) in frame map, and the same points (n, 2) in cells of a map at `frame`.
 
-    The first `leaving` segments lead a robot out of an obstacle that it seems to be in; the last
+    The first `leaving` segments lead a robot out of an obstacle that it seems to be in, or out of a
+    keepout zone; the last
     `entering` ones lead to a goal that is in the margin of an obstacle.
     """
 
@@ -103,8 +117,13 @@ class Planner:
         if self._search.shape != costs.cell_costs.shape:
             self._search = PathSearch(costs.cell_costs.shape)
 
-    def plan(self, costs: CostMap, start: Pose, goal: Pose) -> PlanResult:
-        """Return a path from the robot's pose to the goal's, with poses about `step_m` apart."""
+    def plan(
+        self, costs: CostMap, start: Pose, goal: Pose, *, may_leave_keepout: bool = True
+    ) -> PlanResult:
+        """Return a path from the robot's pose to the goal's, with poses about `step_m` apart.
+
+        From a robot in a keepout zone it leads out by the shortest way, if `may_leave_keepout`.
+        """
         if not all(abs(value) < _MAX_COORDINATE_M for value in goal):
             return PlanResult(
                 PlanOutcome.OUTSIDE_MAP, reason=f"the goal {goal} is not a valid position"
@@ -116,9 +135,17 @@ class Planner:
                 PlanOutcome.START_BLOCKED,
                 reason=f"the robot at {_format(start)} is outside the map",
             )
-        start_cell = self._start_cell(costs, start, begin)
-        if isinstance(start_cell, PlanResult):
-            return start_cell
+        way: _WayOut | None = None
+        if costs.is_in_keepout(begin):
+            leaving = self._way_out(costs, start, begin, may_leave_keepout=may_leave_keepout)
+            if isinstance(leaving, PlanResult):
+                return leaving
+            way, start_cell = leaving, leaving.end
+        else:
+            found = self._start_cell(costs, costs.cell_costs, start, begin)
+            if isinstance(found, PlanResult):
+                return found
+            start_cell = found
         target = costs.cell(goal[0], goal[1])
         if target is None:
             return self._nearest_reachable(
@@ -130,6 +157,11 @@ class Planner:
             )
         goal_cell = self._goal_cell(costs, goal, target)
         if goal_cell is None:
+            if costs.is_closed_by_keepout(target):
+                problem = f"{_format(goal)} {_keepout_reason(costs, goal)}"
+                return self._nearest_reachable(
+                    costs, start_cell, goal, PlanOutcome.GOAL_IN_KEEPOUT, problem
+                )
             obstacle = _permanent_obstacle(costs, target)
             blocked = PlanOutcome.GOAL_IMPOSSIBLE if obstacle else PlanOutcome.GOAL_BLOCKED
             return self._nearest_reachable(
@@ -140,15 +172,70 @@ class Planner:
         if search.cells is None:
             return self._unreachable(costs, start_cell, start, goal, search.nearest)
         return PlanResult(
-            PlanOutcome.FOUND, self._build_path(costs, costs.cell_costs, search.cells, start, goal)
+            PlanOutcome.FOUND,
+            self._build_path(costs, costs.cell_costs, search.cells, start, goal, way),
         )
 
-    def _start_cell(self, costs: CostMap, start: Pose, begin: Cell) -> Cell | PlanResult:
+    def _way_out(
+        self, costs: CostMap, start: Pose, begin: Cell, *, may_leave_keepout: bool
+    ) -> _WayOut | PlanResult:
+        """Return the shortest way out of the keepout zones around the robot."""
+        where = f"the robot at {_format(start)} {_keepout_reason(costs, start)}"
+        if not may_leave_keepout:
+            return PlanResult(
+                PlanOutcome.START_IN_KEEPOUT,
+                reason=f"{where}; drive it out, or change the zone (in_keepout is stop)",
+            )
+        passable = costs.costs_without_keepout()
+        found = self._start_cell(costs, passable, start, begin)
+        if isinstance(found, PlanResult):
+            return found
+        cells = self._shortest_way_out(costs, passable, found)
+        if cells is None:
+            reason = f"{where}, and no way leads out of it"
+            return PlanResult(PlanOutcome.START_BLOCKED, reason=reason)
+        closed = found != begin
+        line = cell_centers(cells)
+        if not closed:
+            line[0] = costs.frame.cells(start[0], start[1])
+        points = resampled(
+            passable, pull_taut(passable, line), self._step_m / costs.frame.resolution
+        )
+        if closed:
+            points = np.vstack(([costs.frame.cells(start[0], start[1])], points))
+        end = int(cells[-1, 0]), int(cells[-1, 1])
+        return _WayOut(points, end)
+
+    def _shortest_way_out(
+        self, costs: CostMap, passable: CellCosts, start: Cell
+    ) -> NDArray[np.int64] | None:
+        """Return the cells of the way; at first to the nearest open cell, which few searches take.
+
+        If obstacles make that way longer than the straight line, another one may be shorter.
+        """
+        nearest = nearest_open(costs.cell_costs, start[0] + 0.5, start[1] + 0.5)
+        if nearest is None:
+            return None
+        lengths = np.where(passable < CLOSED, MIN_COST, CLOSED).astype(np.uint8)
+        cells = self._search.find(lengths, start, nearest[0]).cells
+        if cells is None:
+            return way_out(passable, costs.cell_costs, start, _FIRST_REACH)
+        steps = np.diff(cells, axis=0)
+        length = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        if length > _ABOUT_STRAIGHT * nearest[1] + 1.0:
+            return way_out(passable, costs.cell_costs, start, math.ceil(length))
+        is_open = costs.cell_costs[cells[:, 0] + MARGIN, cells[:, 1] + MARGIN] < CLOSED
+        first: int = int(np.argmax(is_open))
+        return cells[: first + 1]
+
+    def _start_cell(
+        self, costs: CostMap, cell_costs: CellCosts, start: Pose, begin: Cell
+    ) -> Cell | PlanResult:
         """Return the cell to start in: the robot's, or the nearest open one."""
-        if not _closed(costs.cell_costs, begin):
+        if not _closed(cell_costs, begin):
             return begin
         column, row = costs.frame.cells(start[0], start[1])
-        found = nearest_open(costs.cell_costs, row, column)
+        found = nearest_open(cell_costs, row, column)
         if found is not None and found[1] * costs.frame.resolution <= ESCAPE_M:
             return found[0]
         reason = f"the robot at {_format(start)} {_closed_reason(costs, begin)}"
@@ -213,6 +300,10 @@ class Planner:
             else None
         )
         if search is None or search.cells is None:
+            if costs.has_keepout_zones:
+                search = self._search.find(costs.costs_without_keepout(), begin, target)
+                if search.cells is not None:
+                    return "keepout zones close every path"
             return "there is no path"
         route = self._build_path(costs, costs.map_costs, search.cells, start, goal)
         at = first_closed_segment(costs.cell_costs, route.points[route.leaving :]) + route.leaving
@@ -226,16 +317,21 @@ class Planner:
         cells: NDArray[np.int64],
         start: Pose,
         goal: Pose,
+        way: _WayOut | None = None,
     ) -> PlannedPath:
         frame = costs.frame
         start_point, goal_point = frame.cells(start[0], start[1]), frame.cells(goal[0], goal[1])
-        leaving = _closed(cell_costs, frame.cell(start[0], start[1]))
+        leaving = way is not None or _closed(cell_costs, frame.cell(start[0], start[1]))
         entering = _closed(cell_costs, frame.cell(goal[0], goal[1]))
         head = np.empty((0, 2)) if leaving else np.array([start_point])
         tail = np.empty((0, 2)) if entering else np.array([goal_point])
         line = pull_taut(cell_costs, np.vstack((head, cell_centers(cells), tail)))
         points = resampled(cell_costs, line, self._step_m / frame.resolution)
-        if leaving:
+        left = int(leaving)
+        if way is not None:
+            left = len(way.points) - 1
+            points = np.vstack((way.points[:-1], points))
+        elif leaving:
             points = np.vstack(([start_point], points))
         if entering:
             points = np.vstack((points, [goal_point]))
@@ -247,7 +343,15 @@ class Planner:
         poses[:-1, 2] = np.arctan2(mean[:, 1], mean[:, 0])
         poses[0, :2] = start[:2]
         poses[-1] = goal
-        return PlannedPath(poses, points, frame, int(leaving), int(entering))
+        return PlannedPath(poses, points, frame, left, int(entering))
+
+
+@dataclass(frozen=True)
+class _WayOut:
+    """The way out of a keepout zone: points (n, 2) in cells, and the open cell that it ends in."""
+
+    points: Array
+    end: Cell
 
 
 def nearest_pose(route: PlannedPath, pose: Pose) -> tuple[int, float]:
@@ -282,11 +386,20 @@ def _closed_reason(costs: CostMap, cell: Cell) -> str:
         return "is in unknown space"
     if not _closed(costs.map_costs, cell):
         return "is too near to an obstacle that the scanner sees"
+    if costs.is_closed_by_keepout(cell):
+        return _keepout_reason(costs, costs.frame.point(*cell))
     if costs.is_obstacle(cell):
         return "is in an obstacle"
     fits = costs.cell_costs[cell[0] + MARGIN, cell[1] + MARGIN] < BLOCKED
     near = costs.costs.radius + (costs.costs.margin if fits else 0.0)
     return f"is nearer than {near:g} m to an obstacle"
+
+
+def _keepout_reason(costs: CostMap, position: tuple[float, ...]) -> str:
+    name, apart = costs.nearest_keepout(position[0], position[1])
+    if apart == 0.0:
+        return f"is in keepout zone {name}"
+    return f"is {apart:.2f} m from keepout zone {name}, too near to it"
 
 
 def _permanent_obstacle(costs: CostMap, cell: Cell) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,9 +18,16 @@ from cairn import SECOND
 from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json, show
 from cairn.components.replay.open_recording import open_recording
-from cairn.components.replay.recording import OdometryStream, Recording, ScanStream
+from cairn.components.replay.record_times import quality_text
+from cairn.components.replay.recording import (
+    OdometryStream,
+    Recording,
+    ScannerMount,
+    ScanStream,
+)
 from cairn.errors import RecordingError
-from cairn.planar.poses import Pose
+from cairn.planar.mount_estimation import MountYaw, estimate_mount_yaw
+from cairn.planar.poses import Pose, wrap
 from cairn.planar.scans import beams_of
 from cairn.recording import commands
 from cairn.recording.mcap_file import holds_mcap
@@ -56,7 +64,8 @@ def info_of_recording(
     """Show the topics in a recording, its span, and its attached files.
 
     A whole MCAP file of any size takes no time, because only its index is read. One that was not
-    closed, because the recorder was killed, is read as a whole.
+    closed, because the recorder was killed, is read as a whole. Of other recordings it shows what
+    `cairn recording show` does: also the scanner's mount, and how good the times are.
     """
     if holds_mcap(file):
         commands.info(file, json)
@@ -100,7 +109,10 @@ def show_recording(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Show the streams of a recording and its scanner, and draw its scans and path."""
+    """Show the streams of a recording, its scanner and mount, and how good its times are.
+
+    With --out, draw its scans and path.
+    """
     named = {"scan": scan, "odom": odom, "truth": truth}
     topics = {kind: topic for kind, topic in named.items() if topic is not None}
     recording = open_recording(file, robot, topics, image_rate_hz=image_rate)
@@ -110,8 +122,14 @@ def show_recording(
     else:
         show(contents["streams"], _COLUMNS, as_json=False)
         line(f"scanner: {_scanner_text(contents['scanner'])}")
+        if contents["scanner"] is not None:
+            line(f"mount: {_mount_text(contents['mount'])}")
+        if contents["yaw_by_motion"] is not None:
+            line(f"yaw by motion: {_yaw_text(contents['yaw_by_motion'])}")
         line(f"odometry: {'yes' if contents['odometry'] else 'none'}")
         line(f"true poses: {'yes' if contents['true_poses'] else 'none'}")
+        for kind, text in contents["times"].items():
+            line(f"times of {kind}: {text['summary']}")
         for text in contents["notes"]:
             note(f"{file}: {text}")
     if out is not None:
@@ -130,8 +148,25 @@ def _scanner_text(scanner: dict[str, Any] | None) -> str:
     )
 
 
+def _mount_text(mount: dict[str, Any] | None) -> str:
+    if mount is None:
+        return "not in the recording"
+    turned = ", upside down" if mount["upside_down"] else ""
+    return (
+        f"x {mount['x_m']:.3f} m, y {mount['y_m']:.3f} m, yaw {mount['yaw_deg']:.1f} deg{turned} "
+        f"on {mount['base']}, by {mount['source']}"
+    )
+
+
+def _yaw_text(estimate: dict[str, float]) -> str:
+    return f"{estimate['yaw_deg']:.1f} deg, standard deviation {estimate['deviation_deg']:.1f} deg"
+
+
 def contents_of(recording: Recording) -> dict[str, Any]:
-    """Return streams, the scanner, whether there are odometry and true poses, and notes."""
+    """Return streams, the scanner and its mount, quality of times, and notes.
+
+    A note says if the robot's motion contradicts the mount.
+    """
     streams = {
         "scan": recording.scans(),
         "odom": recording.odometry(),
@@ -152,13 +187,70 @@ def contents_of(recording: Recording) -> dict[str, Any]:
                 **timing,
             }
         )
+    mount = recording.mount()
+    estimate = _yaw_by_motion(recording)
+    notes = list(recording.notes())
+    if estimate is not None and (contradiction := _contradiction(mount, estimate)):
+        notes.append(contradiction)
     return {
         "streams": rows,
         "scanner": _scanner(recording),
+        "mount": None if mount is None else _mount_row(mount),
+        "yaw_by_motion": None if estimate is None else _yaw_row(estimate),
         "odometry": streams["odom"] is not None,
         "true_poses": streams["truth"] is not None,
-        "notes": list(recording.notes()),
+        "times": {
+            kind: {**asdict(quality), "summary": quality_text(quality)}
+            for kind, quality in recording.time_quality().items()
+        },
+        "notes": notes,
     }
+
+
+def _mount_row(mount: ScannerMount) -> dict[str, Any]:
+    x, y, yaw = mount.pose
+    return {
+        "x_m": x,
+        "y_m": y,
+        "yaw_deg": math.degrees(yaw),
+        "upside_down": mount.upside_down,
+        "base": mount.base,
+        "source": mount.source,
+    }
+
+
+def _yaw_row(estimate: MountYaw) -> dict[str, float]:
+    return {
+        "yaw_deg": math.degrees(estimate.yaw),
+        "deviation_deg": math.degrees(estimate.deviation),
+    }
+
+
+def _yaw_by_motion(recording: Recording) -> MountYaw | None:
+    """Return the scanner's yaw by scans and odometry; None if these do not determine it."""
+    scans, odometry = recording.scans(), recording.odometry()
+    if scans is None or odometry is None:
+        return None
+    first, last = odometry.stamps[0], odometry.stamps[-1]
+    chosen = [k for k, stamp in enumerate(scans.stamps) if first <= stamp <= last]
+    poses = poses_at(odometry, [scans.stamps[k] for k in chosen])
+    return estimate_mount_yaw([scans.messages[k] for k in chosen], poses)
+
+
+def _contradiction(mount: ScannerMount | None, estimate: MountYaw) -> str | None:
+    """Return a hint if the yaw by motion is clearly another one than the mount's, or than 0."""
+    known = 0.0 if mount is None else mount.pose[2]
+    if abs(wrap(estimate.yaw - known)) < max(_CLEARLY_RAD, 3.0 * estimate.deviation):
+        return None
+    assumed = (
+        "0 deg, which is assumed without a mount"
+        if mount is None
+        else (f"{math.degrees(known):.1f} deg, as by {mount.source}")
+    )
+    return (
+        f"the robot's motion shows that the scanner's yaw is {_yaw_text(_yaw_row(estimate))}, and "
+        f"not {assumed}: check the mount before you replay or map this recording"
+    )
 
 
 def _timing(stamps: Sequence[int]) -> dict[str, float | None]:
@@ -187,23 +279,27 @@ Array = NDArray[np.float64]
 _SINGLE_SCANS, _MAPPED_SCANS = 4, 400  # drawn separately, and together as a map
 _COLORS = ("tab:blue", "tab:orange", "tab:green", "tab:red")
 _AT_SCANNER: Pose = (0.0, 0.0, 0.0)
+_CLEARLY_RAD = math.radians(5.0)  # a mount that is off by less is not worth a hint
 
 
-def rough_map(scans: ScanStream, odometry: OdometryStream) -> Array:
-    """Return points (n, 2) [m] that evenly chosen scans hit, in the frame of the odometry."""
+def rough_map(scans: ScanStream, odometry: OdometryStream, mount: Pose = _AT_SCANNER) -> Array:
+    """Return points (n, 2) [m] that evenly chosen scans hit, in the frame of the odometry.
+
+    The scanner is at `mount` on the robot.
+    """
     points = [np.zeros((0, 2))]
     for number in _chosen(len(scans.stamps), _MAPPED_SCANS):
         stamp = scans.stamps[number]
         if odometry.stamps[0] <= stamp <= odometry.stamps[-1]:
-            scan_points = beams_of(scans.messages[number], _AT_SCANNER).points()
-            points.append(_transform(scan_points, _pose_at(odometry, stamp)))
+            scan_points = beams_of(scans.messages[number], mount).points()
+            points.append(_transform(scan_points, poses_at(odometry, [stamp])[0]))
     return np.concatenate(points)
 
 
 def draw_recording(recording: Recording, title: str, file: Path) -> None:
     """Draw scans in the scanner's frame, and with odometry, scans and path in its frame.
 
-    The scanner is assumed at the robot's origin: a recording does not hold its mount.
+    If the recording does not hold the scanner's mount, that is assumed at the robot's origin.
     """
     scans, odometry = recording.scans(), recording.odometry()
     if scans is None and odometry is None:
@@ -217,7 +313,8 @@ def draw_recording(recording: Recording, title: str, file: Path) -> None:
     if scans is not None:
         _draw_scans(axes[0], scans)
     if odometry is not None:
-        _draw_track(axes[-1], scans, odometry)
+        mount = recording.mount()
+        _draw_track(axes[-1], scans, odometry, _AT_SCANNER if mount is None else mount.pose)
     for panel in axes:
         panel.set_aspect("equal", adjustable="datalim")
         panel.set_xlabel("x [m]")
@@ -241,9 +338,11 @@ def _draw_scans(axes: Axes, scans: ScanStream) -> None:
     axes.set_title("Scans in the scanner's frame")
 
 
-def _draw_track(axes: Axes, scans: ScanStream | None, odometry: OdometryStream) -> None:
+def _draw_track(
+    axes: Axes, scans: ScanStream | None, odometry: OdometryStream, mount: Pose
+) -> None:
     if scans is not None:
-        axes.plot(*rough_map(scans, odometry).T, ",", color="#505050", alpha=0.5)
+        axes.plot(*rough_map(scans, odometry, mount).T, ",", color="#505050", alpha=0.5)
     x, y, _ = odometry.poses.T
     axes.plot(x, y, color="tab:blue", linewidth=1.2, label="path by odometry")
     axes.plot(x[0], y[0], "o", color="tab:green", markersize=7, label="start")
@@ -256,16 +355,14 @@ def _chosen(count: int, most: int) -> list[int]:
     return sorted({round(k) for k in np.linspace(0, count - 1, min(count, most)).tolist()})
 
 
-def _pose_at(odometry: OdometryStream, stamp: int) -> Array:
-    """Return the interpolated pose at a time; the heading is not wrapped."""
-    after = min(max(int(np.searchsorted(odometry.stamps, stamp)), 1), len(odometry.stamps) - 1)
-    pair = [after - 1, after] if after else [0, 0]
-    poses = odometry.poses[pair]
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    first, last = (odometry.stamps[k] for k in pair)
-    share = (stamp - first) / (last - first) if last > first else 0.0
-    pose: Array = poses[0] + share * (poses[1] - poses[0])
-    return pose
+def poses_at(odometry: OdometryStream, stamps: Sequence[int]) -> Array:
+    """Return interpolated poses (n, 3) at times [ns]; headings are not wrapped."""
+    origin = odometry.stamps[0]
+    times = np.array([stamp - origin for stamp in odometry.stamps], dtype=np.float64)
+    wanted = np.array([stamp - origin for stamp in stamps], dtype=np.float64)
+    x, y, theta = odometry.poses.T
+    columns = (x, y, np.unwrap(theta))
+    return np.column_stack([np.interp(wanted, times, column) for column in columns])
 
 
 def _transform(points: Array, pose: Array) -> Array:

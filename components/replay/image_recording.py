@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,12 +15,14 @@ from cairn import SECOND, CairnError
 from cairn.bounded_files import open_regular
 from cairn.bounded_images import check_pixels
 from cairn.components.replay.bounded_streams import text_lines
+from cairn.components.replay.record_times import TimeQuality, time_quality
 from cairn.components.replay.recording import (
     Gray,
     ImageStream,
     ObservationStream,
     OdometryStream,
     RecordedTopic,
+    ScannerMount,
     ScanStream,
     TimedPoses,
 )
@@ -69,6 +71,10 @@ class ImageRecording:
         """Return None: there are only images."""
         return None
 
+    def mount(self) -> ScannerMount | None:
+        """Return None: there are only images."""
+        return None
+
     def observations(self) -> ObservationStream | None:
         """Return None: there are only images."""
         return None
@@ -89,6 +95,10 @@ class ImageRecording:
         return [
             RecordedTopic("images", images.name, f"{kind} {width} x {height}", len(images.stamps))
         ]
+
+    def time_quality(self) -> Mapping[str, TimeQuality]:
+        """Return the quality of the images' times."""
+        return {"images": time_quality(self._images.stamps)}
 
     def notes(self) -> Sequence[str]:
         """Return what was left out."""

@@ -8,7 +8,7 @@ nine sets, any robot, plain or gzipped.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.replay.bounded_streams import text_lines
+from cairn.components.replay.record_times import TimeQuality, time_quality
 from cairn.components.replay.recording import (
     ImageStream,
     ObservationStream,
     OdometryStream,
     RecordedObservation,
     RecordedTopic,
+    ScannerMount,
     ScanStream,
     TimedPoses,
     covariances_of,
@@ -56,6 +58,10 @@ class MrclamRecording:
         return OdometryStream(nanoseconds(rows[:, 0]), reckoned.poses, covariances, rows[:, 1:])
 
     def scans(self) -> ScanStream | None:
+        """Return None: the robots had no laser scanner."""
+        return None
+
+    def mount(self) -> ScannerMount | None:
         """Return None: the robots had no laser scanner."""
         return None
 
@@ -105,6 +111,16 @@ class MrclamRecording:
             RecordedTopic("truth", f"Robot{robot}_Groundtruth", "motion capture",
                           len(data.truth(robot))),
         ]  # fmt: skip
+
+    def time_quality(self) -> Mapping[str, TimeQuality]:
+        """Return the quality of the times in the robot's three files."""
+        data = self._dataset
+        times = {
+            "odom": data.odometry(self._robot)[:, 0],
+            "objects": np.unique(data.observations(self._robot).time),
+            "truth": data.truth(self._robot)[:, 0],
+        }
+        return {kind: time_quality(nanoseconds(of)) for kind, of in times.items()}
 
     def notes(self) -> Sequence[str]:
         """Return nothing: these files are read completely or rejected."""

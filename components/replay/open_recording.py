@@ -8,7 +8,8 @@ from pathlib import Path
 
 from cairn.bounded_files import open_regular
 from cairn.components.replay.bounded_streams import first_lines
-from cairn.components.replay.carmen import MESSAGES, CarmenRecording
+from cairn.components.replay.carmen import CarmenRecording
+from cairn.components.replay.carmen_lines import MESSAGES
 from cairn.components.replay.image_recording import ImageRecording, holds_images, is_video
 from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.replay.recording import Recording

@@ -79,10 +79,16 @@ class ReplayClock(Component):
     _last = 0
 
     def on_configure(self) -> None:
-        """Read the recording's first and last time; log what is missing or assumed."""
+        """Read the recording's first and last time; log its notes and the scanner's mount."""
         recording = self.config.open()
         for note in recording.notes():
             self.log.warning("%s: %s", self.config.recording, note)
+        if (mount := recording.mount()) is not None:
+            x, y, yaw = mount.pose
+            self.log.info(
+                "the scanner's mount in the recording, by %s: x %.3f m, y %.3f m, theta %.4f rad",
+                mount.source, x, y, yaw,
+            )  # fmt: skip
         first, last = self.config.part(recording)
         self._first, self._end = first, last + _TAIL
 

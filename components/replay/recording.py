@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -10,12 +10,22 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.replay.record_times import TimeQuality
 from cairn.errors import RecordingError
+from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap
 from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 
 Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
+
+
+BAD_SHARE = 0.01
+"""The share of a log's or topic's records that may be bad: these are left out; with more, it is
+refused. Programs that are killed leave one cut-off record, full disks a few."""
+
+FEW_BAD = 3
+"""So many bad records may be in any log or topic, however short."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +52,30 @@ class TimedPoses:
 
 @dataclass(frozen=True)
 class ScanStream:
-    """Laser scans in order of their `stamps` [ns], which are also in their headers."""
+    """Laser scans in order of their `stamps` [ns], which are also in their headers.
+
+    `recorded_stamps` [ns] are the same as they stand in the recording: before bursts are spread and
+    a scan delay is subtracted.
+    """
 
     stamps: Sequence[int]
     messages: Sequence[LaserScan]
+    recorded_stamps: Sequence[int]
+
+
+@dataclass(frozen=True)
+class ScannerMount:
+    """Pose of the scanner (x [m], y [m], yaw [rad]) on the robot, in frame `base`.
+
+    A scanner that is `upside_down` (roll pi) sees left and right swapped. `Recording.scans()` has
+    the angles of its beams mirrored already, so `pose` holds as if it stood upright. `source` says
+    where the recording has the mount.
+    """
+
+    pose: Pose
+    upside_down: bool
+    base: str
+    source: str
 
 
 @dataclass(frozen=True)
@@ -122,6 +152,9 @@ class Recording(Protocol):
     def scans(self) -> ScanStream | None:
         """Return the scans of the laser scanner."""
 
+    def mount(self) -> ScannerMount | None:
+        """Return where the scanner is on the robot."""
+
     def observations(self) -> ObservationStream | None:
         """Return the observations of landmarks."""
 
@@ -136,6 +169,9 @@ class Recording(Protocol):
 
     def topics(self) -> Sequence[RecordedTopic]:
         """Return everything that was recorded, replayed or not."""
+
+    def time_quality(self) -> Mapping[str, TimeQuality]:
+        """Return how good the recorded times of the streams are, by their kind (`scan`)."""
 
     def notes(self) -> Sequence[str]:
         """Return what was lost, left out or assumed, as sentences."""

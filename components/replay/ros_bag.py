@@ -6,6 +6,7 @@ reads the files.
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import struct
 from collections import deque
@@ -18,6 +19,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
@@ -27,15 +29,26 @@ from cairn.bounded_files import megabytes
 from cairn.bounded_yaml import yaml_fault
 from cairn.bus.codec import Codec
 from cairn.components.replay.bag_files import BagFile, BagTopic
+from cairn.components.replay.record_times import TimeQuality, time_quality
 from cairn.components.replay.recording import (
+    BAD_SHARE,
+    FEW_BAD,
     Gray,
     ImageStream,
     ObservationStream,
     OdometryStream,
     RecordedTopic,
+    ScannerMount,
     ScanStream,
     TimedPoses,
     covariances_of,
+)
+from cairn.components.replay.scanner_mount import (
+    BASES,
+    FrameLink,
+    links_of_description,
+    links_of_transforms,
+    mount_of,
 )
 from cairn.components.replay.wheel_odometry import odometry_deviations, odometry_velocities
 from cairn.errors import RecordingError
@@ -50,6 +63,8 @@ from cairn.schemas.std_msgs import Header
 from cairn.vision.image_files import camera_of
 from cairn.vision.images import decode, gray_of
 
+Array = NDArray[np.float64]
+Item = TypeVar("Item")
 T = TypeVar("T")
 Received = Sequence[tuple[int, Any]]
 """Messages with their times of receipt [ns]."""
@@ -68,7 +83,7 @@ _INFO = type_name(CameraInfo)
 # Are decoded to Cairn's classes.
 _OWN = {_OBJECTS: RecognizedObjectArray, _MAP: VisualMap, _INFO: CameraInfo}
 _READ = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES, _OBJECTS, _MAP)
-_BASES = ("base_footprint", "base_link")
+_TEXT, _DESCRIPTION = "std_msgs/msg/String", "robot_description"
 
 
 class BagRecording:
@@ -76,7 +91,8 @@ class BagRecording:
 
     Of several topics of a type, the one with the default name is replayed, of any robot:
     `/robot/scan`. Only recordings of Cairn hold observations of landmarks and a surveyed map. Scans
-    get a time `scan_delay_s` [s] before their stamp.
+    get a time `scan_delay_s` [s] before their stamp; those of a scanner that is mounted upside down
+    get its angles mirrored.
     """
 
     def __init__(self, path: Path, topics: Mapping[str, str], scan_delay_s: float = 0.0) -> None:
@@ -94,25 +110,23 @@ class BagRecording:
         truth = truth or self._usual("truth", tuple(_POSE_TYPES))
         objects = self._usual("recognized_objects", (_OBJECTS,))
         surveyed = self._usual("true_map", (_MAP,))
-        self._scans = self._read(scan, self._to_scans)
-        self._odometry = self._read(odom, self._to_odometry)
-        self._objects = self._read(objects, self._to_observations)
+        self._quality: dict[str, TimeQuality] = {}
+        self._mount = self._find_mount(scan, odom)
+        self._scans = self._read("scan", scan, self._to_scan, self._to_scans)
+        self._odometry = self._read("odom", odom, _odometry_step, _odometry_stream)
+        self._objects = self._read("objects", objects, _unchanged, _observations)
         maps = self._messages.get(surveyed or "", [])
         self._landmark_map: VisualMap | None = maps[-1][1] if maps else None
         kinds = {"scan": scan, "odom": odom, "objects": objects}
         self._replayed = {topic: kind for kind, topic in kinds.items() if topic}
         if self._odometry is None:
-            transforms = {
-                topic: messages
-                for topic, messages in self._messages.items()
-                if self._types[topic] in _TF
-            }
+            transforms = self._transforms()
             self._odometry = self._from_tf(
                 [pair for messages in transforms.values() for pair in messages]
             )
             if self._odometry is not None:
                 self._replayed |= dict.fromkeys(transforms, "odom")
-        self._truth = self._read(truth, self._to_poses)
+        self._truth = self._read("truth", truth, _true_pose, _timed_poses)
         if truth is not None:
             self._replayed[truth] = "truth"
         self._image_topics, notes = image_topics(path, self._types, self._named)
@@ -140,6 +154,10 @@ class BagRecording:
     def scans(self) -> ScanStream | None:
         """Return the laser's scans."""
         return self._scans
+
+    def mount(self) -> ScannerMount | None:
+        """Return the scanner's pose by static transforms, else by the robot's description."""
+        return self._mount
 
     def observations(self) -> ObservationStream | None:
         """Return the observations in a recording of Cairn: ROS has no message for them."""
@@ -177,6 +195,10 @@ class BagRecording:
             for topic, kind in sorted(self._types.items())
         ]
 
+    def time_quality(self) -> Mapping[str, TimeQuality]:
+        """Return the quality of the stamps, in the order in which the messages were received."""
+        return self._quality
+
     def notes(self) -> Sequence[str]:
         """Return what was lost or assumed."""
         return self._notes
@@ -205,54 +227,99 @@ class BagRecording:
     def _usual(self, kind: str, types: Sequence[str]) -> str | None:
         return _usual(kind, [topic for topic, of in self._types.items() if of in types])
 
-    def _read(self, topic: str | None, convert: Callable[[list[int], list[Any]], T]) -> T | None:
-        """Convert the messages of a topic in order of their stamps; None if there are none."""
+    def _transforms(self) -> dict[str, list[tuple[int, Any]]]:
+        """Return the messages of transforms by topic, those of static ones first."""
+        topics = [topic for topic in self._messages if self._types[topic] in _TF]
+        topics.sort(key=lambda topic: not topic.endswith("tf_static"))
+        return {topic: self._messages[topic] for topic in topics}
+
+    def _find_mount(self, scan: str | None, odom: str | None) -> ScannerMount | None:
+        """Return the scanner's mount on the frame that odometry moves, else on another base."""
+        scans = self._messages.get(scan or "", [])
+        if not scans:
+            return None
+        odometry = self._messages.get(odom or "", [])
+        moved = [message.child_frame_id.strip("/") for _, message in odometry[:1]]
+        bases = [name for name in dict.fromkeys((*moved, *BASES)) if name]
+        links = [
+            link
+            for topic, received in self._transforms().items()
+            for link in links_of_transforms(topic, (t for _, m in received for t in m.transforms))
+        ]
+        frame = scans[0][1].header.frame_id
+        found = mount_of(links, frame, bases)
+        if found is None:
+            found = mount_of([*links, *self._described_links()], frame, bases)
+        if isinstance(found, str):
+            self._notes.append(found)
+            return None
+        return found
+
+    def _described_links(self) -> list[FrameLink]:
+        """Return the links of the robot's description; of several, that of the shortest name."""
+        described = [topic for topic in self._messages if self._types[topic] == _TEXT]
+        topic = min(described, key=lambda topic: (len(topic), topic), default="")
+        received = self._messages.get(topic, [])
+        if not received:
+            return []
+        try:
+            return links_of_description(topic, received[-1][1].data)
+        except RecordingError as error:
+            self._notes.append(str(error))
+            return []
+
+    def _read(
+        self,
+        kind: str,
+        topic: str | None,
+        parse: Callable[[int, Any], Item],
+        gather: Callable[[list[int], list[Item]], T],
+    ) -> T | None:
+        """Gather the parsed messages of a topic by their stamps in order; None if there are none.
+
+        Invalid messages are left out and noted. Raises `RecordingError` if they are too many.
+        """
         received = self._messages.get(topic, []) if topic else []
         if not received:
             return None
         stamps = self._stamps(topic or "", [(at, m.header.stamp) for at, m in received])
-        order = sorted(range(len(stamps)), key=stamps.__getitem__)
-        try:
-            return convert([stamps[k] for k in order], [received[k][1] for k in order])
-        except (InvalidMessage, ValueError) as error:
+        self._quality[kind] = time_quality(stamps)
+        parsed: list[Item] = []
+        known: list[int] = []
+        faults: list[str] = []
+        for k in sorted(range(len(stamps)), key=stamps.__getitem__):
+            try:
+                parsed.append(parse(stamps[k], received[k][1]))
+                known.append(stamps[k])
+            except (InvalidMessage, ValueError) as error:
+                faults.append(f"message {k + 1}: {error}")
+        if len(faults) > max(FEW_BAD, BAD_SHARE * len(stamps)) or not parsed:
             raise RecordingError(
-                f"{self._path}, topic {topic}: {error}. Such a message cannot be replayed: name "
-                "another topic, or remove it from the bag."
-            ) from error
+                f"{self._path}, topic {topic}: {faults[0]}. {len(faults)} of {len(stamps)} "
+                "messages are invalid, which cannot be replayed: name another topic, or remove "
+                "them from the bag."
+            )
+        if faults:
+            self._notes.append(
+                f"{len(faults)} of {len(stamps)} messages of {topic} are invalid and left out: "
+                f"{faults[0]}{'; ...' if len(faults) > 1 else ''}"
+            )
+        return gather(known, parsed)
 
     def _stamps(self, topic: str, received: Sequence[tuple[int, Any]]) -> list[int]:
         stamps, note = message_stamps(topic, received)
         self._notes += [note] if note else []
         return stamps
 
-    def _to_scans(self, stamps: list[int], messages: list[Any]) -> ScanStream:
-        stamps = [max(stamp - self._scan_delay, 0) for stamp in stamps]
-        scans = []
-        for number, (stamp, m) in enumerate(zip(stamps, messages, strict=True), start=1):
-            try:
-                scans.append(_scan(stamp, m))
-            except InvalidMessage as error:
-                raise ValueError(f"message {number}: {error}") from error
-        return ScanStream(stamps, scans)
+    def _to_scan(self, stamp: int, message: Any) -> LaserScan:
+        upside_down = self._mount is not None and self._mount.upside_down
+        return _scan(self._undelayed(stamp), message, upside_down)
 
-    @staticmethod
-    def _to_odometry(stamps: list[int], messages: list[Any]) -> OdometryStream:
-        poses = np.array([_pose(m.pose.pose) for m in messages])
-        recorded = np.array([m.pose.covariance for m in messages], dtype=np.float64)
-        covariances = recorded.reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
-        if not covariances.any() or not np.isfinite(covariances).all():
-            covariances = covariances_of(odometry_deviations(poses))
-        twists = np.array([(m.twist.twist.linear.x, m.twist.twist.angular.z) for m in messages])
-        return OdometryStream(stamps, poses, covariances, twists)
+    def _to_scans(self, stamps: list[int], scans: list[LaserScan]) -> ScanStream:
+        return ScanStream([self._undelayed(stamp) for stamp in stamps], scans, stamps)
 
-    @staticmethod
-    def _to_observations(stamps: list[int], messages: list[Any]) -> ObservationStream:
-        return ObservationStream(stamps, (), messages)
-
-    @staticmethod
-    def _to_poses(stamps: list[int], messages: list[Any]) -> TimedPoses:
-        poses = [_pose(_POSE_TYPES[m.__msgtype__](m)) for m in messages]
-        return TimedPoses(stamps, np.array(poses))
+    def _undelayed(self, stamp: int) -> int:
+        return max(stamp - self._scan_delay, 0)
 
     def _from_tf(self, received: Received) -> OdometryStream | None:
         """Return odometry from transforms of frame odom to the base."""
@@ -261,11 +328,12 @@ class BagRecording:
             for at, message in received
             for transform in message.transforms
             if transform.header.frame_id.strip("/") == "odom"
-            and transform.child_frame_id.strip("/") in _BASES
+            and transform.child_frame_id.strip("/") in BASES
         ]
         if not pairs:
             return None
         stamps = self._stamps("/tf", [(at, t.header.stamp) for at, t in pairs])
+        self._quality["odom"] = time_quality(stamps)
         order = sorted(range(len(stamps)), key=stamps.__getitem__)
         stamps = [stamps[k] for k in order]
         poses = np.array([_transform_pose(pairs[k][1].transform) for k in order])
@@ -282,13 +350,14 @@ def _usual(kind: str, topics: Sequence[str]) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
-def _scan(stamp: int, m: Any) -> LaserScan:
+def _scan(stamp: int, m: Any, upside_down: bool) -> LaserScan:
     beams = len(m.ranges)
+    side = -1.0 if upside_down else 1.0  # it turns to the right: the first beam is the left one
     return LaserScan(
         header=Header(stamp=from_ns(stamp), frame_id="laser"),
-        angle_min=float(m.angle_min),
-        angle_max=float(m.angle_max),
-        angle_increment=float(m.angle_increment),
+        angle_min=side * float(m.angle_min),
+        angle_max=side * float(m.angle_max),
+        angle_increment=side * float(m.angle_increment),
         time_increment=float(m.time_increment),
         scan_time=float(m.scan_time),
         range_min=float(m.range_min),
@@ -297,6 +366,47 @@ def _scan(stamp: int, m: Any) -> LaserScan:
         # Some drivers send another number of intensities, which belong to no beam.
         intensities=np.asarray(m.intensities if len(m.intensities) == beams else [], np.float32),
     )
+
+
+@dataclass(frozen=True)
+class _OdometryStep:
+    """A message of odometry: pose, covariance (3, 3) as it is, forward and turning velocity."""
+
+    pose: Pose
+    covariance: Array
+    twist: tuple[float, float]
+
+
+def _odometry_step(_: int, message: Any) -> _OdometryStep:
+    covariance = np.array(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    twist = (float(message.twist.twist.linear.x), float(message.twist.twist.angular.z))
+    if not all(map(math.isfinite, twist)):
+        raise ValueError(f"its velocity is {twist[0]:g} m/s, {twist[1]:g} rad/s")
+    return _OdometryStep(_pose(message.pose.pose), covariance[[0, 1, 5]][:, [0, 1, 5]], twist)
+
+
+def _odometry_stream(stamps: list[int], steps: list[_OdometryStep]) -> OdometryStream:
+    poses = np.array([step.pose for step in steps])
+    covariances = np.array([step.covariance for step in steps])
+    if not covariances.any() or not np.isfinite(covariances).all():
+        covariances = covariances_of(odometry_deviations(poses))
+    return OdometryStream(stamps, poses, covariances, np.array([step.twist for step in steps]))
+
+
+def _unchanged(_: int, message: RecognizedObjectArray) -> RecognizedObjectArray:
+    return message
+
+
+def _observations(stamps: list[int], messages: list[RecognizedObjectArray]) -> ObservationStream:
+    return ObservationStream(stamps, (), messages)
+
+
+def _true_pose(_: int, message: Any) -> Pose:
+    return _pose(_POSE_TYPES[message.__msgtype__](message))
+
+
+def _timed_poses(stamps: list[int], poses: list[Pose]) -> TimedPoses:
+    return TimedPoses(stamps, np.array(poses))
 
 
 def _pose(pose: Any) -> Pose:
@@ -337,7 +447,7 @@ class BagContents:
 
 
 def read_bag(path: Path) -> BagContents:
-    """Read the scans, odometry, transforms and poses of the bag at `path`.
+    """Read the scans, odometry, transforms, poses and robot's description of the bag at `path`.
 
     `path` is a ROS 1 bag, the folder of a ROS 2 bag, or one of its files. Messages have the
     attributes of their ROS 2 definition. Raises `RecordingError`.
@@ -347,7 +457,7 @@ def read_bag(path: Path) -> BagContents:
     damaged: list[str] = []
     kept = 0
     with _explained(bag):
-        for topic, received, raw in bag.messages(lambda topic: topic.type in _READ):
+        for topic, received, raw in bag.messages(_is_read):
             kept += _MESSAGE_COST + len(raw) * (_TF_FACTOR if topic.type in _TF else 1)
             most = max(_KEPT_BYTES, _KEPT_RATIO * bag.size)
             if kept > most:
@@ -381,6 +491,11 @@ def read_bag(path: Path) -> BagContents:
 
 
 _MOST_NOTES: Final = 20
+
+
+def _is_read(topic: BagTopic) -> bool:
+    described = topic.type == _TEXT and topic.name.rpartition("/")[2] == _DESCRIPTION
+    return topic.type in _READ or described
 
 
 @contextmanager

@@ -196,13 +196,23 @@ class SimulatedBaseConfig(Config):
     turn_per_meter: float = Field(
         0.01, ge=0, le=1, description="Random walk of the heading per distance [rad/sqrt(m)]."
     )
+    odometry_delay_s: float = Field(
+        0.0,
+        ge=0,
+        le=5,
+        description="Maximum delay of odometry; each message has its own, so that they arrive out "
+        "of order [s].",
+    )
+    odometry_loss: float = Field(
+        0.0, ge=0, lt=1, description="Share of the messages of odometry that are lost [1]."
+    )
 
 
 class SimulatedBase(Component):
     """Carry out velocity commands in the simulated world; publish what the encoders measure.
 
-    Publishes odometry and the transform from `odom` to `base_link`. The wheels stop when commands
-    become stale.
+    Publishes odometry and the transform from `odom` to `base_link`; stamps are the times of the
+    measurements, also of messages that are delayed. The wheels stop when commands become stale.
     """
 
     config: SimulatedBaseConfig
@@ -262,17 +272,29 @@ class SimulatedBase(Component):
         )
         measured_forward, measured_turn = self._encoders.speeds(forward, turn)
         header = Header(stamp=stamp, frame_id=_ODOM)
-        self.odom.publish(
-            Odometry(
-                header=header,
-                child_frame_id=_BASE,
-                pose=with_covariance(self._encoders.pose, self._encoders.covariance),
-                twist=TwistWithCovariance(
-                    twist=Twist(
-                        linear=Vector3(x=measured_forward), angular=Vector3(z=measured_turn)
-                    )
-                ),
-            )
+        odometry = Odometry(
+            header=header,
+            child_frame_id=_BASE,
+            pose=with_covariance(self._encoders.pose, self._encoders.covariance),
+            twist=TwistWithCovariance(
+                twist=Twist(linear=Vector3(x=measured_forward), angular=Vector3(z=measured_turn))
+            ),
         )
         transform = transform_message(header, _BASE, self._encoders.pose)
-        self.tf.publish(TFMessage(transforms=(transform,)))
+        self._send(now, odometry, TFMessage(transforms=(transform,)))
+
+    def _send(self, now: int, odometry: Odometry, transform: TFMessage) -> None:
+        """Publish what was measured at `now` [ns], at once or delayed, unless it is lost."""
+        config = self.config
+        if config.odometry_loss and self.random.random() < config.odometry_loss:
+            return
+
+        def publish() -> None:
+            self.odom.publish(odometry)
+            self.tf.publish(transform)
+
+        if config.odometry_delay_s:
+            delay_s = config.odometry_delay_s * float(self.random.random())
+            self.schedule(now + round(delay_s * SECOND), publish)
+        else:
+            publish()

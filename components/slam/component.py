@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -39,10 +38,10 @@ from cairn.components.slam.tracking import Tracked
 from cairn.planar.grid import OccupancyCells, map_message
 from cairn.planar.map_file import write_map
 from cairn.planar.messages import planar_pose, transform_message, with_covariance
-from cairn.planar.odometry import OdometryChange, OdometryHistory, is_jump
-from cairn.planar.pose_tracker import sweep_of
+from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
+from cairn.planar.pose_tracker import WaitingScans, sweep_of
 from cairn.planar.poses import Pose, compose, inverse
-from cairn.planar.scans import rays_of, sweep_s
+from cairn.planar.scans import rays_of
 from cairn.schemas.cairn_nav_msgs import NO_REASON, LocalizationEstimate, Reason, ReasonCode
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -59,13 +58,12 @@ _FULL_MAP_S = 5.0
 _DRAWN = 60
 # Odometry is kept for so long [s]: longer than scans wait.
 _HISTORY_S = 10
-# Faster odometry jumps [m/s], [rad/s], as in the path planner.
-_FASTEST, _FASTEST_TURN = 2.0, 4.0
 # Health of the pose: full from this fit of the scans on, and none below the other.
 _FITS, _MISFITS = 0.6, 0.25
 # The most health while scans have too few points, as in the localizer.
 _MOST_WITHOUT_POINTS = 0.5
-_MOST_SCANS = 50  # that wait for odometry: 5 s at 10 Hz
+# A faster step of odometry is a jump, as of a base that is restarted: no robot here is as fast.
+_FASTEST = WheelLimits(3.0, 6.0)
 
 
 class Slam(Component):
@@ -100,8 +98,8 @@ class Slam(Component):
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "map")
         self._saved_grid = RetriedSave(self, "grid map")
-        self._history = OdometryHistory(_HISTORY_S * SECOND)
-        self._waiting: deque[LaserScan] = deque(maxlen=_MOST_SCANS)
+        self._history: OdometryHistory[int] = OdometryHistory(_HISTORY_S * SECOND, _FASTEST)
+        self._waiting = WaitingScans(0.0)
         self._mapper: Mapper | None = None
         self._drawing = MapGrid(config.resolution, config.reach)
         self._published_frame: tuple[object, ...] | None = None
@@ -156,20 +154,8 @@ class Slam(Component):
     @on("odom")
     def on_odometry(self, odom: Odometry) -> None:
         """Add odometry; map the scans that waited for it."""
-        stamp, pose = to_ns(odom.header.stamp), planar_pose(odom.pose.pose)
-        newest = self._history.newest
-        before = None if newest is None else self._history.at(newest)
-        if newest is not None and before is not None and stamp >= newest:
-            seconds = (stamp - newest) / SECOND
-            if is_jump(before, pose, seconds, _FASTEST, _FASTEST_TURN):
-                self.log.warning(
-                    "odometry on %s jumped: the robot is where it was", self.odom.topic
-                )
-                self._history.clear()
-                self._waiting.clear()
-                if self._mapper is not None:
-                    self._mapper.restart_odometry()
-        change = self._history.add(stamp, pose)
+        stamp = to_ns(odom.header.stamp)
+        change = self._history.add(stamp, planar_pose(odom.pose.pose))
         if change is OdometryChange.RESET:
             self.log.warning("time on %s was set back: restarted its history", self.odom.topic)
             self._waiting.clear()
@@ -178,7 +164,7 @@ class Slam(Component):
     @on("scan")
     def on_scan(self, scan: LaserScan) -> None:
         """Keep a scan until odometry has reached its last beam."""
-        self._waiting.append(scan)
+        self._waiting.add(scan)
         self._process()
 
     @every(hz=1)
@@ -214,18 +200,11 @@ class Slam(Component):
 
     def _process(self) -> None:
         """Map the scans whose odometry has arrived, or will not arrive any more."""
-        newest = self._history.newest
-        now = self.clock.now()
-        while self._waiting and newest is not None:
-            scan = self._waiting[0]
-            end_ns = to_ns(scan.header.stamp) + round(sweep_s(scan) * SECOND)
-            if end_ns > newest and now - end_ns < self.config.hold_s * SECOND:
-                return
-            self._waiting.popleft()
+        for scan in self._waiting.release(self._history.newest, self.clock.now()):
             self._map_scan(scan)
 
     def _map_scan(self, scan: LaserScan) -> None:
-        sweep = sweep_of(scan, self._history.at)
+        sweep = sweep_of(scan, self._odometry_at)
         if sweep is None:
             self._warnings.warn(
                 "odometry", f"scan on {self.scan.topic} ignored: it is older than all odometry"
@@ -251,6 +230,10 @@ class Slam(Component):
             self.log.info("found the robot in the map at (%.2f m, %.2f m, %.2f rad)", *mapper.pose)
         self._was_located = located
         self._publish_pose(Header(stamp=scan.header.stamp, frame_id="map"), sweep.start, tracked)
+
+    def _odometry_at(self, stamp: int) -> Pose | None:
+        """Return the pose in a frame of odometry that has no jumps; None before the oldest."""
+        return None if self._history.at(stamp) is None else self._history.driven_at(stamp)
 
     def _start(self, scan: LaserScan) -> Mapper:
         """Return the mapper of a new map, or of the one that an earlier process or run has left."""
@@ -294,7 +277,7 @@ class Slam(Component):
         assert mapper is not None
         located = mapper.is_located
         health, reason = _health(tracked, located=located)
-        covariance = np.linalg.inv(tracked.information + np.eye(3))
+        covariance = np.asarray(np.linalg.inv(tracked.information + np.eye(3)), np.float64)
         pose = with_covariance(mapper.pose, covariance) if located else None
         self.localization.publish(
             LocalizationEstimate(

@@ -26,6 +26,3 @@ class SlamConfig(Config):
     reach: float = Field(
         20.0, ge=0.5, le=200, description="Longer rays only show free space, up to here [m]."
     )
-    hold_s: float = Field(
-        0.5, ge=0, le=5, description="How long a scan waits for the odometry of its time [s]."
-    )

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 import numpy as np
@@ -140,6 +140,11 @@ class GraphFile:
             )
         self._note(mapper)
 
+    def seal(self) -> None:
+        """Write everything into the one file, without a log beside it."""
+        with _explained(self._path):
+            self._connection.execute("PRAGMA journal_mode = DELETE")
+
     def close(self) -> None:
         """Close the file."""
         self._connection.close()
@@ -157,7 +162,7 @@ def write_graph(path: Path, mapper: Mapper, source: str) -> None:
         file = GraphFile.create(part, mapper.farthest, source)
         with closing(file):
             file.save(mapper)
-            file._connection.execute("PRAGMA journal_mode = DELETE")
+            file.seal()
 
 
 def read_graph(path: Path) -> Mapper:
@@ -182,31 +187,10 @@ def _read(connection: sqlite3.Connection) -> Mapper:
     ((farthest,),) = connection.execute("SELECT farthest FROM graph").fetchall()
     mapper = Mapper(float(farthest))
     graph = mapper.graph
-    for row in _rows(connection, "keyframes", "number"):
-        number, stamp_ns, submap, odometry, cloud, geometry, ranges = row
+    for number, *columns in _rows(connection, "keyframes", "number"):
         if number != len(mapper.keyframes) or number >= _MOST_KEYFRAMES:
             raise ValueError(f"keyframe {len(mapper.keyframes)} is missing")
-        points = _floats(cloud, np.float32, 4).astype(np.float64)
-        rays = None
-        if geometry is not None:
-            *sides, reach = _numbers(geometry, 7)
-            first, last = sides[:3], sides[3:]
-            rays = ScanRays(
-                (first[0], first[1], first[2]),
-                (last[0], last[1], last[2]),
-                np.frombuffer(ranges, "<f4"),
-                reach,
-            )
-        x, y, theta = _numbers(odometry, 3)
-        mapper.keyframes.append(
-            Keyframe(
-                int(stamp_ns),
-                (x, y, theta),
-                PointCloud(points[:, :2].copy(), points[:, 2:].copy()),
-                rays,
-                int(submap),
-            )
-        )
+        mapper.keyframes.append(_keyframe(*columns))
     count = len(mapper.keyframes)
     poses = [row[1:] for row in _rows(connection, "poses", "number")]
     graph.poses = np.array(poses, np.float64).reshape(-1, 3)
@@ -220,7 +204,7 @@ def _read(connection: sqlite3.Connection) -> Mapper:
         _check_keyframes(count, first, second)
         x, y, theta = _numbers(measured, 3)
         matrix = _floats(information, np.float64, 3)
-        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        if matrix.shape != (3, 3):
             raise ValueError("the information of a constraint is wrong")
         graph.edges.append(Edge(EdgeKind(kind), first, second, (x, y, theta), matrix))
     for landmark, x, y in _rows(connection, "landmarks", "landmark"):
@@ -235,7 +219,21 @@ def _read(connection: sqlite3.Connection) -> Mapper:
     return mapper
 
 
-def _rows(connection: sqlite3.Connection, table: str, order: str) -> Iterator[tuple[object, ...]]:
+def _keyframe(
+    stamp_ns: int, submap: int, odometry: bytes, cloud: bytes, geometry: bytes | None, ranges: bytes
+) -> Keyframe:
+    points = _floats(cloud, np.float32, 4)
+    x, y, theta = _numbers(odometry, 3)
+    rays = None
+    if geometry is not None:
+        x1, y1, angle1, x2, y2, angle2, reach = _numbers(geometry, 7)
+        beams = np.frombuffer(ranges, "<f4")
+        rays = ScanRays((x1, y1, angle1), (x2, y2, angle2), beams, reach)
+    surfaces = PointCloud(points[:, :2].copy(), points[:, 2:].copy())
+    return Keyframe(stamp_ns, (x, y, theta), surfaces, rays, submap)
+
+
+def _rows(connection: sqlite3.Connection, table: str, order: str) -> Iterator[tuple[Any, ...]]:
     return connection.execute(f"SELECT * FROM {table} ORDER BY {order}")
 
 

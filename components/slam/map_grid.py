@@ -14,8 +14,7 @@ from cairn.planar.scan_grid import ScanGrid
 
 Array = NDArray[np.float64]
 
-# A scan is drawn anew when its pose has changed by more than this [m], [rad]: less than a cell, and
-# at 5 m not much more.
+# A scan is drawn again when its pose has changed by more than this [m], [rad]: less than a cell.
 _MOVED_M, _MOVED_RAD = 0.02, 0.006
 
 
@@ -39,7 +38,7 @@ class MapGrid:
         shown: NDArray[np.bool_],
         most: int | None = None,
     ) -> bool:
-        """Draw new keyframes, and those anew whose poses have changed.
+        """Draw new keyframes, and again those whose poses have changed.
 
         Args:
             keyframes: of the graph.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -152,10 +152,6 @@ class Mapper:
         else:
             self._start_island()
 
-    def restart_odometry(self) -> None:
-        """Continue where the robot is, as odometry counts from another origin from now on."""
-        self._odometry = None
-
     def in_map(self) -> NDArray[np.bool_]:
         """Return which keyframes (n,) belong to the map: those of its largest island.
 
@@ -187,9 +183,11 @@ class Mapper:
             self._close_loops(_COMPARED)
             report("loops", 1.0 - self.closer.pending / planned)
         for number in range(_ROUNDS):
-            self._align_neighbors(
-                _REACH_M[number], lambda share, n=number: report("alignment", (n + share) / _ROUNDS)
-            )
+
+            def aligned(share: float, done: int = number) -> None:
+                report("alignment", (done + share) / _ROUNDS)
+
+            self._align_neighbors(_REACH_M[number], aligned)
             self.graph.optimize()
 
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:

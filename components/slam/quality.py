@@ -1,4 +1,4 @@
-"""Figures that tell how good a map is, without knowing the truth."""
+"""Figures that indicate how good a map is, without knowing the truth."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class MapQuality:
         loop_error_m: root mean square of the closures' errors after the optimization [m].
         loop_error_deg: the same of their headings [deg].
         entropy_bit: mean uncertainty of the grid map's known cells [bit].
-        conflicts: share of the cells with obstacles that rays have mostly passed, from 0 to 1.
+        conflicts: share of the cells in which rays ended that most rays passed, from 0 to 1.
 
     """
 

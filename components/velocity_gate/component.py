@@ -39,8 +39,8 @@ from cairn.components.velocity_gate.sources import (
 )
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import OdometryChange, time_went_back
-from cairn.planar.pose_tracker import PoseTracker
-from cairn.planar.scans import rays_of
+from cairn.planar.pose_tracker import PoseTracker, Sweep, WaitingScans
+from cairn.planar.scans import Rays, rays_of
 from cairn.schemas.cairn_nav_msgs import ReasonCode, TeleoperationCommand, VelocityGateStatus
 from cairn.schemas.geometry_msgs import Point32, Polygon, PolygonStamped, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
@@ -55,7 +55,9 @@ _REPEAT_NS, _STATUS_NS = SECOND // 20, SECOND // 2
 _HELD_UP_NS, _QUEUED_NS = 3 * SECOND // 10, SECOND // 10
 # A step of odometry faster than this multiple [1] of the robot's limits is a jump.
 _JUMP_FACTOR = 2.0
-_HORIZON_S, _EXTRAPOLATION_S = 5.0, 0.1  # of odometry
+# Odometry is kept for so long [s], and extrapolated for so long [s] after the newest: by default
+# the robot stands then (`odometry_timeout`).
+_HORIZON_S, _EXTRAPOLATION_S = 5.0, 0.3
 
 _Hold = tuple[int, str]
 """Why the robot must stand: a `ReasonCode`, and words that are empty if it may drive."""
@@ -172,6 +174,7 @@ class VelocityGate(Component):
             _JUMP_FACTOR * config.turn_speed,
             _EXTRAPOLATION_S,
         )
+        self._waiting = WaitingScans()
         self._scans = RecentSweeps(
             round(config.memory * SECOND), config.outline().reach, config.reach()
         )
@@ -306,7 +309,8 @@ class VelocityGate(Component):
         change = self._tracker.add_odometry(
             stamp, planar_pose(odom.pose.pose), twist.linear.x, twist.angular.z
         )
-        self._odometry_at = min(stamp, self.clock.now())
+        newest, now = self._tracker.newest, self.clock.now()
+        self._odometry_at = None if newest is None else min(newest, now)
         if change in (OdometryChange.JUMPED, OdometryChange.RESET):
             self.log.warning(
                 "odometry on %s %s: standing until the next scan",
@@ -314,20 +318,41 @@ class VelocityGate(Component):
                 self._tracker.change,
             )
             self._scans.forget()
+            self._waiting.clear()
             self._scan_at = None
+        if self._waiting.waiting:
+            self._take_scans()
 
     @on("scan")
     def on_scan(self, scan: LaserScan) -> None:
         """Take the points around the robot, and check the command at once."""
+        self._waiting.add(scan)
+        self._take_scans()
+        self._step()
+
+    def _take_scans(self) -> None:
+        """Remember the scans that odometry has reached; of the others, take the points for now.
+
+        So the robot stops at once before what a scan shows, although odometry is late.
+        """
+        for scan in self._waiting.release(self._tracker.newest, self.clock.now()):
+            sweep, rays = self._placed(scan)
+            if sweep is not None and rays is not None:
+                mount = self.config.mount.pose
+                self._scans.add(to_ns(scan.header.stamp), sweep.end, mount, scan, rays)
+        for_now = [self._placed(scan)[1] for scan in self._waiting.waiting]
+        self._scans.set_points_for_now([rays.points() for rays in for_now if rays is not None])
+
+    def _placed(self, scan: LaserScan) -> tuple[Sweep | None, Rays | None]:
+        """Return where a scan was taken, and its rays in the odometry frame; None if unknown."""
         sweep = self._tracker.sweep(scan)
         if sweep is None:
-            return
+            return None, None
         rays = rays_of(scan, self.config.mount.pose, sweep.motion).placed(sweep.end)
-        stamp = to_ns(scan.header.stamp)
-        if rays.informative:
-            self._scans.add(stamp, sweep.end, self.config.mount.pose, scan, rays)
-            self._scan_at = min(stamp, self.clock.now())
-        self._step()
+        if not rays.informative:
+            return sweep, None
+        self._scan_at = min(to_ns(scan.header.stamp), self.clock.now())
+        return sweep, rays
 
     @every(hz=_RAMP_HZ)
     def advance(self) -> None:
@@ -431,7 +456,8 @@ class VelocityGate(Component):
         if not self.config.scanner or self._scan_at is None or robot is None:
             return None
         age_s = max(0.0, (now - self._scan_at) / SECOND)
-        return Surroundings(self._scans, robot, age_s, (self._tracker.speed, self._tracker.turn))
+        measured = self._tracker.speed, self._tracker.turn
+        return Surroundings(self._scans, robot, age_s, measured, self._tracker.late_s(now))
 
     def _hold(self, now: int) -> _Hold:
         """Return why the robot must stand, whatever is commanded."""

@@ -31,13 +31,20 @@ _STANDS, _TURNS_NOT = 0.01, 0.02
 class Surroundings:
     """What the gate knows around the robot now: scans, and the robot's pose in their frame.
 
-    `scan_age_s` [s] is that of the newest scan; `measured` the velocity by odometry.
+    `scan_age_s` [s] is that of the newest scan; `measured` the velocity by odometry. For
+    `odometry_late_s` [s] the robot may have moved otherwise than `robot` assumes.
     """
 
     scans: RecentSweeps
     robot: Pose
     scan_age_s: float
     measured: Velocity
+    odometry_late_s: float = 0.0
+
+    @property
+    def delay_s(self) -> float:
+        """How long [s] the robot may have moved since what is known."""
+        return self.scan_age_s + self.odometry_late_s
 
 
 @dataclass(frozen=True)
@@ -125,7 +132,7 @@ class CommandPipeline:
         stops_s = fastest / config.braking
         if not self._stop_zone.is_round:
             stops_s = max(stops_s, turn / config.turn_braking)
-        stops_s = config.latency + around.scan_age_s + 0.5 * stops_s
+        stops_s = config.latency + around.delay_s + 0.5 * stops_s
         return self._reach + fastest * max(stops_s, config.slowdown_time)
 
     def _slowed(self, target: Velocity, points: Array, limits: list[str]) -> Velocity:
@@ -152,7 +159,7 @@ class CommandPipeline:
         speed, turn = self.command
         if (speed, turn) == STILL:
             return ""
-        reaction_s = self._config.latency + around.scan_age_s
+        reaction_s = self._config.latency + around.delay_s
         turns = not self._stop_zone.is_round
         contact_s = self._stop_zone.seconds_to_contact(points, (speed, turn))
         share = allowed_share(contact_s, (speed, turn), self._ability, reaction_s, turns=turns)

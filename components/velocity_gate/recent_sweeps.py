@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,14 @@ class RecentSweeps:
         self._sweeps.clear()
         self._points = np.empty((0, 2))
         self._stamps = np.empty(0, np.int64)
+        self._for_now = _NONE
+
+    def set_points_for_now(self, points: Sequence[Array]) -> None:
+        """Replace the points (n, 2) [m] of scans whose place is not certain yet.
+
+        They count in addition to those of the scans that were added.
+        """
+        self._for_now = np.concatenate(points) if points else _NONE
 
     def add(self, stamp: int, robot: Pose, mount: Pose, scan: LaserScan, rays: Rays) -> None:
         """Add a scan that ended with the robot at `robot`; `rays` are in the odometry frame.
@@ -104,7 +113,10 @@ class RecentSweeps:
 
     def points(self, robot: Pose, within: float) -> Array:
         """Return the points (n, 2) [m] in the frame of a robot at `robot`, up to `within` [m]."""
-        x, y = self._points[:, 0] - robot[0], self._points[:, 1] - robot[1]
+        points = self._points
+        if self._for_now.size:
+            points = np.concatenate((points, self._for_now))
+        x, y = points[:, 0] - robot[0], points[:, 1] - robot[1]
         near = x * x + y * y < within * within
         if not near.any():
             return _NONE

@@ -13,13 +13,14 @@ from typing import Annotated
 import typer
 
 from cairn import CairnError
+from cairn.cli import completion
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import OutputLost, line, note, print_json
 from cairn.client import NavigationGoal, NoReplyError
 from cairn.client import connect as connect_to
 from cairn.client.navigation import Navigator
 from cairn.planar.messages import pose_message
-from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES, NavigationStatus
+from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES, NavigationStatus, zone_name_problem
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.message import type_name
 from cairn.schemas.std_msgs import Header
@@ -34,9 +35,11 @@ def go(
     goal: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="X Y [HEADING] | X,Y[,HEADING]...",
-            help="Goal in meters in the map; heading in radians, or as 90deg; 0 by default. "
-            "Several goals, each with commas, are driven to one after the other.",
+            metavar="X Y [HEADING] | PLACE | X,Y[,HEADING]...",
+            help="Goal in meters in the map; heading in radians, or as 90deg; 0 by default. Or the "
+            "name of a place on the map. Several goals, coordinates with commas, are driven to one "
+            "after the other.",
+            autocompletion=completion.places,
         ),
     ] = None,
     cancel: Annotated[
@@ -105,7 +108,7 @@ def locate(
     line(f"published on {topic}; `cairn topic echo localization` shows the uncertainty")
 
 
-def follow(navigator: Navigator, goals: Sequence[Sequence[float]], *, as_json: bool) -> None:
+def follow(navigator: Navigator, goals: Sequence[Sequence[float] | str], *, as_json: bool) -> None:
     """Send a goal and print its progress; Ctrl-C, SIGTERM and a closed terminal cancel it.
 
     Raises `CairnError` if the robot does not arrive, `SystemExit` after SIGTERM or SIGHUP.
@@ -129,13 +132,19 @@ def follow(navigator: Navigator, goals: Sequence[Sequence[float]], *, as_json: b
         line(f"{status.elapsed:6.1f} s  {status.reason}")
 
 
-def parse_goals(words: list[str]) -> list[list[float]]:
-    """Return the goals [x, y, heading] of the command line; `CairnError` if they are invalid."""
+def parse_goals(words: list[str]) -> list[list[float] | str]:
+    """Return the goals of the command line: [x, y, heading], or the name of a place.
+
+    Raises `CairnError` if they are invalid.
+    """
     if not words:
         raise CairnError("give a goal, such as `cairn go 7.5 5.0 90deg`, or --cancel")
     check_goal_count(len(words))
-    if any("," in word for word in words):
-        return [_pose(word.split(","), "goal") for word in words]
+    if any("," in word for word in words) or not zone_name_problem(words[0]):
+        return [
+            word if not zone_name_problem(word) else _pose(word.split(","), "goal")
+            for word in words
+        ]
     return [_pose(words, "goal")]
 
 
@@ -211,8 +220,9 @@ def _pose_text(pose: Sequence[float]) -> str:
     return f"({pose[0]:.2f}, {pose[1]:.2f}, {math.degrees(pose[2]):.0f} deg)"
 
 
-def _poses_text(poses: Sequence[Sequence[float]]) -> str:
-    text = ", then ".join(map(_pose_text, poses[:_MAX_SHOWN]))
+def _poses_text(poses: Sequence[Sequence[float] | str]) -> str:
+    shown = (one if isinstance(one, str) else _pose_text(one) for one in poses[:_MAX_SHOWN])
+    text = ", then ".join(shown)
     more = len(poses) - _MAX_SHOWN
     return f"{text} and {more} more" if more > 0 else text
 

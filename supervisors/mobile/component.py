@@ -28,6 +28,8 @@ from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_STATES,
     NavigateGoal,
     NavigationStatus,
+    Zone,
+    Zones,
 )
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
@@ -92,10 +94,12 @@ class MobileSupervisor(Supervisor):
     goal_pose: In[PoseStamped] = In(optional=True)
     exploration_goal: In[NavigateGoal] = In(optional=True)
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20), optional=True)
+    zones: In[Zones] = In(qos=LATCHED, optional=True)
     navigate_goal: Out[NavigateGoal] = Out(qos=LATCHED)
 
     _mission: Mission | None = None
     _retrying = False  # a retry of saving the mission is scheduled
+    _zones: tuple[Zone, ...] | None = None  # not known yet
 
     def on_configure(self) -> None:
         """Check that missions can be kept; remove that of an earlier run."""
@@ -122,11 +126,13 @@ class MobileSupervisor(Supervisor):
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `go` with `goals` [[x, y, heading], ...], `cancel`, `mission`, and the others.
 
-        `go` may choose a `token` for its mission. `cancel` may name the `mission_id` or the `token`
-        of the mission; otherwise it cancels the current one.
+        A goal may also be the name of a place on the map; the mission keeps where that is now. `go`
+        may choose a `token` for its mission. `cancel` may name the `mission_id` or the `token` of
+        the mission; otherwise it cancels the current one.
         """
         if verb == "go" and {"goals"} <= set(arguments) <= {"goals", "token"}:
-            goals, token = parse_goals(arguments["goals"]), parse_token(arguments.get("token"))
+            goals = parse_goals(arguments["goals"], self._zones)
+            token = parse_token(arguments.get("token"))
             return {"mission_id": self._start(goals, token=token).mission_id}
         if verb == "cancel" and set(arguments) <= {"mission_id", "token"}:
             return {"mission_id": self._cancel(**arguments)}
@@ -163,6 +169,11 @@ class MobileSupervisor(Supervisor):
                 self._close(mission, "canceled: the exploration has ended")
         except CairnError as error:
             self.log.error("mission rejected: %s", error)
+
+    @on("zones")
+    def on_zones(self, message: Zones) -> None:
+        """Take the named places of the map."""
+        self._zones = message.zones
 
     @on("navigation_status")
     def on_navigation_status(self, status: NavigationStatus) -> None:

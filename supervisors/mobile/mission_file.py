@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -12,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cairn import CairnError
 from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.files import explain_os_error, replace_file
-from cairn.schemas.cairn_nav_msgs import MAX_GOALS
+from cairn.planar.zones import find_place
+from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_ZONE_NAME, Zone
 
 LARGEST_COORDINATE = 1e5
 """Coordinates of goals are at most so large [m]."""
@@ -69,12 +71,15 @@ class Mission(MissionProgress, MissionRequest):
         return self.configured or self.replaces_configured
 
 
-def parse_goals(value: Any) -> tuple[Goal, ...]:
-    """Return the goals of a request; raises `CairnError` with the invalid one."""
+def parse_goals(value: Any, zones: Sequence[Zone] | None = None) -> tuple[Goal, ...]:
+    """Return the goals of a request; raises `CairnError` with the invalid one.
+
+    A goal is [x, y, heading], or the name of a place among `zones`, None if these are not known.
+    """
     if not isinstance(value, list) or not value:
         raise CairnError("a mission has at least one goal [x, y, heading]")
     check_goal_count(len(value))
-    return tuple(_parse_goal(number, goal) for number, goal in enumerate(value, start=1))
+    return tuple(_parse_goal(number, goal, zones) for number, goal in enumerate(value, start=1))
 
 
 def check_goal_count(count: int) -> None:
@@ -86,12 +91,25 @@ def check_goal_count(count: int) -> None:
         )
 
 
-def _parse_goal(number: int, goal: Any) -> Goal:
+def _parse_goal(number: int, goal: Any, zones: Sequence[Zone] | None) -> Goal:
+    if isinstance(goal, str):
+        if zones is None:
+            raise CairnError(
+                f"goal {number}: {goal[:MAX_ZONE_NAME]}: the places on the map are not known, as "
+                "no map builder with a zones_file has run; `cairn load map_builder` starts it, or "
+                "a goal by coordinates"
+            )
+        try:
+            return find_place(zones, goal[:MAX_ZONE_NAME])
+        except CairnError as error:
+            raise CairnError(f"goal {number}: {error}") from error
     numbers = isinstance(goal, list | tuple) and all(
         isinstance(value, int | float) and not isinstance(value, bool) for value in goal
     )
     if not numbers or len(goal) != 3:
-        raise CairnError(f"goal {number} = {goal!r}: give x [m], y [m] and heading [rad]")
+        raise CairnError(
+            f"goal {number} = {goal!r}: give x [m], y [m] and heading [rad], or a place"
+        )
     if not all(math.isfinite(value) and abs(value) <= LARGEST_COORDINATE for value in goal):
         raise CairnError(
             f"goal {number} = {list(goal)!r}: x, y and heading must be finite, "

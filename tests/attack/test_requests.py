@@ -17,6 +17,7 @@ from cairn.runtime.parameters import describe_parameters
 from tests.attack.inputs import components, deployment
 from tests.attack.robot import MOST_MEMORY_MB, AttackedRobot
 from tests.patience import LIMIT_S
+from tests.zone_features import place
 
 LONGEST_ANSWER: Final = 4100
 """A refusal is for people: an attacker does not make it longer [characters]."""
@@ -103,7 +104,10 @@ GOALS: Final = {
 }
 """Goals of a mission that is refused: each with a part of the reason."""
 
-REQUESTS: Final = [
+
+PLACE: Final = place("a", 1, 1)
+
+REQUESTS: Final[list[tuple[str, str, dict[str, Any], str]]] = [
     ("mobile_supervisor", "go", {}, "unknown request go"),
     ("mobile_supervisor", "go", {"goals": [GOAL], "speed": 9}, "unknown request go"),
     ("mobile_supervisor", "go", {"goals": [GOAL], "token": ""}, "token"),
@@ -148,6 +152,20 @@ REQUESTS: Final = [
     ("velocity_gate", "release_lease", {"lease": 1}, "not valid"),
     ("velocity_gate", "release_lease", {"lease": 2**63}, "not valid"),
     ("velocity_gate", "release_lease", {"lease": True}, "not the id"),
+    ("mobile_supervisor", "go", {"goals": ["cellar"]}, "no such place|not known"),
+    ("mobile_supervisor", "go", {"goals": ["n" * 10_000]}, "no such place|not known"),
+    ("map_builder", "zones", {"of": "map"}, "unknown request zones"),
+    ("map_builder", "add_zone", {}, "unknown request add_zone"),
+    ("map_builder", "add_zone", {"feature": None}, "must be an object"),
+    ("map_builder", "add_zone", {"feature": {"type": "Feature"}}, "properties"),
+    ("map_builder", "add_zone", {"feature": PLACE | {"x": 1}}, "x"),
+    ("map_builder", "add_zone", {"feature": PLACE, "replace": 7}, "no such zone"),
+    ("map_builder", "add_zone", {"feature": place("a", 0, 1e300)}, "at most 100000"),
+    ("map_builder", "add_zone", {"feature": place("a", 0, True)}, "valid number"),
+    ("map_builder", "remove_zone", {"name": "n" * 10_000}, "no such zone"),
+    ("map_builder", "remove_zone", {"name": {"a": 1}}, "no such zone"),
+    ("map_builder", "set_zones", {"features": {}}, "give a list"),
+    ("map_builder", "set_zones", {"features": [PLACE, PLACE]}, "names must differ"),
     ("world", "move", {}, "must be given"),
     ("world", "move", {"name": "table", "x": 1e300, "y": 0}, "less than or equal"),
     ("world", "move", {"name": "table", "x": b"NaN", "y": 0}, "finite|invalid"),

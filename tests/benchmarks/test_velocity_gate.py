@@ -20,6 +20,18 @@ def test_hostile_commands_do_not_drive_the_robot_into_an_obstacle(
     assert (run.forged > 0) == (kind == "forged")
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_late_odometry_does_not_drive_the_robot_into_an_obstacle(
+    tmp_path: Path, kind: Kind
+) -> None:
+    base = "components.base.parameters"
+    late = f"{base}.odometry_delay_s=0.3", f"{base}.odometry_loss=0.02"
+    run = hostile_run(tmp_path, kind, 1, 8.0, *late)
+    assert run.collisions == 0
+    assert run.obstacles > 0
+    assert run.way_m > 0.5
+
+
 def test_the_same_commands_collide_without_the_check_of_obstacles(tmp_path: Path) -> None:
     unchecked = "components.velocity_gate.parameters.scanner=false"
     assert hostile_run(tmp_path, "forged", 1, 8.0, unchecked).collisions > 0

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from cairn.deployment.shipped import deployment_file
-from cairn.schemas.cairn_nav_msgs import NavigationStatus, VelocityGateStatus
+from cairn.schemas.cairn_nav_msgs import NavigationStatus, VelocityGateStatus, Zone, Zones
 from cairn.schemas.cairn_sim_msgs import WorldState
 from cairn.schemas.geometry_msgs import PoseStamped, Twist
 from cairn.testing.launching import CAIRN, launching
@@ -228,6 +228,68 @@ def test_thing_of_the_simulated_world_is_moved_added_and_removed(
     tab.page.get_by_role("button", name="Remove", exact=True).click()
     _await(lambda: "box_1" not in _things(robot))
     robot.client.request("world", "remove", {"name": "person_1"})
+
+
+def test_zones_are_drawn_changed_removed_and_places_driven_to(
+    robot: RunningRobot, tab: Tab
+) -> None:
+    page = tab.page
+
+    def zones() -> dict[str, Zone]:
+        return {zone.name: zone for zone in robot.client.latest("zones", Zones).zones}
+
+    page.get_by_role("button", name="Zones: draw").click()
+    page.get_by_role("button", name="Keepout", exact=True).click()
+    for x, y in ((6.0, 2.0), (7.0, 2.0), (7.0, 3.0)):
+        page.mouse.click(*tab.at(x, y))
+    page.get_by_text("3 points").wait_for()
+    page.get_by_role("button", name="Add zone").click()
+    _await(lambda: "keepout 1" in zones())
+    assert zones()["keepout 1"].points == pytest.approx([6, 2, 7, 2, 7, 3], abs=0.03)
+
+    page.get_by_label("Name", exact=True).fill("ramp")
+    page.get_by_label("Kind").select_option("slow")
+    page.get_by_label("Speed [m/s]").fill("0.15")
+    page.get_by_role("button", name="Save", exact=True).click()
+    _await(lambda: "ramp" in zones())
+    assert (zones()["ramp"].kind, zones()["ramp"].speed) == (Zone.SLOW, 0.15)
+    page.wait_for_function("() => cairnConsole.map.scene.zones.some((one) => one.name === 'ramp')")
+
+    page.get_by_role("button", name="Place", exact=True).click()
+    tab.drag(2.4, 1.2, 0.5 * math.pi)
+    _await(lambda: "place 1" in zones())
+    assert zones()["place 1"].heading == pytest.approx(0.5 * math.pi, abs=0.05)
+    tab.picture("zones")
+    page.get_by_role("button", name="End this tool").click()
+    page.mouse.click(*tab.at(2.4, 1.2))
+    before = status_of(robot).mission_id
+    page.get_by_role("button", name="Go to place 1").click()
+    page.get_by_text("Goal sent: place 1").wait_for()
+    _await(lambda: status_of(robot).mission_id > before)
+    _await(lambda: status_of(robot).state == NavigationStatus.SUCCEEDED)
+    assert math.dist(true_position(robot), (2.4, 1.2)) < 0.3
+
+    page.get_by_role("button", name="Zones: draw").click()
+    for x, y, name in ((6.7, 2.4, "ramp"), (2.4, 1.2, "place 1")):
+        page.mouse.click(*tab.at(x, y))
+        page.get_by_role("heading", name=name).wait_for()
+        page.get_by_role("button", name="Remove", exact=True).click()
+        _await(lambda name=name: name not in zones())  # type: ignore[misc]
+
+
+def test_zone_that_crosses_itself_is_refused_and_can_be_corrected(tab: Tab) -> None:
+    page = tab.page
+    page.get_by_role("button", name="Zones: draw").click()
+    page.get_by_role("button", name="Slow", exact=True).click()
+    for x, y in ((6.0, 2.0), (7.0, 3.0), (7.0, 2.0), (6.0, 3.0)):
+        page.mouse.click(*tab.at(x, y))
+    page.get_by_role("button", name="Add zone").click()
+    page.get_by_text("cross or touch").wait_for()
+    page.get_by_text("4 points").wait_for()
+    page.get_by_role("button", name="Undo", exact=True).click()
+    page.get_by_text("3 points").wait_for()
+    page.get_by_role("button", name="Cancel", exact=True).click()
+    page.get_by_role("button", name="Keepout", exact=True).wait_for()
 
 
 _SHOWN_THINGS = """async () => {

@@ -35,6 +35,10 @@ def test_logic_of_the_panels() -> None:
     _run([node(), "--test", str(HERE / "panels.test.mjs")], dict(os.environ))
 
 
+def test_zones_of_the_map() -> None:
+    _run([node(), "--test", str(HERE / "zones.test.mjs")], dict(os.environ))
+
+
 def test_geometry_of_the_map() -> None:
     _run([node(), "--test", str(HERE / "geometry.test.mjs")], dict(os.environ))
 

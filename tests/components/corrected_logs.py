@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from cairn.components.localizer.config import LocalizationSettings, MeasuredBase
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.planar.scan_grid import build_grid
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, wrap
+from cairn.planar.scan_grid import build_grid
 from cairn.planar.scans import beams_of
 from cairn.schemas.sensor_msgs import LaserScan
 

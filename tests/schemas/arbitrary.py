@@ -21,7 +21,7 @@ from cairn.schemas.cairn_msgs import (
     VisualMapChange,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import Plan
+from cairn.schemas.cairn_nav_msgs import ExplorationStatus, Plan, Zone, Zones
 from cairn.schemas.cairn_sim_msgs import WorldGeometry
 from cairn.schemas.field_types import Array, Covariance2, Covariance3, Scalar, Text, finite, mark_of
 from cairn.schemas.geometry_msgs import Point, Pose
@@ -224,6 +224,14 @@ def _plans() -> st.SearchStrategy[Plan]:
     )
 
 
+def _explorations() -> st.SearchStrategy[ExplorationStatus]:
+    none = st.just(math.nan)
+    return st.one_of(
+        _built(ExplorationStatus, goal_x=METERS, goal_y=METERS),
+        _built(ExplorationStatus, goal_x=none, goal_y=none),
+    )
+
+
 @st.composite
 def _scenes(draw: st.DrawFn) -> Any:
     segments, objects = draw(st.integers(0, 3)), draw(st.integers(0, 3))
@@ -281,13 +289,42 @@ def _changes() -> st.SearchStrategy[VisualMapChange]:
     )
 
 
+@st.composite
+def zones(draw: st.DrawFn) -> Zone:
+    """Draw a zone of any kind; the edges of an area may cross."""
+    kind = draw(st.integers(0, 3))
+    least = (3, 3, 2, 1)[kind]
+    sizes = [draw(st.integers(least, 6 if kind != Zone.PLACE else 1))]
+    if kind in (Zone.KEEPOUT, Zone.SLOW):
+        sizes += draw(st.lists(st.integers(3, 5), max_size=2))
+    flat = hnp.arrays(np.float64, 2 * sum(sizes), elements=st.floats(-1e5, 1e5))
+    headings = st.one_of(st.just(math.nan), st.floats(-6, 6))
+    return Zone(
+        kind=kind,
+        name=draw(st.from_regex(r"z[a-z0-9 ]{0,5}[a-z]", fullmatch=True)),
+        speed=draw(st.floats(0.05, 3)) if kind == Zone.SLOW else 0.0,
+        width=draw(st.floats(0.1, 20)) if kind == Zone.LANE else 0.0,
+        heading=draw(headings) if kind == Zone.PLACE else math.nan,
+        rings=np.array(sizes, np.uint32),
+        points=draw(flat),
+    )
+
+
+def zone_sets() -> st.SearchStrategy[tuple[Zone, ...]]:
+    """Return a strategy for zones with different names."""
+    return st.lists(zones(), max_size=3, unique_by=lambda zone: zone.name).map(tuple)
+
+
 _WITH_RULES_BETWEEN_FIELDS = {
     LaserScan: _scans,
     MultiEchoLaserScan: _multi_echo_scans,
     Image: _images,
     OccupancyGrid: _grids,
     OccupancyGridUpdate: _grid_updates,
+    ExplorationStatus: _explorations,
     Plan: _plans,
+    Zone: zones,
+    Zones: lambda: _built(Zones, zones=zone_sets()),
     RecognizedObject: _recognized,
     RecognizedObjectArray: _recognized_arrays,
     WorldGeometry: _scenes,

@@ -124,7 +124,7 @@ class NavigationExaminer(Component):
         )
         self._segments: NDArray[np.float64] | None = None
         self._paths: ShortestPaths | None = None
-        self._history = OdometryHistory(5 * SECOND)
+        self._history = OdometryHistory[int](5 * SECOND)
         self._true_pose: Pose | None = None
         self._pending: deque[LocalizationEstimate] = deque()
         self._quality = LocalizationQuality()

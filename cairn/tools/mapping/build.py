@@ -35,14 +35,15 @@ class BuildSettings:
     """How a map is built.
 
     Attributes:
-        mount: pose of the scanner on the robot [m, m, rad].
+        mount: pose of the scanner on the robot [m, m, rad]; None: as the recording says, else at
+            the robot's center.
         scan_only: predict the motion from the scans before, instead of using odometry.
         resolution: size of the grid map's cells [m].
         reach: longer rays only show free space [m].
 
     """
 
-    mount: Pose = (0.0, 0.0, 0.0)
+    mount: Pose | None = None
     scan_only: bool = False
     resolution: float = 0.05
     reach: float = 20.0
@@ -101,6 +102,7 @@ def build_map(
     if mapper is None:
         mapper = Mapper(min(settings.reach, float(scans.messages[0].range_max)))
     source = _driven(scans, odometry) if odometry is not None else None
+    mount = settings.mount or _recorded_mount(recording)
     total = len(scans.messages)
     pose: Pose = (0.0, 0.0, 0.0)
     for number, scan in enumerate(scans.messages):
@@ -111,7 +113,7 @@ def build_map(
             pose, motion = _predicted(mapper, stamp, pose), (0.0, 0.0, 0.0)
         else:
             pose, motion = next(source)
-        mapper.add_scan(stamp, pose, rays_of(scan, settings.mount, motion).placed(motion))
+        mapper.add_scan(stamp, pose, rays_of(scan, mount, motion).placed(motion))
     progress("scans", 1.0)
     mapper.finish(progress)
     drawing = MapGrid(settings.resolution, settings.reach)
@@ -146,6 +148,11 @@ def write_trajectory(path: Path, stamps: list[int], poses: Array) -> None:
         replace_file(path, "".join(lines).encode())
     except OSError as error:
         raise CairnError(f"{path} cannot be written: {explain_os_error(error)}") from error
+
+
+def _recorded_mount(recording: Recording) -> Pose:
+    mount = recording.mount()
+    return (0.0, 0.0, 0.0) if mount is None else mount.pose
 
 
 def _driven(scans: ScanStream, odometry: OdometryStream) -> Iterator[tuple[Pose, Pose]]:

@@ -87,7 +87,7 @@ def build(
     for text in opened.notes():
         note(f"{recording}: {text}")
     settings = BuildSettings(
-        mount=parse_mount(scanner) if scanner else (0.0, 0.0, 0.0),
+        mount=parse_mount(scanner) if scanner else None,
         scan_only=scan_only,
         resolution=resolution,
         reach=reach,
@@ -148,7 +148,7 @@ def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
          f"{quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg")  # fmt: skip
     line(f"  entropy    {quality.entropy_bit:.3f} bit per known cell")
     line(
-        f"  conflicts  {100 * quality.conflicts:.1f} % of the obstacles were mostly passed by rays"
+        f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for most"
     )
     line(f"also written: {', '.join(file.name for file in files[1:])}")
 

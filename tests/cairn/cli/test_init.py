@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from cairn.deployment.load import load_deployment
 from tests.commands import cairn
 
 ROOT = Path(__file__).parents[3]
@@ -29,6 +30,18 @@ def test_skeleton_has_the_requested_names_and_no_placeholder(folder: Path) -> No
     assert 'name = "field-rover"' in texts[project / "pyproject.toml"]
     assert not [file for file, text in texts.items() if "package}" in text or "$p" in text]
     assert not list(project.rglob("*.in"))
+
+
+def test_robot_of_the_skeleton_drives_and_maps_with_its_own_name(folder: Path) -> None:
+    assert cairn("init", "field_rover").code == 0
+    robot = folder / "field_rover" / "deploy" / "robot.yaml"
+
+    deployment = load_deployment(robot)
+
+    assert deployment.robot == "field_rover"
+    assert "maps/ground_floor.yaml" in robot.read_text()
+    overlays = ["--overlay", "robot_without_camera", "--overlay", "robot_mapping"]
+    assert cairn("check", str(robot), *overlays).code == 0
 
 
 @pytest.mark.parametrize("name", ["My_Robot", "my-robot", "1robot", "class", "cairn", "tests"])

@@ -20,6 +20,7 @@ from tests.cairn.bus.network import eventually
 from tests.cairn.console.conftest import Page, Running, running
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
+from tests.zone_features import place
 
 pytestmark = [pytest.mark.processes, pytest.mark.slow]
 
@@ -135,6 +136,26 @@ def test_goal_is_sent_and_canceled_and_the_map_explains_its_objects(live: Runnin
         rates = {one["topic"]: one for one in page.event("topics")}
     assert rates["/robot/odom"]["rate_hz"] == pytest.approx(50, abs=20)
     assert rates["/robot/odom"]["age_s"] < 1.0
+    page.close()
+
+
+def test_zones_are_changed_with_the_lease_and_places_are_goals(live: Running) -> None:
+    page = live.browser()
+    kitchen = place("kitchen", 3.0, 1.2)
+    add = {"verb": "add_zone", "arguments": {"feature": kitchen}}
+    assert_words(error(page, "zones", **add), "lease")
+    assert value(page, "zones", verb="zones")["features"] == []
+    value(page, "acquire_lease")
+
+    assert value(page, "zones", **add)["saved"]
+
+    assert value(page, "zones", verb="zones")["features"] == [kitchen]
+    assert_words(error(page, "zones", **add), "kitchen", "names must differ")
+    assert_words(error(page, "zones", verb="drop_all"), "verb")
+    assert value(page, "go", poses=["kitchen"])["mission_id"] > 0
+    assert_words(error(page, "go", poses=["cellar"]), "no such place", "kitchen")
+    value(page, "cancel")
+    value(page, "zones", verb="remove_zone", arguments={"name": "kitchen"})
     page.close()
 
 

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from cairn.planar.scan_grid import build_grid
 from cairn.planar.grid import OCCUPIED, OccupancyCells, distance_field
 from cairn.planar.poses import Pose
+from cairn.planar.scan_grid import ScanGrid, build_grid
+from cairn.planar.scans import Rays, rays_of
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import Box, room, scanned
 
@@ -83,3 +84,74 @@ def test_pose_that_is_far_away_is_refused_before_memory_is_taken() -> None:
 
     with pytest.raises(ValueError, match=r"cover 1e\+09 x .* m, which are .* cells of 0.05 m"):
         build_grid(posed, 0.05, (0.0, 0.0, 0.0), 15.0)
+
+
+def rays_of_scan(scan: LaserScan) -> Rays:
+    return rays_of(scan, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def test_removed_scans_leave_the_map_without_them() -> None:
+    posed = drive(corridor(), 2)
+    expected, grid = ScanGrid(0.05, 15.0), ScanGrid(0.05, 15.0)
+    for pose, scan in posed[::2]:
+        expected.add(pose, rays_of_scan(scan))
+
+    for pose, scan in posed:
+        grid.add(pose, rays_of_scan(scan))
+    for pose, scan in posed[1::2]:
+        grid.remove(pose, rays_of_scan(scan))
+
+    assert np.array_equal(grid.grid().values, expected.grid().values)
+    assert grid.grid().frame == expected.grid().frame
+    assert grid.entropy() == pytest.approx(expected.entropy())
+
+
+def test_changes_bring_a_copy_of_the_map_up_to_date() -> None:
+    posed = drive(corridor(), 3)
+    grid = ScanGrid(0.05, 15.0)
+    for pose, scan in posed:
+        grid.add(pose, rays_of_scan(scan))
+    grid.take_changes()
+    copy, frame = grid.whole().values.copy(), grid.frame
+    pose, scan = posed[5]
+
+    grid.remove(pose, rays_of_scan(scan))
+    grid.add((pose[0] + 0.1, pose[1], pose[2]), rays_of_scan(scan))
+    changes = grid.take_changes()
+
+    assert changes is not None
+    assert grid.frame == frame
+    row, column, cells = changes
+    assert not np.array_equal(copy, grid.whole().values)
+    copy[row : row + cells.shape[0], column : column + cells.shape[1]] = cells
+    assert np.array_equal(copy, grid.whole().values)
+    assert grid.take_changes() is None
+
+
+def test_blurred_map_has_more_entropy_and_conflicts() -> None:
+    posed = drive(corridor(), 4)
+    random = np.random.default_rng(5)
+    sharp, blurred = ScanGrid(0.05, 15.0), ScanGrid(0.05, 15.0)
+
+    for pose, scan in posed:
+        sharp.add(pose, rays_of_scan(scan))
+        x, y = random.normal(0.0, 0.1, 2)
+        blurred.add((pose[0] + x, pose[1] + y, pose[2]), rays_of_scan(scan))
+
+    assert blurred.entropy() > 1.1 * sharp.entropy()
+    assert blurred.conflicts() > 1.2 * sharp.conflicts()
+
+
+def test_points_in_free_space_are_seen_through() -> None:
+    grid = ScanGrid(0.05, 15.0)
+    for pose, scan in drive(corridor(), 6):
+        grid.add(pose, rays_of_scan(scan))
+    along = np.linspace(4.0, 10.0, 50)
+
+    free = np.column_stack((along, np.full(50, 2.0)))
+    wall = np.column_stack((along, np.full(50, 3.0)))
+    unknown = np.column_stack((along, np.full(50, 9.0)))
+
+    assert grid.seen_through(free, 3) == 1.0
+    assert grid.seen_through(wall, 3) < 0.1
+    assert grid.seen_through(unknown, 3) == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cairn.planar.messages import pose_message
-from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, NavigationStatus
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, NavigationStatus, Zone, Zones
 from cairn.schemas.geometry_msgs import PoseStamped, PoseWithCovariance
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid, Path
@@ -61,6 +61,26 @@ def test_update_of_the_map_and_the_end_of_the_mission_are_shown(scene: Scene) ->
     assert len(scene.walls) == before + 2
     assert scene.goal is None
     assert "succeeded" in scene.summary()
+
+
+def test_zones_are_drawn_with_their_colors_and_places(scene: Scene) -> None:
+    before = {style for parts in draw(scene, Camera(), (80, 22)).runs() for _, style in parts}
+    corners = np.array([3.0, 0.5, 4.0, 0.5, 4.0, 1.5, 3.0, 1.5])
+    four, one = np.array([4], np.uint32), np.array([1], np.uint32)
+    stairs = Zone(kind=Zone.KEEPOUT, name="stairs", rings=four, points=corners)
+    ramp = Zone(kind=Zone.SLOW, name="ramp", speed=0.2, rings=four, points=corners + 2.0)
+    dock = Zone(kind=Zone.PLACE, name="dock", rings=one, points=np.array([1.0, 3.0]))
+    scene.take("zones", Zones(zones=(stairs, ramp, dock)))
+
+    canvas = draw(scene, Camera(), (80, 22))
+
+    styles = {style for parts in canvas.runs() for _, style in parts}
+    assert styles - before == {"magenta", "yellow", "bold cyan"}
+    [(row, column)] = [
+        (row, text.index("o")) for row, text in enumerate(canvas.text().split("\n")) if "o" in text
+    ]
+    assert row < 11
+    assert column < 20
 
 
 def test_keys_zoom_and_move_the_picture(scene: Scene) -> None:

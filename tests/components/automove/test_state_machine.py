@@ -15,6 +15,7 @@ from cairn.schemas.cairn_nav_msgs import (
     NavCommand,
     NavigationStatus,
     Plan,
+    ReasonCode,
 )
 from tests.components.automove.scripted_robot import LOCATED, ScriptedRobot
 from tests.wording import assert_words
@@ -209,13 +210,35 @@ def test_missing_path_fails_with_the_reason_of_the_planner(outcome: int, tries: 
     )
 
 
-@pytest.mark.parametrize("outcome", [Plan.OUTSIDE_MAP, Plan.GOAL_IMPOSSIBLE])
+@pytest.mark.parametrize("outcome", [Plan.OUTSIDE_MAP, Plan.GOAL_IMPOSSIBLE, Plan.GOAL_IN_KEEPOUT])
 def test_impossible_goal_fails_at_once(outcome: int) -> None:
     robot = ScriptedRobot()
     robot.plan = {"outcome": outcome, "reason": "the goal is outside the map"}
     robot.run(0.3)
     assert robot.states == [NavigationStatus.PLANNING, NavigationStatus.FAILED]
     assert_words(robot.navigator.reason.text, "no path", "the goal is outside the map")
+
+
+def test_goal_that_a_new_keepout_zone_covers_fails_while_the_robot_drives() -> None:
+    robot = ScriptedRobot().run(1.0)
+    robot.plan = {"outcome": Plan.GOAL_IN_KEEPOUT, "reason": "the goal is in keepout zone a"}
+    robot.run(0.2)
+    assert robot.navigator.state == NavigationStatus.FAILED
+    assert robot.navigator.reason.code == ReasonCode.GOAL_IN_KEEPOUT
+
+
+@pytest.mark.parametrize("begins_s", [0.0, 1.0], ids=["planning", "driving"])
+def test_goal_waits_while_the_robot_must_stay_in_a_keepout_zone(begins_s: float) -> None:
+    robot = ScriptedRobot().run(begins_s)
+    robot.plan = {"outcome": Plan.START_IN_KEEPOUT, "reason": "the robot is in keepout zone a"}
+    robot.motion = {"state": MotionStatus.STOPPED, "reason_code": ReasonCode.IN_KEEPOUT}
+    robot.run(300.0)
+    assert robot.navigator.reason.code == ReasonCode.IN_KEEPOUT
+    assert robot.recovery_behaviors == []
+
+    robot.plan, robot.motion = {"outcome": Plan.FOUND}, {"state": MotionStatus.MOVING}
+    robot.run(1.0)
+    assert robot.navigator.state == NavigationStatus.DRIVING
 
 
 def test_robot_outside_the_map_recovers_and_drives_on() -> None:

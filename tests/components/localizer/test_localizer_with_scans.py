@@ -178,6 +178,35 @@ def test_odometry_jump_is_logged_and_ignored(caplog: pytest.LogCaptureFixture) -
     assert last_error(localizer, moments) < 0.1
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_odometry_that_is_late_and_out_of_order_is_sorted(
+    seed: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    random = np.random.default_rng(seed)
+    localizer, moments = start_localizer(), moments_of_drive(seed=seed)
+    events: list[tuple[float, str, Any]] = []
+    for moment in moments:
+        message = odometry(moment.time, moment.odometry)
+        if random.random() >= 0.02:
+            events.append((moment.time + float(random.uniform(0.0, 0.3)), "odom", message))
+        events.append((moment.time, "scan", scan(moment.time, ranges_of(moment))))
+
+    for time, topic, message in sorted(events, key=lambda event: event[0]):
+        localizer.run_for(max(0.0, BEGIN + time - localizer.now))
+        localizer.publish(topic, message)
+
+    poses = localizer.take("pose")
+    errors = [
+        apart(planar_pose(pose.pose.pose), moment.pose)[0]
+        for pose in poses
+        for moment in moments
+        if header(moment.time, "").stamp == pose.header.stamp
+    ]
+    assert len(errors) > 0.9 * len(moments)
+    assert max(errors) < 0.1
+    assert "/robot/odom" not in caplog.text
+
+
 def test_outdated_messages_are_ignored(caplog: pytest.LogCaptureFixture) -> None:
     localizer, moments = start_localizer(), moments_of_drive()
     travel(localizer, moments[:60])

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.planar.scan_grid import build_grid
 from cairn.components.map_builder.occupancy import Occupancy
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose
+from cairn.planar.scan_grid import build_grid
 from cairn.planar.scans import Rays
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import RESOLUTION, ROOM, Box, room, scanned

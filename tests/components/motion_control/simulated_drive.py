@@ -34,7 +34,9 @@ class SimulatedDrive:
     """Motion control and a robot that follows its commands; publishes the messages it needs.
 
     `muted` topics are silent. With `simulated_time` the component gets a clock, which
-    `set_clocks_back` sets back. `commands` holds time [ns], speed [m/s] and turn rate [rad/s].
+    `set_clocks_back` sets back. Odometry is delayed at random, within the limits
+    `odometry_delay_s` [s], and a share of `odometry_loss` [1] is lost. `commands` holds time [ns],
+    speed [m/s] and turn rate [rad/s].
     """
 
     def __init__(
@@ -43,12 +45,16 @@ class SimulatedDrive:
         self.world, self.robot = world, robot
         self.muted: set[str] = set()
         self.beams = 360
+        self.odometry_delay_s = (0.0, 0.0)
+        self.odometry_loss = 0.0
+        self._delayed: list[tuple[int, Odometry]] = []
         self.mount: Pose = (0.0, 0.0, 0.0)
         self.localization = LocalizationEstimate(located=True, health=0.9)
         self.commands: list[tuple[int, float, float]] = []
         self.statuses: list[MotionStatus] = []
         self.clearance = math.inf
         self.random = np.random.default_rng(0)
+        self._delays = np.random.default_rng(1)
         self._nav_command = NavCommand()
         self._clocks_behind = 0
         self._tick = 0
@@ -118,15 +124,18 @@ class SimulatedDrive:
 
     def _publish_odometry(self, stamp: Any) -> None:
         twist = Twist(linear=Vector3(x=self.robot.speed), angular=Vector3(z=self.robot.turn))
-        self._publish(
-            "odom",
-            Odometry(
-                header=Header(stamp=stamp, frame_id="odom"),
-                child_frame_id="base_link",
-                pose=PoseWithCovariance(pose=pose_message(self.robot.odom)),
-                twist=TwistWithCovariance(twist=twist),
-            ),
+        odometry = Odometry(
+            header=Header(stamp=stamp, frame_id="odom"),
+            child_frame_id="base_link",
+            pose=PoseWithCovariance(pose=pose_message(self.robot.odom)),
+            twist=TwistWithCovariance(twist=twist),
         )
+        delay_s = float(self._delays.uniform(*self.odometry_delay_s))
+        if self._delays.random() >= self.odometry_loss:
+            self._delayed.append((self.now + round(delay_s * SECOND), odometry))
+        self._delayed.sort(key=lambda one: one[0])
+        while self._delayed and self._delayed[0][0] <= self.now:
+            self._publish("odom", self._delayed.pop(0)[1])
 
     def _publish_scan(self, stamp: Any) -> None:
         noise = self.random.normal(0.0, 0.005, self.beams)

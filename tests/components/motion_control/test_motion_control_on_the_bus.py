@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cairn import SECOND
+from cairn.planar.poses import compose, inverse
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, MotionStatus, NavCommand, Plan
 from tests.components.motion_control.simulated_drive import SimulatedDrive
 from tests.components.motion_control.world import Robot, Wall, World, box
@@ -277,6 +278,40 @@ def test_odometry_jump_is_reported_and_the_robot_pauses(
     assert "jumped by 1.2" in caplog.text
     drive.run_for(15, until=STATES.DONE)
     assert math.hypot(drive.robot.pose[0] - 3, drive.robot.pose[1]) < 0.1
+
+
+def test_path_is_followed_with_odometry_that_is_late_and_out_of_order(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    drive = simulated_drive((-1.0, 0.35, 1.0, 0.35), (-1.0, -0.35, 1.0, -0.35))
+    drive.odometry_delay_s, drive.odometry_loss = (0.0, 0.3), 0.02
+    drive.command(7, NavCommand.FOLLOW, (3.0, 0.0, 1.0))
+    drive.publish_plan(7, (-3, 0), (3, 0))
+
+    drive.run_for(40, until=STATES.DONE)
+
+    assert drive.status.state == STATES.DONE
+    assert math.hypot(drive.robot.pose[0] - 3, drive.robot.pose[1]) < 0.1
+    assert drive.clearance > 0.05
+    assert "odometry on" not in caplog.text
+
+
+def test_scans_are_placed_where_they_were_taken_although_odometry_is_late() -> None:
+    square = box(-3, 0, 3.0, 3.0)
+    drive = SimulatedDrive(World(square), Robot((-3.0, 0.0, 0.0)))
+    drive.odometry_delay_s = (0.25, 0.25)
+    drive.command(3, NavCommand.LOOK_AROUND)
+
+    drive.run_for(0.7)  # it accelerates
+
+    memory = drive.motion_control.component._memory
+    points = memory._points[: memory._count]
+    origin = compose(drive.robot.pose, inverse(drive.robot.odom))
+    x, y = np.array([compose(origin, (px, py, 0.0))[:2] for px, py in points.tolist()]).T
+    errors = np.abs(np.maximum(np.abs(x + 3.0), np.abs(y)) - 1.5)
+    assert drive.robot.turn != 0.0
+    assert points.shape[0] > 300
+    assert np.quantile(errors, 0.95) < 0.05
 
 
 def test_obstacle_on_the_path_is_reported() -> None:

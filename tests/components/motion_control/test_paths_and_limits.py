@@ -138,6 +138,21 @@ def test_only_obstacles_in_the_direction_of_motion_stop_the_robot(direction: flo
     assert commanded(-near * direction) * direction > 0.05
 
 
+def test_robot_drives_more_slowly_toward_an_obstacle_when_odometry_is_late() -> None:
+    measured, target = (0.5, 0.0), VelocityTarget(speed=0.6)
+    obstacles = NearbyObstacles(wall(-0.3, 0.3, 0.7), 0.7)
+
+    def commanded(late_s: float) -> float:
+        limiter = CommandLimiter(LIMITS)
+        limiter._command = measured
+        return limiter.command(target, SECOND, measured, obstacles, late_s)[0]
+
+    assert 0.05 < commanded(0.2) < commanded(0.1) < commanded(0.0)
+    # By the time that it starts to brake later.
+    free = 0.7 - LIMITS.minimum_radius - 0.01
+    assert commanded(0.2) == pytest.approx(LIMITS.speed_to_stop_in(free, 0.2), abs=0.02)
+
+
 def test_contact_minimum_and_keepout_radius_increase_in_this_order() -> None:
     for margin in (0.01, 0.05, 0.5):
         limits = MotionLimits(**{**vars(LIMITS), "margin": margin})

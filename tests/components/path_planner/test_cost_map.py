@@ -112,14 +112,14 @@ def test_obstacle_of_the_scanner_is_inflated_like_one_of_the_map_until_it_is_gon
     np.testing.assert_array_equal(costs.cell_costs, before)
 
 
-def test_keepout_zone_raises_costs_without_closing_cells() -> None:
+def test_avoided_position_raises_costs_without_closing_cells() -> None:
     costs = CostMap(room(), COSTS)
     before = costs.cell_costs.copy()
 
-    costs.set_keepout_zones([(4.0, 0.5), (99.0, 99.0)])  # beside a wall; outside the map
+    costs.set_avoided_positions([(4.0, 0.5), (99.0, 99.0)])  # beside a wall; outside the map
     near = costs.cell_costs[10 + MARGIN, 80 + MARGIN : 89 + MARGIN].copy()
     closed = costs.cell_costs >= CLOSED
-    costs.set_keepout_zones([])
+    costs.set_avoided_positions([])
 
     assert set(near.tolist()) == {MAX_COST}
     np.testing.assert_array_equal(closed, before >= CLOSED)

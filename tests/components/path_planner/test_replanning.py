@@ -77,6 +77,31 @@ def test_obstacles_seen_for_an_earlier_goal_are_not_avoided() -> None:
     assert distance_to(planner.take("plan")[0], [box]) < 0.1
 
 
+def test_scan_waits_for_the_odometry_of_its_time() -> None:
+    there, obstacle = (4.0, 1.0, 0.0), (2.2, 0.8, 2.5, 1.4)
+    planner = start_planner(room())
+    planner.publish("odom", odom_at((0.0, 0.0, 0.0), planner.now))
+    planner.publish("nav_command", follow(there))
+    assert distance_to(planner.take("plan")[-1], [obstacle]) < 0.1
+
+    # The robot turns meanwhile: the last odometry would place the obstacle beside the path.
+    planner.run_for(0.2)
+    planner.publish("scan", scan_of(room([obstacle]), (1.0, 1.0, 0.8), planner.now))
+    assert planner.take("plan") == []
+    planner.publish("odom", odom_at((0.0, 0.0, 0.8), planner.now))
+
+    assert distance_to(planner.take("plan")[-1], [obstacle]) > 0.19
+
+
+def test_odometry_out_of_order_is_no_time_reset(caplog: pytest.LogCaptureFixture) -> None:
+    planner = start_planner(room())
+    planner.run_for(1.0)
+    for ago_s in (0.0, 0.3, 0.1, 0.45, 0.2):
+        planner.publish("odom", odom_at((0.0, 0.0, 0.0), planner.now - ago_s))
+
+    assert "odometry on" not in caplog.text
+
+
 def test_time_reset_forgets_old_obstacles_and_accepts_new_ones(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

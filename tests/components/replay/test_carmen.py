@@ -166,6 +166,17 @@ def test_odometry_set_to_corrected_poses_is_rejoined(write: Write) -> None:
     assert any("set to the corrected pose 1 times" in note for note in recording.notes())
 
 
+def test_single_line_without_time_does_not_make_a_log_corrected(write: Write) -> None:
+    """It has the pose of the scan before it, as the robot stands."""
+    lines = [*drive(3), flaser(103.1, 3.0), "ODOM 3.0 0 0 0 0 0 0 host 0"]
+
+    recording = CarmenRecording(write(*lines))
+
+    assert recording.truth() is None
+    (note,) = recording.notes()
+    assert_words(note, "1 of 37 records are bad", "line 37")
+
+
 def test_scan_delay_is_subtracted_from_the_stamps_of_a_log(write: Write) -> None:
     recording = CarmenRecording(write(*drive(5)), scan_delay_s=0.25)
 
@@ -187,12 +198,15 @@ def test_true_poses_of_a_simulator_are_the_truth(write: Write) -> None:
     assert truth.poses.tolist() == [[1.0, 2.0, 0.5]]
 
 
-def test_invalid_scan_is_rejected_with_its_line(write: Write) -> None:
+def test_scan_of_an_impossible_laser_is_a_bad_record(write: Write) -> None:
     laser = "0 -1.5 3.0 1.5 0.01 0.01 0 3 1 1 1 0"  # it reaches 1 cm
     path = write(odom(0.0, 0.0), f"RAWLASER1 {laser} 0.1 host 0.1")
 
-    with pytest.raises(RecordingError, match=rf"{path}, line 2: .*range_max = 0.0"):
-        CarmenRecording(path).scans()
+    recording = CarmenRecording(path)
+
+    assert recording.scans() is None
+    (note, *_) = recording.notes()
+    assert_words(note, "1 of 2 records are bad", "line 2", "longest range is 0.01 m")
 
 
 def test_recording_may_start_at_any_time(write: Write) -> None:
@@ -201,31 +215,107 @@ def test_recording_may_start_at_any_time(write: Write) -> None:
     assert recording.span() == (0, SECOND // 10)
 
 
+BAD_LINES = [
+    ("ODOM 1 0 0 1 0 0 9.0 host", "ODOM has 9 fields instead of 10"),
+    ("ODOM 1 0 fast 1 0 0 9.0 host 9.0", "not a number among '1 0 fast 1 0'"),
+    ("ODOM 1 0 nan 1 0 0 9.0 host 9.0", "not a finite number"),
+    ("ODOM 1 1e300 0 1 0 0 9.0 host 9.0", "a number above 1e"),
+    ("FLASER 1 1e99 0 0 0 0 0 0 9.0 host 9.0", "a number above 1e"),
+    ("ODOM 1 0 0 1 0 0 3.0 host 3.0", "time runs backwards, from 6.000 s to 3.000 s"),
+    ("ODOM 1 0 0 1 0 0 0 host 0", "time runs backwards, from 6.000 s to 0.000 s"),
+    ("ODOM 1 0 0 1 0 0 -2 host 0", "time is -2.000 s"),
+    ("ODOM 1 0 0 1 0 0 9000 host 3.0", "time is 9000.000 s, 8994 s from the others"),
+    ("ODOM 1 0 0 1 0 0 1e12 host 3.0", "time: a number above 1e"),
+    ("ODOM 1 0 0 1 0 0 9999999999 host 3.0", "time is 1e+10 s"),
+    ("FLASER 3 1 1 0 0 0 0 0 0 9.0 host 9.0", "FLASER has 13 fields instead of 14"),
+    ("FLASER many 1 1 0 0 0 0 0 0 9.0 host 9.0", "'many' is not a number of readings"),
+    ("FLASER 1 -2 0 0 0 0 0 0 9.0 host 9.0", "a range is -2 m"),
+    ("ROBOTLASER1 0 0 1", "ROBOTLASER1"),
+]
+
+
+@pytest.mark.parametrize(("line", "message"), BAD_LINES)
+def test_bad_record_is_left_out_and_named(write: Write, line: str, message: str) -> None:
+    recording = CarmenRecording(write(odom(5.0, 0.0), odom(6.0, 1.0), line))
+
+    odometry = recording.odometry()
+    assert odometry is not None
+    assert list(odometry.stamps) == [5 * SECOND, 6 * SECOND]
+    assert recording.scans() is None
+    (note, *_) = recording.notes()
+    assert_words(note, "1 of 3 records are bad and left out", "line 3")
+    assert message in note
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
         ("ODOM 1 0 0 1 0 0 9.0 host", "ODOM has 9 fields instead of 10"),
-        ("ODOM 1 0 fast 1 0 0 9.0 host 9.0", "not a number among '1 0 fast 1 0'"),
-        ("ODOM 1 0 nan 1 0 0 9.0 host 9.0", "not a finite number"),
-        ("ODOM 1 1e300 0 1 0 0 9.0 host 9.0", "a number above 1e"),
-        ("FLASER 1 1e99 0 0 0 0 0 0 9.0 host 9.0", "a number above 1e"),
-        ("ODOM 1 0 0 1 0 0 3.0 host 3.0", "time runs backwards, from 6.000 s to 3.000 s"),
-        ("ODOM 1 0 0 1 0 0 9000 host 3.0", "8994 s pass since the record before"),
-        ("FLASER 3 1 1 0 0 0 0 0 0 9.0 host 9.0", "FLASER has 13 fields instead of 14"),
-        ("FLASER many 1 1 0 0 0 0 0 0 9.0 host 9.0", "'many' is not a number of readings"),
-        ("FLASER 1 -2 0 0 0 0 0 0 9.0 host 9.0", "a range is -2 m"),
-        ("ROBOTLASER1 0 0 1", "ROBOTLASER1"),
+        ("ODOM 1 0 0 1 0 0 3.0 host 3.0", "time runs backwards, from 45.400 s to 3.000 s"),
+        ("ODOM 1 0 0 1 0 0 9000 host 3.0", "time is 9000.000 s, 8955 s from the others"),
     ],
 )
-def test_damaged_line_is_named(write: Write, line: str, message: str) -> None:
-    path = write(odom(5.0, 0.0), odom(6.0, 1.0), line)
+def test_log_of_which_more_than_one_percent_is_bad_is_refused(
+    write: Write, line: str, message: str
+) -> None:
+    drive = [odom(5 + k / 10, k / 10) for k in range(405)]
 
+    allowed = CarmenRecording(write(*drive, *[line] * 4))
+    assert any("4 of 409 records are bad" in note for note in allowed.notes())
+    path = write(*drive, *[line] * 5)
     with pytest.raises(RecordingError) as refused:
         CarmenRecording(path)
 
-    assert f"{path}, line 3: " in str(refused.value)
-    assert message in str(refused.value)
-    assert "take a fresh copy" in str(refused.value)
+    assert f"{path}, line 406: {message}" in str(refused.value)
+    assert_words(str(refused.value), "5 of 410 records are bad, more than 1%", "fresh copy")
+
+
+def test_one_wrong_time_spoils_no_other_record(write: Write) -> None:
+    lines = [odom(100 + k / 10, k / 10) for k in range(500)]
+    lines[200] = odom(5000.0, 20.0)
+    lines[300] = odom(2.0, 30.0)
+
+    recording = CarmenRecording(write(*lines))
+
+    odometry = recording.odometry()
+    assert odometry is not None
+    assert len(odometry.stamps) == 498
+    (note, *_) = recording.notes()
+    assert_words(note, "2 of 500 records", "line 201: time is 5000.000 s", "line 301: time runs")
+
+
+def test_stamps_are_exactly_those_in_the_log(write: Write) -> None:
+    written = ["1700000000.123457", "1700000000.223458", "1700000000.3", "1700000001"]
+    lines = [flaser(0.0, 0.0).replace("0.000000 host", f"{text} host") for text in written]
+
+    scans = CarmenRecording(write(*lines), scan_delay_s=0.05).scans()
+
+    assert scans is not None
+    assert list(scans.recorded_stamps) == [
+        1700000000_123457000, 1700000000_223458000, 1700000000_300000000, 1700000001_000000000,
+    ]  # fmt: skip
+    assert [stamp - 50_000_000 for stamp in scans.recorded_stamps] == list(scans.stamps)
+
+
+def test_mount_is_that_of_the_laser_records_or_of_a_parameter(write: Write) -> None:
+    mount = CarmenRecording(write(flaser(1.0, 0.0))).mount()
+    assert mount is not None
+    assert (mount.pose, mount.upside_down) == ((0.1, 0.0, 0.0), False)
+    assert "FLASER" in mount.source
+
+    scan = flaser(1.0, -0.1).replace("0.0 0 0 -0.1", "-0.1 0 0 -0.1")
+    assert CarmenRecording(write(scan)).mount() is None
+    mount = CarmenRecording(write("PARAM robot_frontlaser_offset 0.25 h 0", scan)).mount()
+    assert mount is not None
+    assert mount.pose == (0.25, 0.0, 0.0)
+    assert "robot_frontlaser_offset" in mount.source
+
+
+def test_delay_of_scans_with_their_own_odometry_is_noted(write: Write) -> None:
+    recording = CarmenRecording(write(*drive(5)), scan_delay_s=0.25)
+
+    (note,) = recording.notes()
+    assert_words(note, "scans are put 0.25 s before", "set scan_delay_s to 0")
 
 
 def test_cut_off_log_is_named(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from cairn.schemas.sensor_msgs import LaserScan
 from tests.commands import cairn
 from tests.components.replay.conftest import FR079, LEGS, OLD_BAG, Write, flaser, odom
 from tests.components.replay.test_ros_bag import Messages, odometry, ros2, scan
+from tests.components.replay.wild_logs import NONE, Defects, office_drive, wild_log
+from tests.wording import assert_words
 
 pytestmark = pytest.mark.slow
 
@@ -115,8 +117,9 @@ def test_scans_are_transformed_by_the_odometry_at_their_time() -> None:
         (3.5, -0.5 * math.pi, 1.0),
         (5, 0.0, 1.0),
     ]
+    stamps = [round(at * SECOND) for at, _, _ in measurements]
     scans = ScanStream(
-        [round(at * SECOND) for at, _, _ in measurements],
+        stamps,
         [
             LaserScan(
                 angle_min=bearing, angle_max=bearing + 0.1, angle_increment=0.1, range_min=0.1,
@@ -124,6 +127,7 @@ def test_scans_are_transformed_by_the_odometry_at_their_time() -> None:
             )
             for _, bearing, meters in measurements
         ],
+        stamps,
     )  # fmt: skip
 
     points = rough_map(scans, odometry)
@@ -136,3 +140,51 @@ def test_unwritable_drawing_is_an_error(tmp_path: Path) -> None:
 
     assert answer.code == 1
     assert "picture.xyz cannot be written" in answer.err
+
+
+def test_mount_and_quality_of_times_are_shown(write: Write) -> None:
+    log = write(*wild_log(office_drive(), "FLASER", Defects()).lines)
+
+    answer = cairn("recording", "info", str(log))
+
+    assert (
+        "mount: x 0.100 m, y 0.000 m, yaw 0.0 deg on base_link, by FLASER records\n" in answer.out
+    )
+    assert "yaw by motion: 0.2 deg, standard deviation 0.5 deg\n" in answer.out
+    assert "times of scan: 617 records; every 0.200 s, jitter 0.0" in answer.out
+    assert_words(
+        answer.out, "out of order by up to 0.4", "left out, which contradict the scans",
+        "12 gaps, the longest 2.2 s", "40 in bursts", "7 duplicates left out",
+        "40 times corrected by up to 0.78",
+    )  # fmt: skip
+    assert_words(answer.err, "3 of 1872 records are bad", "line 101", "line 1872")
+    assert "check the mount" not in answer.err
+    shown = cairn("recording", "info", str(log), "--json").json
+    assert shown["mount"]["x_m"] == 0.1
+    assert shown["mount"]["source"] == "FLASER records"
+    assert shown["times"]["scan"]["bursts"] == 40
+    assert abs(shown["yaw_by_motion"]["yaw_deg"]) < 1.0
+
+
+def test_mount_that_the_motion_contradicts_is_hinted_at(write: Write) -> None:
+    drive = office_drive((0.1, 0.0, 1.0))
+    log = write(*wild_log(drive, "FLASER", NONE, mount=(0.1, 0.0, 0.0)).lines)
+
+    answer = cairn("recording", "show", str(log))
+
+    assert_words(
+        answer.err, "scanner's yaw is 57.", "not 0.0 deg, as by FLASER records", "check the mount"
+    )
+
+
+def test_rough_map_has_the_scans_at_the_mount() -> None:
+    stamps = [0, SECOND]
+    odometry = OdometryStream(stamps, np.zeros((2, 3)), np.zeros(0), np.zeros(0))
+    scan = LaserScan(
+        angle_min=0.0, angle_max=0.1, angle_increment=0.1, range_min=0.1, range_max=9.0,
+        ranges=np.array([2.0, math.inf], np.float32),
+    )  # fmt: skip
+
+    points = rough_map(ScanStream(stamps, [scan] * 2, stamps), odometry, (0.5, 0.0, math.pi / 2))
+
+    assert points == pytest.approx(np.array([[0.5, 2.0]] * 2), abs=1e-6)

@@ -21,7 +21,7 @@ from cairn.errors import RecordingError
 from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
 from cairn.testing.lockstep import DeploymentHarness
-from tests.components.replay.conftest import FR079, FR101, LEGS, Write, odom, start
+from tests.components.replay.conftest import FR079, FR101, LEGS, Write, flaser, odom, start
 from tests.wording import words_in_order
 
 pytestmark = pytest.mark.slow
@@ -68,6 +68,14 @@ def test_laser_recording_has_no_observations(caplog: pytest.LogCaptureFixture) -
 
     assert harness.take("objects") == []
     assert any("holds no observations of landmarks" in r.message for r in caplog.records)
+
+
+def test_mount_in_a_recording_is_logged(caplog: pytest.LogCaptureFixture, write: Write) -> None:
+    with caplog.at_level("INFO"):
+        start(ReplayClock, 0.0, recording=str(write(flaser(1.0, 0.0))))
+
+    (text,) = [r.getMessage() for r in caplog.records if "scanner's mount" in r.getMessage()]
+    assert "by FLASER records: x 0.100 m, y 0.000 m, theta 0.0000 rad" in text
 
 
 def test_assumptions_about_a_recording_are_logged(caplog: pytest.LogCaptureFixture) -> None:

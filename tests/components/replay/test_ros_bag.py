@@ -22,7 +22,7 @@ from cairn.components.replay.ros_bag import BagRecording
 from cairn.errors import RecordingError
 from tests.components.replay.conftest import LEGS, OLD_BAG
 from tests.patience import LIMIT_S
-from tests.wording import words_in_order
+from tests.wording import assert_words, words_in_order
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
@@ -38,7 +38,7 @@ def of(store: Any, name: str, **fields: Any) -> Any:
 def header(t: float, frame: str, store: Any = STORE) -> Any:
     seconds, rest = divmod(round(t * SECOND), SECOND)
     stamp = of(store, "builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
-    more = {"seq": 0} if store is ROS1 else {}
+    more = {} if store is STORE else {"seq": 0}
     return of(store, "std_msgs/msg/Header", stamp=stamp, frame_id=frame, **more)
 
 
@@ -374,14 +374,33 @@ def test_scan_delay_is_subtracted_from_the_stamps_of_a_bag(tmp_path: Path) -> No
         ({"range_min": 0.0, "range_max": 0.0}, "range_max = 0.0: must be above 0 and finite"),
     ],
 )
-def test_invalid_scan_is_rejected_with_file_topic_and_number(
+def test_few_invalid_scans_are_left_out_and_many_rejected_with_topic_and_number(
     tmp_path: Path, fields: dict[str, float], message: str
 ) -> None:
-    scans = [scan(BEGIN), scan(BEGIN + 1, **fields)]
-    bag = ros2(tmp_path / "bag", [("/scan", (BEGIN + k) * SECOND, m) for k, m in enumerate(scans)])
+    def bag(bad: int) -> Path:
+        scans = [scan(BEGIN), *[scan(BEGIN + 1 + k, **fields) for k in range(bad)]]
+        at = [("/scan", (BEGIN + k) * SECOND, m) for k, m in enumerate(scans)]
+        return ros2(tmp_path / f"bag{bad}", at)
 
-    with pytest.raises(RecordingError, match=rf"{bag}, topic /scan: message 2: .*{message}"):
-        open_recording(bag)
+    few = open_recording(bag(3))
+    scans = few.scans()
+    assert scans is not None
+    assert len(scans.stamps) == 1
+    assert_words(" ".join(few.notes()), "3 of 4 messages of /scan are invalid", "message 2")
+    with pytest.raises(RecordingError, match=rf"topic /scan: message 2: .*{message}.*4 of 5"):
+        open_recording(bag(4))
+
+
+def test_odometry_that_is_not_a_number_is_left_out(tmp_path: Path) -> None:
+    at = BEGIN * SECOND
+    lines = [("/odom", at, odometry(BEGIN, 0.0)), ("/odom", at + 1, odometry(BEGIN + 1, math.nan))]
+
+    recording = open_recording(ros2(tmp_path / "bag", lines))
+
+    wheels = recording.odometry()
+    assert wheels is not None
+    assert len(wheels.stamps) == 1
+    assert_words(" ".join(recording.notes()), "1 of 2 messages of /odom are invalid", "message 2")
 
 
 def test_bag_without_usable_topics_is_rejected_with_its_topics(tmp_path: Path) -> None:

@@ -11,14 +11,17 @@ import pytest
 
 from cairn import SECOND, CairnError, to_ns
 from cairn.bus.codec import Codec
+from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.ray_casting import cast
 from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.components.simulation.world_file import read_world
 from cairn.planar.messages import planar_pose
-from cairn.planar.poses import compose, distance, wrap
-from cairn.schemas.geometry_msgs import Vector3
+from cairn.planar.poses import Pose, compose, distance, wrap
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.testing.lockstep import ComponentHarness
 from tests.components.simulation.simulation_harness import (
+    EXACT,
     OBJECTS,
     TABLE,
     Simulation,
@@ -57,6 +60,49 @@ def test_each_odometry_message_has_a_transform(simulate: Simulate) -> None:
         place, turned = odom.pose.pose.position, odom.pose.pose.orientation
         assert transform.transform.translation == Vector3(x=place.x, y=place.y)
         assert transform.transform.rotation == turned
+
+
+def test_odometry_with_random_delays_arrives_late_and_out_of_order() -> None:
+    prompt, late = driven_base(), driven_base(odometry_delay_s=0.3)
+
+    ages = np.array([received - stamp for received, stamp, _ in late]) / SECOND
+    assert ages.min() >= 0.0
+    assert ages.max() <= 0.3 + STEP_S
+    assert np.mean(ages) == pytest.approx(0.15 + STEP_S / 2, abs=0.02)
+    assert np.mean(np.diff([stamp for _, stamp, _ in late]) < 0) > 0.2
+    # The stamps remain those of the measurements.
+    measured = {stamp: pose for _, stamp, pose in prompt}
+    assert len(late) == len(prompt) > 400
+    assert all(pose == measured[stamp] for _, stamp, pose in late)
+
+
+def test_share_of_odometry_is_lost() -> None:
+    share = 1.0 - len(driven_base(odometry_loss=0.2)) / len(driven_base())
+
+    assert share == pytest.approx(0.2, abs=0.06)
+
+
+STEP_S = 0.02
+
+
+def driven_base(**parameters: float) -> list[tuple[int, int, Pose]]:
+    """Drive for 9 s, and wait; return times of arrival [ns], stamps [ns] and poses of odometry.
+
+    A message that arrives within a step of 20 ms counts as received at its end.
+    """
+    base = ComponentHarness(SimulatedBase, {**EXACT, **parameters}, start_s=1.0)
+    received: list[tuple[int, int, Pose]] = []
+    for _ in range(500):
+        base.publish("cmd_vel", Twist(linear=Vector3(x=0.4), angular=Vector3(z=0.2)))
+        base.run_for(STEP_S)
+        odometry, transforms = base.take("odom"), base.take("tf")
+        headers = [odom.header for odom in odometry]
+        assert [message.transforms[0].header for message in transforms] == headers
+        received += [
+            (base.now_ns, to_ns(odom.header.stamp), planar_pose(odom.pose.pose))
+            for odom in odometry
+        ]
+    return [one for one in received if one[1] <= 10 * SECOND]
 
 
 def test_mounting_pose_of_the_scanner_is_a_static_transform(simulate: Simulate) -> None:

@@ -34,7 +34,9 @@ class GatedRobot:
         self.points = np.empty((0, 2))
         self.command = (0.0, 0.0)
         self.scans = True
+        self.odometry_late_s = 0.0
         self.gap = math.inf
+        self._delayed: list[tuple[int, Odometry]] = []
         self._tick = 0
 
     @property
@@ -69,15 +71,17 @@ class GatedRobot:
     def _sense(self) -> None:
         stamp = from_ns(self.gate.now_ns)
         twist = Twist(linear=Vector3(x=self.command[0]), angular=Vector3(z=self.command[1]))
-        self.gate.publish(
-            "odom",
-            Odometry(
-                header=Header(stamp=stamp, frame_id="odom"),
-                child_frame_id="base_link",
-                pose=PoseWithCovariance(pose=pose_message(self.pose)),
-                twist=TwistWithCovariance(twist=twist),
-            ),
+        odometry = Odometry(
+            header=Header(stamp=stamp, frame_id="odom"),
+            child_frame_id="base_link",
+            pose=PoseWithCovariance(pose=pose_message(self.pose)),
+            twist=TwistWithCovariance(twist=twist),
         )
+        due = self.gate.now_ns + round(self.odometry_late_s * 1e9)
+        self._delayed.append((due, odometry))
+        for one in [one for one in self._delayed if one[0] <= self.gate.now_ns]:
+            self._delayed.remove(one)
+            self.gate.publish("odom", one[1])
         if self.scans and self._tick % 5 == 0:
             self.gate.publish("scan", self._scan(stamp))
         self._tick += 1
@@ -131,6 +135,68 @@ def test_command_passes_and_ceases_with_its_source() -> None:
 
     assert robot.command == (0.0, 0.0)
     assert robot.status.source == ""
+
+
+def test_obstacle_counts_at_once_although_odometry_is_late() -> None:
+    robot = GatedRobot()
+    robot.odometry_late_s = 0.24
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=2.0)
+    assert robot.command == (0.4, 0.0)
+    while robot._tick % 5:
+        robot.step(("navigator_cmd_vel", AHEAD), seconds=0.02)
+
+    # The next scan shows it; the odometry of its time arrives 0.24 s later.
+    robot.points = np.array([[robot.pose[0] + 0.22 + 0.1, 0.0]])
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=0.04)
+
+    assert robot.command[0] < 0.25
+    robot.step(("navigator_cmd_vel", AHEAD), seconds=2.0)
+    assert robot.gap > 0.0
+
+
+def test_points_are_remembered_where_they_are_although_odometry_is_late() -> None:
+    robot = GatedRobot()
+    robot.odometry_late_s = 0.24
+    bearings = np.linspace(-2.0, 2.0, 9)
+    robot.points = 1.0 * np.column_stack((np.cos(bearings), np.sin(bearings)))
+    turn = Twist(angular=Vector3(z=1.5))
+    robot.step(("navigator_cmd_vel", Twist()), seconds=1.0)
+    robot.step(("navigator_cmd_vel", turn), seconds=0.5)  # it accelerates
+
+    scans = robot.gate.component._scans
+    x, y = scans._points.T
+
+    assert robot.command[1] > 1.0
+    aside = np.abs(np.arctan2(y, x)[:, None] - bearings).min(axis=1)
+    assert len(scans._points) >= 9
+    assert aside.max() < 0.03 + 0.03  # half the width of a point in a scan
+
+
+def speed_before_an_obstacle(late_s: float) -> float:
+    """Return the command 0.35 m before an obstacle, with odometry that old."""
+    robot = GatedRobot()
+    robot.odometry_late_s = late_s
+    robot.points = np.array([[2.0, 0.0]])
+    while robot.gap > 0.35:
+        robot.step(("navigator_cmd_vel", Twist(linear=Vector3(x=0.6))), seconds=0.02)
+    return robot.command[0]
+
+
+def test_robot_approaches_obstacles_more_slowly_the_older_odometry_is() -> None:
+    prompt, nearly, late = (speed_before_an_obstacle(age_s) for age_s in (0.0, 0.08, 0.26))
+
+    assert nearly == pytest.approx(prompt, abs=0.03)
+    assert 0.05 < late < prompt - 0.04
+
+
+def test_robot_with_late_odometry_stops_before_an_obstacle() -> None:
+    robot = GatedRobot()
+    robot.odometry_late_s = 0.28
+    robot.points = np.array([[2.0, 0.0]])
+
+    robot.step(("navigator_cmd_vel", Twist(linear=Vector3(x=0.6))), seconds=8.0)
+
+    assert 0.0 < robot.gap < 0.1
 
 
 def test_robot_stands_without_scans_and_names_the_topic() -> None:

@@ -35,10 +35,15 @@ def bus() -> Iterator[str]:
         (["1,2", "3,4,180deg"], [[1.0, 2.0, 0.0], [3.0, 4.0, math.pi]]),
         (["-1,-2,-90deg"], [[-1.0, -2.0, -math.pi / 2]]),
         (["1", "2", "370deg"], [[1.0, 2.0, math.radians(10)]]),
+        (["kitchen"], ["kitchen"]),
+        (["meeting room", "dock"], ["meeting room", "dock"]),
+        (["kitchen", "1,2", "dock"], ["kitchen", [1.0, 2.0, 0.0], "dock"]),
+        (["1,2", "dock"], [[1.0, 2.0, 0.0], "dock"]),
     ],
 )
-def test_goals_are_parsed(words: list[str], goals: list[list[float]]) -> None:
-    assert parse_goals(words) == [pytest.approx(goal) for goal in goals]
+def test_goals_are_parsed(words: list[str], goals: list[list[float] | str]) -> None:
+    parsed = parse_goals(words)
+    assert parsed == [one if isinstance(one, str) else pytest.approx(one) for one in goals]
 
 
 @pytest.mark.parametrize(
@@ -52,6 +57,9 @@ def test_goals_are_parsed(words: list[str], goals: list[list[float]]) -> None:
         (["1", "2", "infdeg"], "inf must be finite"),
         (["1,2", "3"], "goal 3: write it as X Y"),
         (["1", "2", "--cancle"], "'--cancle' is not a number"),
+        (["kitchen", "3"], "goal 3: write it as X Y"),
+        (["--cancle"], "goal --cancle: write it as X Y"),
+        (["nan", "1"], "goal nan 1: nan must be finite"),
     ],
 )
 def test_invalid_goal_is_rejected(words: list[str], why: str) -> None:

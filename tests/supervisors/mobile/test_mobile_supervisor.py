@@ -15,7 +15,13 @@ from cairn.client.connection import Connection
 from cairn.client.navigation import Navigator
 from cairn.files import replace_file
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
-from cairn.schemas.cairn_nav_msgs import MAX_GOALS, NavigateGoal, NavigationStatus
+from cairn.schemas.cairn_nav_msgs import (
+    MAX_GOALS,
+    NavigateGoal,
+    NavigationStatus,
+    Zone,
+    Zones,
+)
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
@@ -329,6 +335,28 @@ def test_restarted_supervisor_knows_that_the_mission_was_preempted(
         f"preempted by mission {number}",
         "succeeded: arrived",
     )
+
+
+def test_goal_by_the_name_of_a_place_is_driven_to_where_that_is(make_harness: MakeHarness) -> None:
+    robot = make_harness()
+    missions = robot.read("navigate_goal", NavigateGoal)
+    with pytest.raises(CairnError, match="kitchen: the places on the map are not known"):
+        robot.request("mobile_supervisor", "go", goals=["kitchen"])
+    places = (place("dock", 1.0, 2.0, heading=0.5), place("kitchen", 7.0, 5.0))
+    robot.publish("zones", Zones(version=1, zones=places), qos=LATCHED)
+
+    robot.request("mobile_supervisor", "go", goals=["kitchen", [3.0, 3.0, 1.0], "dock"])
+
+    (mission,) = missions.take()
+    assert goals_of(mission) == [[7.0, 5.0, 0.0], [3.0, 3.0, 1.0], [1.0, 2.0, 0.5]]
+    with pytest.raises(CairnError, match=r"goal 1: cellar: no such place.*: dock, kitchen"):
+        robot.request("mobile_supervisor", "go", goals=["cellar"])
+    assert missions.take() == []
+
+
+def place(name: str, x: float, y: float, heading: float = math.nan) -> Zone:
+    rings = np.array([1], np.uint32)
+    return Zone(kind=Zone.PLACE, name=name, heading=heading, rings=rings, points=np.array([x, y]))
 
 
 def test_mission_without_automove_is_rejected(make_harness: MakeHarness) -> None:

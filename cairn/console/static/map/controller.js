@@ -4,6 +4,7 @@ import { Store } from "../store.js";
 import { Painter, readColors } from "./draw.js";
 import { Viewport } from "./geometry.js";
 import { Scene } from "./scene.js";
+import { nearestPlace } from "./zones.js";
 
 const CLICK_PX = 5; // a pointer that moves less has clicked
 const HEADING_PX = 14; // a drag that is shorter gives no heading
@@ -18,7 +19,7 @@ const NARROW_PX = 500;
 export class MapController {
   /** Position [m] below the pointer, or of the cross hair that the keyboard moves; null without one. */
   cursor = new Store(null);
-  /** What was clicked: {kind: "landmark", id} or {kind: "thing", name}; null for nothing. */
+  /** What was clicked: {kind: "landmark", id}, {kind: "thing", name} or {kind: "zone", name}; null for nothing. */
   selected = new Store(null);
   /** Whether the view follows the chosen robot. */
   following = new Store(false);
@@ -179,7 +180,8 @@ export class MapController {
     const painter = new Painter(context, view, this.#colors, this.#visible);
     const others = [...this.#scenes.values()].filter((other) => other !== scene);
     const selected = this.selected.value;
-    painter.draw(scene, others, selected?.kind === "landmark" ? selected.id : null);
+    const ofKind = (kind, key) => (selected?.kind === kind ? selected[key] : null);
+    painter.draw(scene, others, ofKind("landmark", "id"), ofKind("zone", "name"));
     this.#tool?.draw?.(painter, this.#drag);
     this.#drawCrossHair(painter);
     if (scene?.scan && scene.scanStamp !== this.#drawnScan) {
@@ -272,7 +274,13 @@ export class MapController {
 
   #pick([x, y]) {
     if (this.#tool?.pick?.([x, y], PICK_PX / this.view.scale)) return;
-    let [best, least] = [null, PICK_PX / this.view.scale];
+    const reach = PICK_PX / this.view.scale;
+    const place = this.#visible.has("zones") ? nearestPlace(this.scene?.zones ?? [], [x, y], reach) : null;
+    if (place) {
+      this.selected.set({ kind: "zone", name: place.name });
+      return;
+    }
+    let [best, least] = [null, reach];
     if (this.#visible.has("landmarks"))
       for (const mark of this.scene?.landmarks.values() ?? []) {
         const distance = Math.min(Math.hypot(mark.x - x, mark.y - y), Math.hypot(mark.candidate_x - x, mark.candidate_y - y) || Infinity);

@@ -1,8 +1,9 @@
 // Drawing of scenes on the map's canvas, layer by layer.
 
 import { ellipseOf, scaleBar, yawOf } from "./geometry.js";
+import { isArea, middleOf } from "./zones.js";
 
-const COLOR_NAMES = ["free", "occupied", "grid", "scan", "path", "robot", "other", "particles", "goal", "obstacle", "person"];
+const COLOR_NAMES = ["free", "occupied", "grid", "scan", "path", "robot", "other", "particles", "goal", "obstacle", "person", "keepout", "slow", "lane", "place"];
 const TOKENS = { text: "--text", muted: "--muted", surface: "--surface", ok: "--ok", warning: "--warning", bad: "--bad", accent: "--accent" };
 const LEAST_ROBOT_PX = 7; // half the length of a robot that is zoomed out
 const DEFAULT_RADIUS_M = 0.22;
@@ -41,11 +42,12 @@ export class Painter {
   }
 
   /** Draw everything of the chosen robot's scene, and the other robots. */
-  draw(scene, others, selected) {
+  draw(scene, others, selected, selectedZone) {
     const { visible } = this;
     if (scene && visible.has("map")) scene.grid?.draw(this.context, this.view, this.colors.cells);
     if (visible.has("grid")) this.#meterGrid();
     if (!scene) return;
+    if (visible.has("zones")) this.#zones(scene, selectedZone);
     if (visible.has("world")) this.#world(scene);
     if (visible.has("particles")) this.#particles(scene);
     const isOver = scene.navigation?.state >= FIRST_END_STATE;
@@ -173,6 +175,55 @@ export class Painter {
       if (view.scale > 45 || mark.object_id === selected) this.label(mark.x, mark.y, 9, mark.name || `object ${mark.object_id}`);
     }
     context.setLineDash([]);
+  }
+
+  #zones({ zones }, selected) {
+    const { context, view, colors } = this;
+    for (const zone of zones) {
+      const color = colors[zone.kind];
+      const isSelected = zone.name === selected;
+      if (zone.kind === "place") {
+        const [x, y] = zone.rings[0][0];
+        if (zone.heading !== null) this.arrow(x, y, zone.heading, 24, color);
+        this.circle(x, y, 6, { fill: color, stroke: isSelected ? colors.accent : colors.surface, width: isSelected ? 3 : 1.5 });
+        this.label(x, y, 9, zone.name);
+        continue;
+      }
+      context.beginPath();
+      for (const ring of zone.rings) {
+        ring.forEach((point, i) => (i ? context.lineTo(...view.toScreen(...point)) : context.moveTo(...view.toScreen(...point))));
+        if (isArea(zone)) context.closePath();
+      }
+      context.lineJoin = context.lineCap = "round";
+      context.globalAlpha = 0.18;
+      context.fillStyle = context.strokeStyle = color;
+      if (isArea(zone)) context.fill("evenodd");
+      else {
+        context.lineWidth = zone.width * view.scale;
+        context.stroke();
+      }
+      context.globalAlpha = 1;
+      context.lineWidth = isSelected ? 3.5 : 1.5;
+      context.setLineDash(zone.kind === "keepout" ? [] : [6, 4]);
+      context.stroke();
+      context.setLineDash([]);
+      context.lineCap = "butt";
+      const words = zone.kind === "slow" ? `${zone.name}, ${zone.speed} m/s` : zone.name;
+      this.label(...middleOf(zone), 0, words);
+    }
+  }
+
+  /** Draw a zone that is not complete yet. */
+  draft(kind, points) {
+    const { context, view } = this;
+    const color = this.colors[kind];
+    context.beginPath();
+    for (const point of points) context.lineTo(...view.toScreen(...point));
+    if (kind !== "lane") context.closePath();
+    context.setLineDash([4, 3]);
+    this.#paint(kind === "lane" ? null : color, color, 2, 0.15);
+    context.setLineDash([]);
+    for (const [x, y] of points) this.circle(x, y, 5, { fill: color, stroke: this.colors.surface });
   }
 
   #goals({ goals, navigation }) {

@@ -8,6 +8,8 @@ import { Badge, Empty, Icon } from "../ui.js";
 import { MapController } from "./controller.js";
 import { scaleBar } from "./geometry.js";
 import { HIDDEN_AT_FIRST, LAYERS } from "./scene.js";
+import { ZoneDetails, ZoneHint } from "./zone_editor.js";
+import { draft, featureOf, zoneTool } from "./zones.js";
 import { adding, goalTool, movement, poseTool, things, waypoints, waypointTool, worldTool } from "./tools.js";
 
 const BAR_PX = 110;
@@ -22,6 +24,7 @@ const TOOLS = [
   { id: "goal", title: "Goal: press at the position, drag toward the heading", icon: "goal", steers: true },
   { id: "waypoints", title: "Waypoints: press at each position, then send", icon: "waypoints", steers: true },
   { id: "pose", title: "Initial pose: press where the robot is, drag toward its heading", icon: "pose", steers: true },
+  { id: "zones", title: "Zones: draw, change and remove keepout and slow zones, lanes and places", icon: "zone", steers: true },
   { id: "world", title: "Simulated world: move, add and remove things and people", icon: "world", steers: true, simulated: true },
 ];
 
@@ -38,7 +41,7 @@ export function MapView({ robots }) {
   const mayWatchOnly = useStore(connection.hello)?.may === "watch";
   const tools = TOOLS.filter((tool) => !tool.steers || (mode === "live" && !mayWatchOnly && (!tool.simulated || isSimulated)));
   const tool = tools.some((one) => one.id === toolId) ? toolId : "";
-  const visible = useMemo(() => new Set(tool === "world" ? [...layers, "world"] : layers), [layers, tool]);
+  const visible = useMemo(() => new Set(tool === "world" || tool === "zones" ? [...layers, tool] : layers), [layers, tool]);
 
   useEffect(() => {
     controller.attach(canvas.current);
@@ -70,7 +73,9 @@ export function MapView({ robots }) {
 
   const send = async (poses) => {
     if ((await steer("go", { poses })) === undefined) return false;
-    toast("info", poses.length > 1 ? `${poses.length} waypoints sent.` : `Goal sent: ${poses[0][0].toFixed(2)}, ${poses[0][1].toFixed(2)}.`);
+    const [first] = poses;
+    const where = typeof first === "string" ? first : `${first[0].toFixed(2)}, ${first[1].toFixed(2)}`;
+    toast("info", poses.length > 1 ? `${poses.length} waypoints sent.` : `Goal sent: ${where}.`);
     return true;
   };
   const locate = async ([x, y, theta]) => {
@@ -82,13 +87,27 @@ export function MapView({ robots }) {
     await readWorld(connection, robot);
     controller.redraw();
   };
+  /** Replace the zone `name` by `zone`, remove it (null), or add a zone (no name); return whether that was done. */
+  const changeZone = async (zone, name) => {
+    const request = zone ? { feature: featureOf(zone), ...(name ? { replace: name } : {}) } : { name };
+    const answer = await steer("zones", { verb: zone ? "add_zone" : "remove_zone", arguments: request });
+    if (answer === undefined) return false;
+    if (!answer.saved) toast("warning", `${answer.file} cannot be saved now; the change is in force.`);
+    controller.selected.set(zone && { kind: "zone", name: zone.name });
+    controller.redraw();
+    return true;
+  };
+  const addZone = async (zone) => {
+    if (await changeZone(zone)) draft.set({ kind: "", points: [] });
+  };
   const callbacks = useRef(null);
-  callbacks.current = { send, locate, change };
+  callbacks.current = { send, locate, change, addZone };
   useEffect(() => {
     const make = {
       goal: () => goalTool(controller, (poses) => callbacks.current.send(poses)),
       waypoints: () => waypointTool(controller),
       pose: () => poseTool(controller, (pose) => callbacks.current.locate(pose)),
+      zones: () => zoneTool(controller, (zone) => callbacks.current.addZone(zone)),
       world: () => worldTool(controller, (...request) => callbacks.current.change(...request)),
     }[tool];
     controller.setTool(make ? make() : null);
@@ -109,8 +128,8 @@ export function MapView({ robots }) {
         )}
       </div>
       <${ViewButtons} controller=${controller} />
-      <${ToolHint} tool=${tool} controller=${controller} send=${send} change=${change} done=${() => setTool("")} />
-      <${Inspector} controller=${controller} change=${change} />
+      <${ToolHint} tool=${tool} controller=${controller} send=${send} addZone=${addZone} done=${() => setTool("")} />
+      <${Inspector} controller=${controller} change=${change} changeZone=${changeZone} send=${send} mayChange=${mode === "live" && !mayWatchOnly} />
       <${ScaleAndCursor} controller=${controller} />
     </section>`;
 }
@@ -183,7 +202,7 @@ function LayerList() {
     </fieldset>`;
 }
 
-function ToolHint({ tool, controller, send, change, done }) {
+function ToolHint({ tool, controller, send, addZone, done }) {
   const poses = useStore(waypoints);
   const add = useStore(adding);
   const { connection } = useApp();
@@ -206,6 +225,7 @@ function ToolHint({ tool, controller, send, change, done }) {
       html`<button class="button small primary" onClick=${async () => (await send(poses)) && update([])}>Send</button>
         <button class="button small" onClick=${() => update(poses.slice(0, -1))}>Undo</button>
         <button class="button small" onClick=${() => update([])}>Clear</button>`}`,
+    zones: html`<${ZoneHint} controller=${controller} add=${addZone} />`,
     world: html`
       <span>${{ person: "Press where the person stands; drag for a walk to and fro.", box: "Press where the box stands, drag to turn it." }[add] ?? "Drag a thing to move it."}</span>
       <button class="button small" aria-pressed=${add === "box"} onClick=${() => adding.set(add === "box" ? "" : "box")}>Add box</button>
@@ -218,7 +238,7 @@ function ToolHint({ tool, controller, send, change, done }) {
     </div>`;
 }
 
-function Inspector({ controller, change }) {
+function Inspector({ controller, change, changeZone, send, mayChange }) {
   const selected = useStore(controller.selected);
   const close = () => {
     controller.selected.set(null);
@@ -229,7 +249,10 @@ function Inspector({ controller, change }) {
     <section class="popover inspector" aria-label="Details" onKeyDown=${(event) => event.key === "Escape" && close()}>
       ${selected.kind === "landmark"
         ? html`<${Landmark} key=${selected.id} id=${selected.id} controller=${controller} close=${close} />`
-        : html`<${Thing} name=${selected.name} change=${change} close=${close} />`}
+        : selected.kind === "zone"
+          ? html`<${ZoneDetails} key=${selected.name} name=${selected.name} mayChange=${mayChange} change=${changeZone} close=${close}
+              go=${(name) => send([name])} head=${(title, badge) => html`<${Head} title=${title} badge=${badge} close=${close} />`} />`
+          : html`<${Thing} name=${selected.name} change=${change} close=${close} />`}
     </section>`;
 }
 

@@ -3,6 +3,7 @@
 import { topicOf } from "../hooks.js";
 import { compose, isUpsideDown, poseOf, PoseHistory, timeOf, transformPose } from "./geometry.js";
 import { GridMap } from "./grid.js";
+import { zonesOf } from "./zones.js";
 
 /** The layers that can be switched, with the topics that each needs. */
 export const LAYERS = [
@@ -12,6 +13,7 @@ export const LAYERS = [
   { id: "particles", title: "Particles", topics: ["particles"], swatch: "--map-particles" },
   { id: "path", title: "Path", topics: ["path"], swatch: "--map-path" },
   { id: "goals", title: "Goals", topics: ["navigate_goal", "navigation_status"], swatch: "--map-goal" },
+  { id: "zones", title: "Zones and places", topics: ["zones"], swatch: "--map-keepout" },
   { id: "landmarks", title: "Landmarks", topics: ["visual_map", "visual_map_changes"], swatch: "--ok" },
   { id: "seen", title: "Recognized objects", topics: ["recognized_objects"], swatch: "--warning" },
   { id: "obstacles", title: "Moving obstacles", topics: ["moving_obstacles"], swatch: "--map-obstacle" },
@@ -42,6 +44,7 @@ export class Scene {
   path = null;
   goals = null; // {first, poses}
   navigation = null;
+  zones = [];
   landmarks = new Map();
   changes = new Map(); // object id -> newest removal or registration
   seen = null; // {base, objects: [{id, at}]}
@@ -131,6 +134,7 @@ export class Scene {
     else if (topic === "path") this.path = null;
     else if (topic === "navigate_goal") this.goals = null;
     else if (topic === "navigation_status") this.navigation = null;
+    else if (topic === "zones") this.zones = [];
     else if (topic === "visual_map") this.landmarks = new Map();
     else if (topic === "visual_map_changes") this.changes = new Map();
     else if (topic === "recognized_objects") this.seen = null;
@@ -229,6 +233,10 @@ export class Scene {
 
   on_navigation_status(message) {
     this.navigation = message;
+  }
+
+  on_zones(message) {
+    this.zones = zonesOf(message);
   }
 
   on_visual_map(message) {

@@ -1,0 +1,191 @@
+"""The mount of a bag's scanner: from its static transforms, or from a robot's description (URDF).
+
+Static transforms are on `/tf_static`, and in ROS 1 also, published over and over, on `/tf`. URDF:
+wiki.ros.org/urdf/XML/joint.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.components.replay.recording import ScannerMount
+from cairn.errors import RecordingError
+
+Array = NDArray[np.float64]
+
+BASES = ("base_footprint", "base_link")
+"""Frames of a robot's base, the preferred one first: REP 105 and REP 120."""
+
+_TILTED_RAD = math.radians(15.0)  # a scanner tilted by more does not scan the plane
+_STILL_M, _STILL_RAD = 1e-3, 1e-3  # a transform that varies by more is not static
+_LONGEST_URDF = 4_000_000
+_MOST_FRAMES = 10_000
+
+
+@dataclass(frozen=True)
+class FrameLink:
+    """A fixed transform (4, 4) from frame `child` to frame `parent`; `source` says where it is."""
+
+    parent: str
+    child: str
+    matrix: Array
+    source: str
+
+
+def links_of_transforms(source: str, transforms: Iterable[Any]) -> list[FrameLink]:
+    """Return the links of transforms (geometry_msgs/TransformStamped) that do not vary."""
+    links: dict[tuple[str, str], FrameLink] = {}
+    varying: set[tuple[str, str]] = set()
+    last: dict[tuple[str, str], tuple[float, ...]] = {}
+    for transform in transforms:
+        key = (transform.header.frame_id.strip("/"), transform.child_frame_id.strip("/"))
+        if key in varying:
+            continue
+        moved, turned = transform.transform.translation, transform.transform.rotation
+        values = (moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w)
+        if last.get(key) == values:
+            continue
+        last[key] = values
+        matrix = _matrix(values)
+        if matrix is None:
+            continue
+        if key not in links:
+            if len(links) < _MOST_FRAMES:
+                links[key] = FrameLink(*key, matrix, source)
+        elif not _same(links[key].matrix, matrix):
+            varying.add(key)
+    return [link for key, link in links.items() if key not in varying]
+
+
+def links_of_description(source: str, urdf: str) -> list[FrameLink]:
+    """Return the links of the fixed joints in a robot's description; raise `RecordingError`."""
+    if len(urdf) > _LONGEST_URDF or "<!DOCTYPE" in urdf or "<!ENTITY" in urdf:
+        raise RecordingError(
+            f"{source} is not a robot's description: it is longer than {_LONGEST_URDF:,} "
+            "characters, or declares entities; name the scanner's mount yourself"
+        )
+    try:
+        robot = ElementTree.fromstring(urdf)
+        joints = list(islice(robot.iter("joint"), _MOST_FRAMES))
+        joints = [joint for joint in joints if joint.get("type") == "fixed"]
+        return [link for joint in joints if (link := _link_of(source, joint)) is not None]
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise RecordingError(
+            f"{source} is not a robot's description ({error}); name the scanner's mount yourself"
+        ) from error
+
+
+def mount_of(
+    links: Sequence[FrameLink], scanner: str, bases: Sequence[str]
+) -> ScannerMount | str | None:
+    """Return the mount of the frame `scanner` on the first of `bases` that it is linked to.
+
+    Returns a sentence if the scanner is tilted, so that it has no pose in the plane; None if the
+    links do not lead from a base to it.
+    """
+    for base in bases:
+        chain = _chain(links, base, scanner.strip("/"))
+        if chain is None:
+            continue
+        matrix = np.eye(4)
+        for step, _ in chain:
+            matrix = matrix @ step
+        upright = float(matrix[2, 2])
+        if abs(upright) < math.cos(_TILTED_RAD):
+            tilt = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
+            return (
+                f"the scanner's frame {scanner} is tilted by {tilt:.0f} degrees on {base}, so its "
+                "scans are not in the plane"
+            )
+        yaw = math.atan2(matrix[1, 0], matrix[0, 0])
+        pose = (round(float(matrix[0, 3]), 6), round(float(matrix[1, 3]), 6), round(yaw, 6))
+        sources = " and ".join(dict.fromkeys(source for _, source in chain))
+        return ScannerMount(pose, upright < 0, base, sources or f"frame {scanner}")
+    return None
+
+
+def _chain(links: Sequence[FrameLink], base: str, scanner: str) -> list[tuple[Array, str]] | None:
+    """Return the transforms from frame `scanner` to `base`, in the order of their product."""
+    links = links[:_MOST_FRAMES]
+    neighbors: dict[str, list[tuple[str, FrameLink]]] = {}
+    for link in links:
+        neighbors.setdefault(link.parent, []).append((link.child, link))
+        neighbors.setdefault(link.child, []).append((link.parent, link))
+    came: dict[str, tuple[str, FrameLink] | None] = {base: None}
+    waiting = deque([base])
+    while waiting and scanner not in came:
+        frame = waiting.popleft()
+        for other, link in neighbors.get(frame, []):
+            if other not in came:
+                came[other] = (frame, link)
+                waiting.append(other)
+    if scanner not in came:
+        return None
+    chain: list[tuple[Array, str]] = []
+    frame = scanner
+    while (step := came[frame]) is not None:
+        link = step[1]
+        matrix = link.matrix if link.child == frame else np.linalg.inv(link.matrix)
+        chain.append((matrix.astype(np.float64), link.source))
+        frame = step[0]
+    return chain[::-1]
+
+
+def _link_of(source: str, joint: ElementTree.Element) -> FrameLink | None:
+    parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
+    if parent is None or child is None:
+        return None
+    xyz = _numbers("0 0 0" if origin is None else origin.get("xyz", "0 0 0"))
+    roll, pitch, yaw = _numbers("0 0 0" if origin is None else origin.get("rpy", "0 0 0"))
+    matrix = np.eye(4)
+    matrix[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
+    matrix[:3, 3] = xyz
+    names = (parent.get("link", "").strip("/"), child.get("link", "").strip("/"))
+    return FrameLink(*names, matrix, source)
+
+
+def _numbers(text: str) -> tuple[float, float, float]:
+    x, y, z = (float(word) for word in text.split())
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ValueError(f"{text[:60]!r} is not finite")
+    return x, y, z
+
+
+def _about(axis: int, angle: float) -> Array:
+    """Return the rotation (3, 3) about an axis, 0 for x."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    first, second = [(1, 2), (2, 0), (0, 1)][axis]
+    matrix = np.eye(3)
+    matrix[first, first] = matrix[second, second] = cosine
+    matrix[first, second], matrix[second, first] = -sine, sine
+    return matrix
+
+
+def _matrix(values: tuple[float, ...]) -> Array | None:
+    """Return the transform (4, 4) of a translation and a quaternion; None if they are invalid."""
+    length = math.sqrt(sum(value * value for value in values[3:]))
+    if not all(map(math.isfinite, values)) or length < 1e-6:
+        return None
+    x, y, z, w = (value / length for value in values[3:])
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = values[:3]
+    return matrix
+
+
+def _same(first: Array, second: Array) -> bool:
+    off = np.abs(first - second)
+    return bool(off[:3, 3].max() < _STILL_M and off[:3, :3].max() < _STILL_RAD)

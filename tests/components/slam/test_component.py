@@ -1,0 +1,205 @@
+"""Tests of the component Slam in lockstep: it maps, localizes, saves, and survives a kill."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cairn import CairnError, from_ns
+from cairn.components.slam.component import Slam
+from cairn.components.slam.graph_file import read_graph
+from cairn.planar.grid import FREE, OCCUPIED, grid_of
+from cairn.planar.map_file import read_map
+from cairn.planar.messages import planar_pose, pose_message
+from cairn.planar.poses import Pose
+from cairn.schemas.geometry_msgs import PoseWithCovariance
+from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+from cairn.testing.lockstep import ComponentHarness
+from tests.components.slam.box_room import ANGLES, scan
+
+STEP_S = 0.1
+
+
+class Driver:
+    """Drives a robot straight ahead at 0.5 m/s, with odometry that is 4 % too long."""
+
+    def __init__(self, slam: ComponentHarness[Slam]) -> None:
+        self._slam = slam
+        self.true: Pose = (0.0, 0.0, 0.0)
+        self.odometry: Pose = (0.0, 0.0, 0.0)
+
+    def drive(self, steps: int, speed: float = 0.5) -> None:
+        for _ in range(steps):
+            x, y, theta = self.true
+            self.true = (x + speed * STEP_S, y, theta)
+            x, y, theta = self.odometry
+            self.odometry = (x + 1.04 * speed * STEP_S, y, theta)
+            self.stand()
+
+    def stand(self) -> None:
+        """Publish odometry and a scan from where the robot is, a tenth of a second later."""
+        self._slam.run_for(STEP_S)
+        header = Header(stamp=from_ns(self._slam.now_ns), frame_id="odom")
+        pose = PoseWithCovariance(pose=pose_message(self.odometry))
+        self._slam.publish("odom", Odometry(header=header, child_frame_id="base_link", pose=pose))
+        ranges = scan(self.true).ranges.astype(np.float32)
+        self._slam.publish(
+            "scan",
+            LaserScan(
+                header=Header(stamp=header.stamp, frame_id="laser"),
+                angle_min=float(ANGLES[0]),
+                angle_max=float(ANGLES[-1]),
+                angle_increment=float(ANGLES[1] - ANGLES[0]),
+                range_min=0.05,
+                range_max=10.0,
+                ranges=ranges,
+            ),
+        )
+
+
+@pytest.fixture
+def slam(tmp_path: Path) -> ComponentHarness[Slam]:
+    return ComponentHarness(Slam, {"map_file": str(tmp_path / "map.yaml")}, start_s=100.0)
+
+
+def last_pose(slam: ComponentHarness[Slam]) -> Pose:
+    return planar_pose(slam.take("localization")[-1].pose.pose)
+
+
+def test_pose_follows_the_scans_where_odometry_is_wrong(slam: ComponentHarness[Slam]) -> None:
+    robot = Driver(slam)
+    robot.stand()
+
+    robot.drive(50)
+
+    assert robot.odometry[0] - robot.true[0] > 0.09
+    assert last_pose(slam) == pytest.approx(robot.true, abs=0.02)
+    estimates = slam.take("pose")
+    assert len(estimates) == 51
+    (transform,) = slam.take("tf")[-1].transforms
+    assert transform.child_frame_id == "odom"
+    assert transform.transform.translation.x == pytest.approx(-0.1, abs=0.03)
+
+
+def test_published_map_shows_the_room_and_updates_keep_a_copy_current(
+    slam: ComponentHarness[Slam],
+) -> None:
+    robot = Driver(slam)
+    robot.drive(20)
+    copy = None
+    for message in slam.take("map"):
+        copy = grid_of(message)
+    assert copy is not None
+    values = copy.values.copy()
+
+    robot.drive(30)
+    slam.run_for(1.0)
+
+    for update in slam.take("map_updates"):
+        window = values[update.y : update.y + update.height, update.x : update.x + update.width]
+        window[:] = update.data.reshape(update.height, update.width)
+    newest = grid_of(slam.take("map")[-1])
+    assert newest.frame == copy.frame
+    assert np.array_equal(values, newest.values)
+    row, column = newest.frame.cell(1.5, 0.5)
+    assert newest.values[row, column] == FREE
+    row, column = newest.frame.cell(2.5, 1.5)
+    assert OCCUPIED in newest.values[row - 1 : row + 2, column - 1 : column + 2]
+
+
+def test_map_is_written_on_request_and_at_the_end(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    robot = Driver(slam)
+    with pytest.raises(CairnError, match="has no map yet"):
+        slam.request("save")
+    robot.drive(20)
+
+    files = slam.request("save")["files"]
+
+    assert [Path(file).name for file in files] == ["map.yaml", "map.pgm", "map.graph"]
+    saved = read_map(tmp_path / "map.yaml")
+    assert np.mean(saved.values == FREE) > 0.2
+    robot.drive(20)
+    slam.request("deactivate")
+    assert len(read_graph(tmp_path / "map.graph").keyframes) >= 9
+
+
+def test_killed_component_continues_where_it_was(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    robot = Driver(slam)
+    robot.stand()
+    robot.drive(40)
+    # What a kill leaves is what the files hold while the component still has them open.
+    left = tmp_path / "left"
+    left.mkdir()
+    for file in tmp_path.glob("map.*"):
+        shutil.copy(file, left)
+    slam.run_for(2.0)
+
+    again = ComponentHarness(
+        Slam, {"map_file": str(left / "map.yaml")}, beside=slam, name="again", restarts=1
+    )
+    robot_again = Driver(again)
+    robot_again.true, robot_again.odometry = robot.true, robot.odometry
+    robot_again.drive(10)
+
+    assert last_pose(again) == pytest.approx(robot_again.true, abs=0.02)
+    again.request("deactivate")
+    assert len(read_graph(left / "map.graph").keyframes) >= 10
+
+
+def test_robot_that_is_moved_is_not_located_until_it_is_recognized(
+    slam: ComponentHarness[Slam],
+) -> None:
+    robot = Driver(slam)
+    robot.drive(45)
+    robot.true = (1.0, 1.0, math.pi / 2)
+
+    for _ in range(6):
+        robot.stand()
+
+    estimates = slam.take("localization")
+    assert estimates[44].located
+    assert not estimates[-1].located
+    assert estimates[-1].health == 0.0
+    assert estimates[-1].reason == "no place of the map is recognized yet"
+
+
+def test_scan_without_odometry_is_not_mapped(slam: ComponentHarness[Slam]) -> None:
+    robot = Driver(slam)
+    robot.stand()
+    assert len(slam.take("localization")) == 1
+    old = LaserScan(
+        header=Header(stamp=from_ns(slam.now_ns - 90 * 10**9)),
+        angle_max=0.09,
+        angle_increment=0.01,
+        range_max=10.0,
+        ranges=np.ones(10, np.float32),
+    )
+
+    slam.publish("scan", old)
+
+    assert slam.take("localization") == []
+
+
+def test_wrong_files_are_refused_before_the_robot_moves(tmp_path: Path) -> None:
+    (tmp_path / "old.graph").write_text("not a graph")
+
+    for parameters, fault in (
+        ({"map_file": str(tmp_path / "missing" / "map.yaml")}, "no such folder"),
+        ({"map_file": str(tmp_path / "map.png")}, "must end in .yaml"),
+        (
+            {"map_file": str(tmp_path / "map.yaml"), "extend": str(tmp_path / "old.graph")},
+            "old.graph: file is not a database",
+        ),
+    ):
+        with pytest.raises(CairnError, match=fault):
+            ComponentHarness(Slam, parameters)
