@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ from cairn.schemas.cairn_nav_msgs import ExplorationStatus
 from cairn.testing.launching import CAIRN, LIMIT_S, Run, launching, new_endpoint
 from cairn.testing.lockstep import DeploymentHarness
 from cairn.tools.evaluation.map_comparison import WALL_M, compare_with_world
+from tests.commands import cairn
 from tests.navigation.driving import DEPLOY
 from tests.navigation.processes import ObservedRobot
 from tests.wording import assert_words
@@ -81,6 +83,42 @@ def robot(tmp_path: Path) -> Iterator[ObservedRobot]:
 
 @pytest.mark.processes
 @pytest.mark.xdist_group("robots in real time")
+def test_ctrl_c_ends_the_exploration_and_the_map_so_far_is_saved(
+    robot: ObservedRobot, tmp_path: Path
+) -> None:
+    connect, out = robot.run.endpoint, tmp_path / "maps" / "room"
+    exploring = subprocess.Popen(
+        [CAIRN, "explore", "--connect", connect], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        robot.await_moved(0.5)
+        exploring.send_signal(signal.SIGINT)
+        output, _ = exploring.communicate(timeout=LIMIT_S)
+    finally:
+        exploring.kill()
+    assert exploring.returncode == 130
+    assert output.splitlines()[-1] == "exploration ended: the robot stops"
+    robot.await_stand()
+
+    saved = cairn("map", "save", str(out), "--json", connect=connect)
+    assert saved.code == 0, saved.err
+    assert [Path(file).name for file in saved.json["files"]] == [
+        "room.yaml",
+        "room.pgm",
+        "room.graph",
+    ]
+    assert len(read_graph(out.with_suffix(".graph")).keyframes) == saved.json["keyframes"]
+    size_m = saved.json["width_m"], saved.json["height_m"]
+    assert read_map(out.with_suffix(".yaml")).size_m == size_m
+    for command in (("map", "save"), ("explore", "--save")):
+        again = cairn(*command, str(out), connect=connect)
+        assert again.code == 1
+        assert_words(again.err, "room.yaml exists already", "--force")
+    assert cairn("map", "save", str(out), "--force", connect=connect).code == 0
+
+
+@pytest.mark.processes
+@pytest.mark.xdist_group("robots in real time")
 def test_exploration_survives_kills_of_slam_explorer_and_automove(
     robot: ObservedRobot, tmp_path: Path
 ) -> None:
@@ -113,3 +151,10 @@ def test_exploration_survives_kills_of_slam_explorer_and_automove(
     assert compared.within(WALL_M) > 0.95
     assert not apart(compared.pose, start, 0.05, 0.02)  # no restart has moved the map's frame
     assert robot.collisions == []
+
+
+def test_exploration_without_an_end_has_nothing_to_save(tmp_path: Path) -> None:
+    for option in ("--no-wait", "--stop"):
+        answer = cairn("explore", option, "--save", str(tmp_path / "map"))
+        assert answer.code == 1
+        assert_words(answer.err, "--save", option)
