@@ -23,6 +23,7 @@ BENCHMARKS = (
     "v4l2_camera",
     "hokuyo",
     "navigation",
+    "explore",
     "velocity_gate",
     "recorder",
     "silent_peers",

@@ -286,6 +286,51 @@ NAVIGATION_END_STATES: Final = frozenset(
 """The states that are the result of a mission."""
 
 
+@message("cairn_nav_msgs/msg/ExplorationStatus")
+class ExplorationStatus:
+    """The progress of exploration, and at its end the result.
+
+    FINISHED: nothing that the robot can reach is unknown. STOPPED: on request, or another mission
+    preempted it. FAILED: an input is missing, or goals are not accepted. `reason` says in words why
+    it ended, or what the robot does or waits for. `frontiers` counts those that the robot can
+    reach, `given_up` those of them that it could not explore in several tries. `known_area` [m^2]
+    is the free space of the map, `elapsed` [s] the time since the start. `goal_x` and `goal_y` [m]
+    in frame map are the robot's goal, NaN without one.
+    """
+
+    IDLE: ClassVar[UInt8] = 0
+    EXPLORING: ClassVar[UInt8] = 1
+    FINISHED: ClassVar[UInt8] = 2
+    STOPPED: ClassVar[UInt8] = 3
+    FAILED: ClassVar[UInt8] = 4
+
+    header: Header = Header()
+    state: Annotated[int, Scalar("uint8", at_most=4)] = 0
+    frontiers: UInt32 = 0
+    given_up: UInt32 = 0
+    known_area: NotNegative = 0.0
+    elapsed: NotNegative = 0.0
+    goal_x: Float64 = nan
+    goal_y: Float64 = nan
+    reason: String = ""
+
+    def __post_init__(self) -> None:
+        """Check that the goal has both coordinates or none."""
+        x, y = self.goal_x, self.goal_y
+        if isinf(x) or isinf(y) or isnan(x) != isnan(y):
+            reject(self, "goal_x, goal_y", (x, y), "must be two finite numbers, or NaN twice")
+
+
+EXPLORATION_STATES: Final = {
+    ExplorationStatus.IDLE: "idle",
+    ExplorationStatus.EXPLORING: "exploring",
+    ExplorationStatus.FINISHED: "finished",
+    ExplorationStatus.STOPPED: "stopped",
+    ExplorationStatus.FAILED: "failed",
+}
+"""The names of the states of an `ExplorationStatus`."""
+
+
 @message("cairn_nav_msgs/msg/LocalizationEstimate")
 class LocalizationEstimate:
     """Where the robot is in frame map, and how far that estimate can be relied on.

@@ -52,6 +52,8 @@ COMMANDS = (
                 "List, add and remove zones on the robot's map.", _CONTROL),
     LazyCommand("locate", "cairn.supervisors.mobile.cli:locate",
                 "Set the robot's pose in the map.", _CONTROL, negative_numbers=True),
+    LazyCommand("explore", "cairn.tools.mapping.explore_cli:explore",
+                "Explore until nothing reachable is unknown; save the map.", _CONTROL),
     LazyCommand("stop", "cairn.cli.control:stop",
                 "Engage the emergency stop, or release it.", _CONTROL),
     LazyCommand("param", "cairn.cli.control:param",

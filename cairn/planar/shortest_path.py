@@ -102,6 +102,23 @@ class PathSearch:
             return SearchResult(None, closest)
         return SearchResult(_trace(flat, stride, self._reached, base, first, last), closest)
 
+    def lengths(self, grid: CellCosts, start: Cell) -> NDArray[np.float32]:
+        """Return the cost (rows, columns) of the cheapest path from a cell to each one.
+
+        In cells of `MIN_COST`; infinite where no path leads. The start must not be closed. Costs
+        are those of `find`.
+        """
+        if grid.shape != self.shape:
+            raise ValueError(f"cost grid of shape {grid.shape}; the search is for {self.shape}")
+        stride = grid.shape[1]
+        first = int(start[0] + MARGIN) * stride + start[1] + MARGIN
+        # The corner of the margin is never reached, so the search ends when all else is.
+        _, _, top = self._search(grid.reshape(-1), stride, first, 0)
+        base, self._base = self._base, _after(top)
+        reached = self._reached.reshape(grid.shape)[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        lengths = (reached - np.float32(base)) / np.float32(2 * _STRAIGHT * MIN_COST)
+        return np.where(reached >= base, lengths, np.float32(np.inf))
+
     def _search(self, flat: CellCosts, stride: int, first: int, last: int) -> tuple[int, int, int]:
         while True:
             outcome, nearest, top = _search(

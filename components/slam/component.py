@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -32,6 +33,7 @@ from cairn.components.slam.config import SlamConfig
 from cairn.components.slam.graph_file import GraphFile, read_graph
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
+from cairn.components.slam.quality import quality_of
 from cairn.components.slam.tracking import Tracked
 from cairn.planar.grid import OccupancyCells, map_message
 from cairn.planar.map_file import write_map
@@ -56,9 +58,6 @@ _FULL_MAP_S = 5.0
 _DRAWN = 60
 # Odometry is kept for so long [s]: longer than scans wait.
 _HISTORY_S = 10
-# A component that is restarted within this time [s] continues where it was: until then the robot is
-# not carried away.
-_RESUMED_S = 60.0
 # Health of the pose: full from this fit of the scans on, and none below the other.
 _FITS, _MISFITS = 0.6, 0.25
 # The most health while scans have too few points, as in the localizer.
@@ -98,6 +97,7 @@ class Slam(Component):
             read_graph(config.extend)
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "map")
+        self._saved_grid = RetriedSave(self, "grid map")
         self._history: OdometryHistory[int] = OdometryHistory(_HISTORY_S * SECOND, _FASTEST)
         self._waiting = WaitingScans(0.0)
         self._mapper: Mapper | None = None
@@ -124,7 +124,7 @@ class Slam(Component):
         raise ParameterRejected(f"{self.name} takes its parameters when it is configured")
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Answer `save` with the written files, and `status` with figures of the map."""
+        """Answer `save` with the written files and the map's quality, `status` with figures."""
         if verb not in ("save", "status") or arguments:
             return super().on_request(verb, arguments)
         mapper = self._mapper
@@ -136,10 +136,14 @@ class Slam(Component):
         if verb == "save":
             self._save_graph(now=True)
             self._save_grid()
-            if self._saved.has_failed:
+            if self._saved.has_failed or self._saved_grid.has_failed:
                 raise CairnError(f"{self.name}: the map is not saved; `cairn ps` has the reason")
-            file = self.config.map_file
-            return {"files": [str(file.with_suffix(end)) for end in (".yaml", ".pgm", ".graph")]}
+            file = self.config.map_file.absolute()
+            return {
+                "files": [str(file.with_suffix(end)) for end in (".yaml", ".pgm", ".graph")],
+                "keyframes": len(mapper.keyframes),
+                "quality": asdict(quality_of(mapper, self._drawing)),
+            }
         return {
             "keyframes": len(mapper.keyframes),
             "submaps": len(mapper.submaps),
@@ -208,7 +212,7 @@ class Slam(Component):
             return
         stamp = to_ns(scan.header.stamp)
         if self._mapper is None:
-            self._mapper = self._start(scan, stamp)
+            self._mapper = self._start(scan)
         mapper = self._mapper
         motion = sweep.motion
         rays = rays_of(scan, self.config.mount.pose, motion).placed(motion)
@@ -231,14 +235,13 @@ class Slam(Component):
         """Return the pose in a frame of odometry that has no jumps; None before the oldest."""
         return None if self._history.at(stamp) is None else self._history.driven_at(stamp)
 
-    def _start(self, scan: LaserScan, stamp: int) -> Mapper:
+    def _start(self, scan: LaserScan) -> Mapper:
         """Return the mapper of a new map, or of the one that an earlier process or run has left."""
         config = self.config
         path = config.map_file.with_suffix(".graph")
         if self.restarts > 0 and path.exists():
             self._file, mapper = GraphFile.open(path)
-            age_s = (stamp - mapper.keyframes[-1].stamp_ns) / SECOND if mapper.keyframes else 0.0
-            mapper.resume(here=0.0 <= age_s < _RESUMED_S)
+            mapper.resume(here=True)
             self.log.warning("continued the map of %d scans", len(mapper.keyframes))
             return mapper
         farthest = min(config.reach, float(scan.range_max))
@@ -306,7 +309,7 @@ class Slam(Component):
         self._draw(None)
         grid, file = self._drawing.grid(), self.config.map_file
         lost = "the grid map is not written; the graph has all of it"
-        self._saved.attempt(lambda: write_map(file, grid), lambda: lost, now=True)
+        self._saved_grid.attempt(lambda: write_map(file, grid), lambda: lost, now=True)
 
     def _close(self) -> None:
         if self._file is not None:

@@ -305,7 +305,8 @@ def _connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     if read_only:
         uri = f"file:{quote(str(path.absolute()))}?mode=ro"
         return sqlite3.connect(uri, uri=True, timeout=_LOCK_WAIT_S)
-    connection = sqlite3.connect(path, timeout=_LOCK_WAIT_S)
+    # A component's handlers run one at a time, but not always on the same thread.
+    connection = sqlite3.connect(path, timeout=_LOCK_WAIT_S, check_same_thread=False)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = NORMAL")
     return connection

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn import SECOND
 from cairn.components.slam.alignment import Reference
 from cairn.components.slam.closures import LoopCloser, turned
 from cairn.components.slam.keyframes import (
@@ -31,7 +32,7 @@ from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MotionModel
-from cairn.planar.poses import Pose, apart, compose, relative
+from cairn.planar.poses import Pose, apart, compose, distance, relative
 from cairn.planar.scans import Rays
 from cairn.visual_map.observations import Observation
 
@@ -56,6 +57,12 @@ _REACH_M = (0.3, 0.15)
 # points, with at most this deviation [m].
 _MOVED_M, _MOVED_RAD, _LEAST_PAIRED, _MOST_DEVIATION = 0.3, 0.1, 0.2, 0.05
 
+# A robot that continues a map has driven at most so far since the last keyframe [m], and this for
+# each second [m/s]; after more than this time [s] it has stood still, or anyone may have moved it.
+_STOOD_M, _FASTEST, _NEAR_S = 0.3, 2.0, 60.0
+# If odometry has restarted as well, the robot is up to so far from the last keyframe [m]. It is
+# where its scan fits by so much [1].
+_NEAR_M, _CONTINUED_FIT = 2.5, 0.6
 # Without scans for this long [ns], odometry continues the trajectory, with poses at least so far
 # apart in time [ns]. A keyframe is made after so much motion [m], [rad]: while objects are
 # observed, and else.
@@ -127,6 +134,7 @@ class Mapper:
         self._optimized = 0  # number of keyframes then
         self.calibration = CalibrationEstimate(calibration, OdometryCalibration(0.1, 0.1, 0.1))
         """The calibration of odometry, estimated when the map is finished."""
+        self._continues = False  # the next scan is the first since the map was read
 
     @property
     def is_located(self) -> bool:
@@ -150,7 +158,10 @@ class Mapper:
         self._log.add(stamp_ns, odometry)
         self._scanned_ns = stamp_ns
         cloud = scan_cloud(rays, self.farthest)
-        if self._odometry is None:
+        if self._continues:
+            self._continues = False
+            tracked = self._find_near(stamp_ns, odometry, cloud)
+        elif self._odometry is None:
             tracked = Tracked(self._pose, np.zeros((3, 3)), None, False)
         else:
             step = relative(self._odometry, odometry)
@@ -210,7 +221,7 @@ class Mapper:
     def resume(self, *, here: bool) -> None:
         """Continue a map that was read from a file.
 
-        With `here`, odometry continues since the last keyframe: the robot is near it. Otherwise it
+        With `here`, the robot is near the last keyframe if its next scan fits there. Otherwise it
         may be anywhere: it is on a new island until a place of the map is recognized.
         """
         first = self.submaps[-1].last + 1 if self.submaps else 0
@@ -224,6 +235,7 @@ class Mapper:
             islands = self.graph.islands()
             self._island = int(np.flatnonzero(islands == islands[last])[0])
             self._set_surroundings()
+            self._continues = True
         else:
             self._start_island()
 
@@ -328,6 +340,20 @@ class Mapper:
         last = self.graph.pose(len(self.keyframes) - 1)
         self.graph.optimize()
         self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
+
+    def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
+        """Return where the first scan of a continued map was taken, if that is near its end."""
+        last = self.keyframes[-1]
+        age_s = (stamp_ns - last.stamp_ns) / SECOND
+        is_recent = 0.0 <= age_s < _NEAR_S
+        moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
+        tracked = Tracked(self._pose, np.zeros((3, 3)), 0.0, True)
+        if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
+            tracked = self.tracker.track(self._pose, relative(last.odometry, odometry), cloud)
+        if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
+            tracked = self.tracker.locate(self._pose, cloud, _NEAR_M)
+        is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
+        return replace(tracked, is_lost=is_lost)
 
     def _start_island(self) -> None:
         if self._open.last >= self._open.first:

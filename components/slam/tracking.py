@@ -111,6 +111,15 @@ class ScanTracker:
         self._usual_fit += gain * (found.fit - self._usual_fit)
         return Tracked(found.pose, found.information + noise, found.fit, False)
 
+    def locate(self, pose: Pose, cloud: PointCloud, reach: float) -> Tracked:
+        """Search for where a scan was taken: up to `reach` [m] around a pose, facing anywhere."""
+        guess = None
+        if self._reference is not None:
+            guess = self._search(cloud, pose, reach, math.pi)
+        if guess is None:
+            return Tracked(pose, np.zeros((3, 3)), 0.0, True)
+        return self.track(guess, (0.0, 0.0, 0.0), cloud)
+
     def _search(self, cloud: PointCloud, guess: Pose, reach: float, turn: float) -> Pose | None:
         assert self._reference is not None
         if self._search_map is None:

@@ -113,7 +113,7 @@ def follow(navigator: Navigator, goals: Sequence[Sequence[float] | str], *, as_j
 
     Raises `CairnError` if the robot does not arrive, `SystemExit` after SIGTERM or SIGHUP.
     """
-    with _exit_on(signal.SIGTERM, signal.SIGHUP), navigator.goal(goals) as goal:
+    with exit_on(signal.SIGTERM, signal.SIGHUP), navigator.goal(goals) as goal:
         try:
             with _errors_as_json(as_json=as_json):
                 mission = goal.send()
@@ -166,6 +166,24 @@ def print_progress(goal: NavigationGoal, *, as_json: bool) -> NavigationStatus:
     return status
 
 
+@contextmanager
+def exit_on(*numbers: signal.Signals) -> Iterator[None]:
+    """Turn signals into `SystemExit` with the status that a shell gives them."""
+    handled = [one for one in numbers if signal.getsignal(one) is not signal.SIG_IGN]  # nohup
+
+    def leave(number: int, _frame: object) -> None:
+        for one in handled:  # a terminal that closes may hang up twice
+            signal.signal(one, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    before = {number: signal.signal(number, leave) for number in handled}
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
 def _cancel(goal: NavigationGoal, *, as_json: bool) -> None:
     with suppress(OSError, OutputLost):  # the terminal may have been closed
         try:
@@ -189,24 +207,6 @@ def _errors_as_json(*, as_json: bool) -> Iterator[None]:
             state = "unanswered" if isinstance(error, NoReplyError) else "refused"
             print_json({"state": state, "reason": str(error)})
         raise
-
-
-@contextmanager
-def _exit_on(*numbers: signal.Signals) -> Iterator[None]:
-    """Turn signals into `SystemExit` with the status that a shell gives them."""
-    handled = [one for one in numbers if signal.getsignal(one) is not signal.SIG_IGN]  # nohup
-
-    def leave(number: int, _frame: object) -> None:
-        for one in handled:  # a terminal that closes may hang up twice
-            signal.signal(one, signal.SIG_IGN)
-        raise SystemExit(128 + number)
-
-    before = {number: signal.signal(number, leave) for number in handled}
-    try:
-        yield
-    finally:
-        for number, former in before.items():
-            signal.signal(number, former)
 
 
 def _print_mission(mission: int, state: str, *, as_json: bool) -> None:

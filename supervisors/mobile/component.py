@@ -21,7 +21,7 @@ from cairn import (
     from_ns,
     on,
 )
-from cairn.planar.messages import packed_poses, planar_pose
+from cairn.planar.messages import packed_poses, planar_pose, planar_poses
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
     NAVIGATION_END_STATES,
@@ -46,6 +46,7 @@ from cairn.supervisors.mobile.mission_file import (
 # the reason why it dies.
 _MOST_RESUMED = 3
 _LONGEST_RESULT = 1000  # characters
+_EXPLORATION = "exploration"  # token of the explorer's missions
 
 
 class MobileSupervisorConfig(Config):
@@ -78,6 +79,9 @@ class MobileSupervisor(Supervisor):
     Accepts missions (requests `go` and `cancel`, topic `goal_pose`, parameter `mission`; the
     request `mission` returns the last one), loads AutoMove for the first unless it is loaded, and
     keeps each mission until it has its result, so that an AutoMove that was restarted continues it.
+
+    Goals on `exploration_goal` preempt each other and no mission of anyone else; one without goals
+    cancels the one before.
     """
 
     config: MobileSupervisorConfig
@@ -88,6 +92,7 @@ class MobileSupervisor(Supervisor):
     operator_inputs = frozenset({"goal_pose"})
 
     goal_pose: In[PoseStamped] = In(optional=True)
+    exploration_goal: In[NavigateGoal] = In(optional=True)
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20), optional=True)
     zones: In[Zones] = In(qos=LATCHED, optional=True)
     navigate_goal: Out[NavigateGoal] = Out(qos=LATCHED)
@@ -143,6 +148,25 @@ class MobileSupervisor(Supervisor):
             if frame not in ("", "map"):
                 raise CairnError(f"the goal on {self.goal_pose.topic} is in frame {frame}, not map")
             self._start(parse_goals([planar_pose(goal.pose)]))
+        except CairnError as error:
+            self.log.error("mission rejected: %s", error)
+
+    @on("exploration_goal")
+    def on_exploration_goal(self, request: NavigateGoal) -> None:
+        """Start or cancel a mission of the explorer, unless another one is under way."""
+        mission = self._mission
+        if mission is not None and not mission.result and mission.token != _EXPLORATION:
+            if len(request.goals):
+                self.log.info(
+                    "exploration's goal refused: mission %d is under way", mission.mission_id
+                )
+            return
+        try:
+            if len(request.goals):
+                goals = planar_poses(request.goals).tolist()
+                self._start(parse_goals(goals), token=_EXPLORATION)
+            elif mission is not None and not mission.result:
+                self._close(mission, "canceled: the exploration has ended")
         except CairnError as error:
             self.log.error("mission rejected: %s", error)
 

@@ -21,7 +21,7 @@ from cairn.schemas.cairn_msgs import (
     VisualMapChange,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import Plan, Zone, Zones
+from cairn.schemas.cairn_nav_msgs import ExplorationStatus, Plan, Zone, Zones
 from cairn.schemas.cairn_sim_msgs import WorldGeometry
 from cairn.schemas.field_types import Array, Covariance2, Covariance3, Scalar, Text, finite, mark_of
 from cairn.schemas.geometry_msgs import Point, Pose
@@ -224,6 +224,14 @@ def _plans() -> st.SearchStrategy[Plan]:
     )
 
 
+def _explorations() -> st.SearchStrategy[ExplorationStatus]:
+    none = st.just(math.nan)
+    return st.one_of(
+        _built(ExplorationStatus, goal_x=METERS, goal_y=METERS),
+        _built(ExplorationStatus, goal_x=none, goal_y=none),
+    )
+
+
 @st.composite
 def _scenes(draw: st.DrawFn) -> Any:
     segments, objects = draw(st.integers(0, 3)), draw(st.integers(0, 3))
@@ -313,6 +321,7 @@ _WITH_RULES_BETWEEN_FIELDS = {
     Image: _images,
     OccupancyGrid: _grids,
     OccupancyGridUpdate: _grid_updates,
+    ExplorationStatus: _explorations,
     Plan: _plans,
     Zone: zones,
     Zones: lambda: _built(Zones, zones=zone_sets()),

@@ -20,6 +20,7 @@ from cairn.tools.evaluation.report import report_lines, write_report
 from cairn.tools.evaluation.results import RunResult, summarize
 from cairn.tools.evaluation.runs import (
     Trial,
+    align,
     examination,
     robot_start,
     run_trial,
@@ -48,6 +49,15 @@ def navigation(
     kidnap: Annotated[
         bool, typer.Option("--kidnap", help="Kidnap the robot once in each run.")
     ] = False,
+    map_: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            help="The robot's grid map, such as one that it has made: its frame is about that of "
+            "the world, or of the robot at its start. By default the true map.",
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = Path("evaluation"),
     deployment: Annotated[
         Path,
@@ -74,8 +84,9 @@ def navigation(
             f"{deployment}: there is no such deployment, or it cannot be read; name yours with "
             "--deployment FILE"
         )
-    map_file = (out / "surveyed.yaml").absolute()
-    visual_map = map_file.with_suffix(".cairn")
+    surveyed = (out / "surveyed.yaml").absolute()
+    map_file = surveyed if map_ is None else (out / "map.yaml").absolute()
+    visual_map = surveyed.with_suffix(".cairn")
     start = robot_start(world)
     trials = [
         Trial(
@@ -98,7 +109,9 @@ def navigation(
     logs = (out / "logs").absolute()
     with writing_report(out):
         logs.mkdir(parents=True, exist_ok=True)
-        survey(world, map_file, visual_map)
+        survey(world, surveyed, visual_map)
+        if map_ is not None:
+            note(align(map_, world, map_file))
     runs = _run(trials, logs, workers or os.cpu_count() or 1, quiet=json)
     summary = summarize(runs, events)
     with writing_report(out):

@@ -15,8 +15,15 @@ from cairn.components.simulation.world_file import Event, read_world
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.placement.lockstep import LockstepRun
+from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.poses import Pose
+from cairn.tools.evaluation.map_comparison import (
+    ROBOT_RADIUS_M,
+    WALL_M,
+    compare_with_world,
+    placed_map,
+)
 from cairn.tools.evaluation.results import RunResult
 from cairn.visual_map.new_map import write_map
 
@@ -44,6 +51,26 @@ def survey(world: Path, map_file: Path, visual_map: Path) -> None:
     objects = alter(surveyed_objects(world), {}, ())
     source = f"surveyed of {world.name}"
     write_map(visual_map, source, objects, models=surveyed_models(world))
+
+
+def align(made: Path, world: Path, file: Path) -> str:
+    """Write a map that a robot has made in the frame of the world; return how well it agrees.
+
+    Its own frame is that of the world, or that of the robot at its start, whichever agrees better.
+    """
+    grid = read_grid(made)
+    compared = [
+        compare_with_world(grid, world, frame, ROBOT_RADIUS_M)
+        for frame in ((0.0, 0.0, 0.0), robot_start(world))
+    ]
+    best = max(compared, key=lambda one: one.within(WALL_M))
+    write_grid(file, placed_map(grid, best.pose))
+    x, y, theta = best.pose
+    return (
+        f"{made}: its frame is at ({x:.2f} m, {y:.2f} m, {theta:.3f} rad) in the world; "
+        f"{best.within(WALL_M):.1%} of its walls are within {100 * WALL_M:g} cm of the world's, "
+        f"{best.known:.1%} of the reachable area is known"
+    )
 
 
 def robot_start(world: Path) -> Pose:

@@ -1,4 +1,4 @@
-"""`cairn map`: builds maps from recordings; the other commands are those of the map builder."""
+"""`cairn map`: builds maps from recordings, saves live ones; the rest is the map builder's."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import Json
+from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, print_json
+from cairn.client import connect as connect_to
 from cairn.components.map_builder.cli import app, parse_mount, prepare
 from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.replay.open_recording import open_recording
@@ -136,6 +137,28 @@ def build(
     _print_result(built, [file for file in files.values() if file.exists()], json)
     if built.hint:
         note(built.hint)
+
+
+@app.command()
+def save(
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Name of the map's files, without their endings.")
+    ],
+    force: Annotated[bool, typer.Option("--force", help="Replace the map's files.")] = False,
+    json: Json = False,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: RobotName = "",
+) -> None:
+    """Save the map that a robot is making: the deployment `mapping`.
+
+    Writes OUT.yaml and OUT.pgm (grid map), and OUT.graph (from which mapping can continue). The
+    robot goes on mapping.
+    """
+    from cairn.tools.mapping.live import print_saved, save_map
+
+    with connect_to(connect, domain, robot, notify=note) as client:
+        print_saved(save_map(client, out, force=force), as_json=json)
 
 
 _ENDINGS = (".yaml", ".pgm", ".cairn", ".graph", ".tum", ".png")

@@ -151,6 +151,22 @@ def test_taut_path_is_as_short_as_the_any_angle_optimum(seed: int) -> None:
         assert 0.999 * optimum <= length <= 1.03 * optimum
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_lengths_to_all_cells_are_those_of_the_cheapest_paths(seed: int) -> None:
+    prices = random_prices(seed, 14, 17, 0.35, dear=seed % 2 == 0)
+    search = PathSearch(prices.shape)
+    for start in ((0, 0), (0, 0), (13, 16)):
+        grid(prices)[start] = MIN_COST
+        reference = cheapest(prices, start, (0, 0))
+
+        lengths = search.lengths(prices, start)
+
+        for cell, length in np.ndenumerate(lengths):
+            known = reference.get((cell[0], cell[1]), math.inf)
+            assert length == pytest.approx(known, rel=0.01, abs=0.01)
+        search.find(prices, start, (7, 7))
+
+
 def test_path_through_a_serpentine_is_found() -> None:
     prices = serpentine(200, 5, 5)
     # 19 walls, past whose ends it goes: 190 across and 5 down from one to the next, 5 along each.
@@ -210,3 +226,5 @@ def test_queue_grows_when_it_is_full() -> None:
 def test_grid_of_another_size_is_rejected() -> None:
     with pytest.raises(ValueError, match=r"\(14, 14\).*\(24, 24\)"):
         PathSearch((24, 24)).find(open_costs(10, 10), (0, 0), (9, 9))
+    with pytest.raises(ValueError, match=r"\(14, 14\).*\(24, 24\)"):
+        PathSearch((24, 24)).lengths(open_costs(10, 10), (0, 0))

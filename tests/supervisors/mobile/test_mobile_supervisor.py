@@ -117,6 +117,48 @@ def test_mission_ids_increase_and_old_statuses_are_ignored(
     assert robot.request("mobile_supervisor", "mission")["result"] == ""
 
 
+def exploration_goal(*goals: list[float]) -> NavigateGoal:
+    return NavigateGoal(goals=packed_poses(np.array(goals).reshape(-1, 3)))
+
+
+def test_goals_of_the_explorer_preempt_each_other_and_are_canceled(
+    make_harness: MakeHarness,
+) -> None:
+    robot = make_harness()
+    missions = robot.read("navigate_goal", NavigateGoal)
+    robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
+    robot.publish("exploration_goal", exploration_goal([3.0, 2.0, 0.5]))
+    first, second = missions.take()
+    assert goals_of(second) == [[3.0, 2.0, 0.5]]
+    assert second.mission_id > first.mission_id
+
+    robot.publish("exploration_goal", exploration_goal())
+    (canceled,) = missions.take()
+    assert (canceled.mission_id, len(canceled.goals)) == (second.mission_id, 0)
+    result = robot.request("mobile_supervisor", "mission")["result"]
+    assert result == "canceled: the exploration has ended"
+
+
+def test_explorer_neither_preempts_nor_cancels_a_mission_of_an_operator(
+    make_harness: MakeHarness,
+) -> None:
+    robot = make_harness()
+    robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
+    missions = robot.read("navigate_goal", NavigateGoal)
+    missions.take()
+    number = robot.request("mobile_supervisor", "go", goals=[[5.0, 5.0, 0.0]])["mission_id"]
+    assert len(missions.take()) == 1
+
+    robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
+    robot.publish("exploration_goal", exploration_goal())
+    assert missions.take() == []
+
+    publish_status(robot, mission_id=number, state=NavigationStatus.SUCCEEDED)
+    missions.take()
+    robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
+    assert goals_of(missions.take()[-1]) == [[1.0, 2.0, 0.0]]
+
+
 def test_mission_is_canceled_once(make_harness: MakeHarness) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)

@@ -1,0 +1,1 @@
+"""Explorer: drives to the borders of what is mapped until nothing reachable is unknown."""

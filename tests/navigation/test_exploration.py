@@ -1,0 +1,160 @@
+"""The robot explores and maps an unknown world: in lockstep, and in real processes with kills."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from benchmarks.explore import explore
+from cairn import SECOND
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.components.simulation.world_file import read_world
+from cairn.components.slam.graph_file import read_graph
+from cairn.planar.map_file import read_map
+from cairn.planar.poses import apart
+from cairn.schemas.cairn_nav_msgs import ExplorationStatus
+from cairn.testing.launching import CAIRN, LIMIT_S, Run, launching, new_endpoint
+from cairn.testing.lockstep import DeploymentHarness
+from cairn.tools.evaluation.map_comparison import WALL_M, compare_with_world
+from tests.commands import cairn
+from tests.navigation.driving import DEPLOY
+from tests.navigation.processes import ObservedRobot
+from tests.wording import assert_words
+
+MAPPING = DEPLOY / "mapping.yaml"
+ROOM = DEPLOY / "worlds" / "room.yaml"
+SAVED_S = 5.0
+"""A kill loses at most what was mapped in this time [s]."""
+
+
+@pytest.mark.slow
+def test_room_is_explored_completely_without_a_collision(tmp_path: Path) -> None:
+    found = explore("room", tmp_path)
+
+    assert found.status.state == ExplorationStatus.FINISHED
+    assert found.status.given_up == 0
+    assert found.map.known > 0.99
+    assert found.map.within(WALL_M) > 0.95
+    assert found.collisions == 0
+    assert found.driven_m < 25.0
+
+
+@pytest.mark.slow
+def test_goal_of_an_operator_ends_the_exploration_and_is_reached(tmp_path: Path) -> None:
+    sets = [f"settings.report={tmp_path}", "settings.explore=on_activation"]
+    with DeploymentHarness(MAPPING, sets=sets) as robot:
+        statuses = robot.read("exploration_status", ExplorationStatus).messages
+        robot.run_until(lambda: bool(statuses) and not math.isnan(statuses[-1].goal_x))
+        robot.run_for(5.0)
+        number = robot.request("mobile_supervisor", "go", goals=[[0.5, 0.0, 0.0]])["mission_id"]
+
+        robot.run_until(lambda: statuses[-1].state == ExplorationStatus.STOPPED, 1.0)
+        assert statuses[-1].reason == f"preempted by mission {number}"
+
+        def result() -> str:
+            return str(robot.run.runtime("mobile_supervisor").request("mission", {})["result"])
+
+        robot.run_until(lambda: result() != "", 60.0)
+        assert result().startswith("succeeded")
+        assert statuses[-1].state == ExplorationStatus.STOPPED
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[ObservedRobot]:
+    with launching(tmp_path) as launch:
+        endpoint = new_endpoint()
+        arguments = [str(MAPPING), "--set", f"bus.socket={endpoint}"]
+        run = Run(arguments, tmp_path / "report", endpoint, {}, None)
+        launch.runs.append(run)
+        run.await_line("child active: mobile_supervisor")
+        bus = ZenohBus(open_peer([endpoint]))
+        try:
+            yield ObservedRobot(run, bus)
+        finally:
+            bus.close()
+
+
+@pytest.mark.processes
+@pytest.mark.xdist_group("robots in real time")
+def test_ctrl_c_ends_the_exploration_and_the_map_so_far_is_saved(
+    robot: ObservedRobot, tmp_path: Path
+) -> None:
+    connect, out = robot.run.endpoint, tmp_path / "maps" / "room"
+    exploring = subprocess.Popen(
+        [CAIRN, "explore", "--connect", connect], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        robot.await_moved(0.5)
+        exploring.send_signal(signal.SIGINT)
+        output, _ = exploring.communicate(timeout=LIMIT_S)
+    finally:
+        exploring.kill()
+    assert exploring.returncode == 130
+    assert output.splitlines()[-1] == "exploration ended: the robot stops"
+    robot.await_stand()
+
+    saved = cairn("map", "save", str(out), "--json", connect=connect)
+    assert saved.code == 0, saved.err
+    assert [Path(file).name for file in saved.json["files"]] == [
+        "room.yaml",
+        "room.pgm",
+        "room.graph",
+    ]
+    assert len(read_graph(out.with_suffix(".graph")).keyframes) == saved.json["keyframes"]
+    size_m = saved.json["width_m"], saved.json["height_m"]
+    assert read_map(out.with_suffix(".yaml")).size_m == size_m
+    for command in (("map", "save"), ("explore", "--save")):
+        again = cairn(*command, str(out), connect=connect)
+        assert again.code == 1
+        assert_words(again.err, "room.yaml exists already", "--force")
+    assert cairn("map", "save", str(out), "--force", connect=connect).code == 0
+
+
+@pytest.mark.processes
+@pytest.mark.xdist_group("robots in real time")
+def test_exploration_survives_kills_of_slam_explorer_and_automove(
+    robot: ObservedRobot, tmp_path: Path
+) -> None:
+    run, graph, out = robot.run, robot.run.report / "map.graph", tmp_path / "maps" / "room"
+    exploring = subprocess.Popen(
+        [CAIRN, "explore", "--save", str(out), "--connect", run.endpoint],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        line = 0
+        for component in ("slam", "explorer", "automove"):
+            robot.await_moved(1.0)
+            killed_ns = time.time_ns()
+            robot.kill(component)
+            lost_s = (killed_ns - read_graph(graph).keyframes[-1].stamp_ns) / SECOND
+            assert lost_s <= SAVED_S
+            line = run.await_line(f"restarting child {component}: killed by SIGKILL", after=line)
+            line = run.await_line(f"child active: {component}", after=line)
+        output, _ = exploring.communicate(timeout=4 * LIMIT_S)
+    finally:
+        exploring.kill()
+
+    assert exploring.returncode == 0, output
+    assert_words(output, "nothing that the robot can reach is unknown", f"{out}.yaml")
+    start = read_world(ROOM).robot.pose
+    compared = compare_with_world(read_map(tmp_path / "maps" / "room.yaml"), ROOM, start, 0.22)
+    assert compared.known > 0.99
+    assert compared.within(WALL_M) > 0.95
+    assert not apart(compared.pose, start, 0.05, 0.02)  # no restart has moved the map's frame
+    assert robot.collisions == []
+
+
+def test_exploration_without_an_end_has_nothing_to_save(tmp_path: Path) -> None:
+    for option in ("--no-wait", "--stop"):
+        answer = cairn("explore", option, "--save", str(tmp_path / "map"))
+        assert answer.code == 1
+        assert_words(answer.err, "--save", option)
