@@ -115,6 +115,7 @@ def build_map(
     progress("scans", 1.0)
     mapper.finish(progress)
     drawing = MapGrid(settings.resolution, settings.reach)
+    drawing.renew(mapper.renewals)
     try:
         drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
         grid = drawing.grid()
