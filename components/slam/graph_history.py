@@ -17,8 +17,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.bounded_files import too_large
 from cairn.bounded_sqlite import bound_connection
 from cairn.components.slam.graph_file import (
+    FILE_BYTES,
     GraphState,
     check_format,
     damaged,
@@ -120,8 +122,8 @@ class GraphHistory:
                 check_format(path, self._connection)
                 # A change that was reported must not be lost in a power cut.
                 self._connection.execute("PRAGMA synchronous = FULL")
+                self._return_free_pages()  # attaches a file, which is not allowed later
                 bound_connection(self._connection, longest=_LONGEST_VALUE)
-                self._return_free_pages()
         except CairnError:
             self.close()
             raise
@@ -143,6 +145,14 @@ class GraphHistory:
         """Close the file."""
         self.close()
 
+    def seal(self) -> None:
+        """Write everything into the one file, without a log beside it.
+
+        Raises `CairnError` if another program has the file open.
+        """
+        with explained_errors(self._path):
+            self._connection.execute("PRAGMA journal_mode = DELETE")
+
     def state(self, version: int | None = None) -> GraphState:
         """Return the graph at a version that the file keeps; None: the newest.
 
@@ -163,11 +173,6 @@ class GraphHistory:
                 "SELECT oldest, version FROM graph"
             ).fetchall()
             return int(oldest), int(newest)
-
-    def changes(self) -> list[tuple[int, GraphChange]]:
-        """Return the versions and the changes that led to them, oldest first."""
-        with self._reading():
-            return _changes(self._connection)
 
     def next_number(self) -> int:
         """Return the number of the next keyframe."""
@@ -307,21 +312,51 @@ def graph_digest(path: Path) -> str:
     return content.hexdigest()
 
 
-def copy_origin(path: Path) -> tuple[str, int]:
-    """Return the digest of the graph of which a file is a copy, and the time of its last change.
+@dataclass(frozen=True)
+class GraphLog:
+    """What a graph file says about its past.
 
-    The digest is "" for an original, the time [ns] 0 without a change. Raises `CairnError` if the
-    file is damaged.
+    Attributes:
+        origin: digest of the graph of which it is a copy, "" for an original.
+        oldest: version that the file keeps.
+        version: of the map now.
+        changes: versions and the changes that led to them, oldest first; those to versions before
+            `oldest` are listed as far as there is room.
+
     """
+
+    origin: str
+    oldest: int
+    version: int
+    changes: list[tuple[int, GraphChange]]
+
+    @property
+    def last_stamp_ns(self) -> int:
+        """Time of the last change [ns]; 0 without one."""
+        return self.changes[-1][1].stamp_ns if self.changes else 0
+
+    def version_at(self, stamp_ns: int) -> int | None:
+        """Return the version of the map at a time [ns]; None if it is not kept any more."""
+        before = [version for version, change in self.changes if change.stamp_ns <= stamp_ns]
+        version = before[-1] if before else 0
+        return version if version >= self.oldest else None
+
+
+def read_log(path: Path) -> GraphLog:
+    """Return the past of a graph; raises `CairnError` if there is none, or it is damaged."""
+    _check_exists(path)
     with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
+        if (size := path.stat().st_size) > FILE_BYTES:
+            raise too_large(path, size, FILE_BYTES)
         bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
         check_format(path, connection)
         try:
-            ((origin,),) = connection.execute("SELECT origin FROM graph").fetchall()
-            changes = _changes(connection)
+            ((origin, oldest, version),) = connection.execute(
+                "SELECT origin, oldest, version FROM graph"
+            ).fetchall()
+            return GraphLog(str(origin), int(oldest), int(version), _changes(connection))
         except (ValueError, TypeError) as error:
             raise damaged(path, str(error)) from error
-    return str(origin), changes[-1][1].stamp_ns if changes else 0
 
 
 def draw_state(state: GraphState, resolution: float) -> ScanGrid:

@@ -27,8 +27,8 @@ from cairn import (
 from cairn.components.slam.graph_history import (
     GraphHistory,
     copy_graph,
-    copy_origin,
     graph_digest,
+    read_log,
 )
 from cairn.components.slam.keeper_config import GraphKeeperConfig
 from cairn.components.slam.lifelong import LifelongMap
@@ -196,12 +196,12 @@ class GraphKeeper(Component):
         if not copy.exists():
             return False
         try:
-            origin, stamp_ns = copy_origin(copy)
+            log = read_log(copy)
         except CairnError as error:
             self.log.warning("replacing the working copy %s: %s", copy, error)
             return False
-        same = origin == graph_digest(self.config.graph_file)
-        return is_reusable(copy, self.log, same=same, ahead=stamp_ns > self.clock.now())
+        same = log.origin == graph_digest(self.config.graph_file)
+        return is_reusable(copy, self.log, same=same, ahead=log.last_stamp_ns > self.clock.now())
 
     def _close(self) -> None:
         self._graph = self._newest_map = None

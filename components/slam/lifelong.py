@@ -327,7 +327,8 @@ class LifelongMap:
         corner = differences.row + rows.start, differences.column + columns.start
         shape = inside.shape[0], inside.shape[1]
         cells, old = differences.cells[rows, columns], differences.drawn(rows, columns)
-        before = np.count_nonzero(differing(cells, old) & inside)
+        most = int(_REMAINS * np.count_nonzero(differing(cells, old) & inside))
+        best: tuple[list[tuple[_Seen, Rays]], Renewals, NDArray[np.int8]] | None = None
         for size in _SUBMAP_SIZES:
             chosen = [
                 (one, differences.explained(one.scan.pose, one.scan.rays)) for one in scans[:size]
@@ -342,15 +343,19 @@ class LifelongMap:
             renewals = self._renewals.renewed(patches, self.version + 1)
             renewed = renewals.cells(*corner, shape, differences.resolution) == self.version + 1
             new = np.where(renewed, shown, old)
-            if np.count_nonzero(differing(cells, new) & inside) <= _REMAINS * before:
-                stood_s = (now_ns - min(self._pending[b].since_ns for b in cluster)) / _NS_PER_S
-                shown_by = "1 scan shows" if len(chosen) == 1 else f"{len(chosen)} scans show"
-                reason = f"the grid map had it for {stood_s:.0f} s; {shown_by} it"
-                change = change_between(old, new, corner, differences.resolution, now_ns, reason)
-                return self._with_constraints(change, chosen, renewals)
-            if size >= len(scans):
+            left = int(np.count_nonzero(differing(cells, new) & inside))
+            if left <= most:
+                best, most = (chosen, renewals, new), left - 1
+            if left == 0 or size >= len(scans):
                 break
-        return None
+        if best is None:
+            return None
+        chosen, renewals, new = best
+        stood_s = (now_ns - min(self._pending[block].since_ns for block in cluster)) / _NS_PER_S
+        shown_by = "1 scan shows" if len(chosen) == 1 else f"{len(chosen)} scans show"
+        reason = f"the grid map had it for {stood_s:.0f} s; {shown_by} it"
+        change = change_between(old, new, corner, differences.resolution, now_ns, reason)
+        return self._with_constraints(change, chosen, renewals)
 
     def _with_constraints(
         self, change: GraphChange, chosen: list[tuple[_Seen, Rays]], renewals: Renewals

@@ -108,3 +108,14 @@ class RepairedRoom:
             if change is not None:
                 made.append(change)
         return made
+
+
+def random_boxes(boxes: Sequence[Box], random: np.random.Generator) -> list[Box]:
+    """Return the boxes after one was moved, added or removed; at most four, off the round."""
+    width, height = random.uniform(0.4, 1.5), random.uniform(0.4, 0.9)
+    x, y = random.uniform(2.6, 6.4 - width), random.uniform(2.4, 4.6 - height)
+    new, index = (x, y, x + width, y + height), int(random.integers(4))
+    if index >= len(boxes):
+        return [*boxes, new]
+    others = [box for k, box in enumerate(boxes) if k != index]
+    return others if random.random() < 0.3 else [*others, new]
