@@ -41,7 +41,7 @@ _NS_PER_S = 1_000_000_000
 
 # Keyframes that are drawn in one call, at about 1 ms each.
 _DRAWN = 60
-# A block with fewer differing cells is not a change: noise of walls.
+# A block with fewer differing cells, with those of the blocks around it, is no change: noise.
 _LEAST_CELLS = 3
 # If more of a block's differing cells than this share are others, its change is a new one.
 _SAME_SHARE = 0.5
@@ -258,7 +258,13 @@ class LifelongMap:
         """Note which blocks differ, and since when."""
         pending: dict[Block, _Pending] = {}
         for block, cells in blocks.items():
-            if len(cells) < _LEAST_CELLS:
+            column, row = block
+            around = (
+                len(blocks.get((column + dx, row + dy), ()))
+                for dx in (-1, 0, 1)
+                for dy in (-1, 0, 1)
+            )
+            if sum(around) < _LEAST_CELLS:
                 continue
             known = self._pending.get(block)
             is_same = known is not None and len(known.cells ^ cells) <= max(
