@@ -247,20 +247,20 @@ def read_state(connection: sqlite3.Connection, version: int | None = None) -> Gr
     if not 0.0 < farthest < _LARGEST:
         raise ValueError(f"its largest range {farthest!r} is wrong")
     at = newest if version is None else version
-    during = (at, at)
     alive = {
         number
         for (number,) in connection.execute(
-            "SELECT keyframe FROM lives WHERE since <= ? AND coalesce(until, 1e18) > ?", during
+            "SELECT keyframe FROM lives WHERE since <= ? AND coalesce(until, 1e18) > ? LIMIT ?",
+            (at, at, _MOST_KEYFRAMES + 1),
         )
     }
+    if len(alive) > _MOST_KEYFRAMES:
+        raise ValueError(f"it has more than {_MOST_KEYFRAMES} keyframes")
     state = GraphState(at, float(farthest), [], [], np.zeros((0, 3)), _renewals(connection, at))
     for number, *columns in _rows(connection, "keyframes", "number"):
         if number in alive:
             state.numbers.append(number)
             state.keyframes.append(_keyframe(*columns))
-        if len(state.numbers) > _MOST_KEYFRAMES:
-            raise ValueError(f"it has more than {_MOST_KEYFRAMES} keyframes")
     if len(state.numbers) != len(alive):
         raise ValueError("keyframes are missing")
     places = {number: row for number, *row in _rows(connection, "poses", "number")}
