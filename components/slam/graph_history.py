@@ -44,7 +44,7 @@ from cairn.planar.scan_grid import ScanGrid
 _STEPS: Final = 400_000_000
 _LONGEST_VALUE: Final = 2_000_000
 # Free pages that are returned to the disk when the file is opened: with fewer, or a smaller share
-# of the file, it is not worth to write the file anew.
+# of the file, writing the whole file again is not worth it.
 _FREE_PAGES, _FREE_SHARE = 256, 0.5
 _COMPARED_M: Final = 0.05  # size of the cells in which a rollback is counted [m]
 
@@ -207,7 +207,7 @@ class GraphHistory:
     def retire(self, retired: Collection[int], edges: Sequence[Edge]) -> None:
         """End the lives of keyframes that the map does not need; constraints replace them.
 
-        The map stays the same, so this is no change. Raises `CairnError` as `renew`.
+        The map stays the same, so this makes no version. Raises `CairnError` as `renew`.
         """
         with explained_errors(self._path), self._connection as connection:
             ((version,),) = connection.execute("SELECT version FROM graph").fetchall()

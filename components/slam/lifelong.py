@@ -41,7 +41,7 @@ _NS_PER_S = 1_000_000_000
 
 # Keyframes that are drawn in one call, at about 1 ms each.
 _DRAWN = 60
-# A block with fewer differing cells, with those of the blocks around it, is no change: noise.
+# A block with fewer differing cells, with those of the blocks around it, differs by noise.
 _LEAST_CELLS = 3
 # If more of a block's differing cells than this share are others, its change is a new one.
 _SAME_SHARE = 0.5

@@ -122,7 +122,7 @@ def test_short_change_does_not_reach_the_graph(history: GraphHistory) -> None:
 
 
 def test_obstacle_that_no_scan_shows_is_not_taken_from_the_grid_map(history: GraphHistory) -> None:
-    """Such as glass that somebody has drawn by hand."""
+    """Such as glass that was drawn by hand."""
     graph, there = lifelong(history), furnished(history)
     cells = there.grid.values.copy()
     row, column = there.grid.frame.cell(6.5, 2.5)
