@@ -121,6 +121,8 @@ class LifelongMap:
         self._differences: MapDifferences | None = None
         self._pending: dict[Block, _Pending] = {}
         self._waiting: list[_Seen] = []
+        self.is_of_other_building = False
+        """Whether the grid map has mostly other obstacles than the graph, which then stays."""
         self._changed: Renewal | None = None  # after which too many keyframes may be left
 
     @property
@@ -133,15 +135,6 @@ class LifelongMap:
         """Number of blocks that differ and may be changed later."""
         return len(self._pending)
 
-    @property
-    def is_of_other_building(self) -> bool:
-        """Whether the grid map has mostly other obstacles than the graph, which then stays."""
-        differences = self._differences
-        if differences is None or self._drawing is None:
-            return False
-        obstacles = int(np.count_nonzero(self._drawing.whole().values > 0))
-        return differences.count > _FOREIGN * max(1, obstacles)
-
     def set_map(self, grid: OccupancyCells) -> None:
         """Set the whole grid map; raises `CairnError` if it cannot be that of the graph."""
         known = self._differences
@@ -151,9 +144,12 @@ class LifelongMap:
             and self._grid.frame == grid.frame
             and known.cells.shape == grid.values.shape
         ):
-            known.update(0, 0, np.array(grid.values))
+            if not np.array_equal(known.cells, grid.values):
+                known.update(0, 0, np.array(grid.values))
+                self._check_building(known)
             return
         self._grid, self._differences = grid, None
+        self.is_of_other_building = False
         self._pending.clear()
         resolution = grid.frame.resolution
         if self._drawing is None or self._drawing.frame.resolution != resolution:
@@ -253,6 +249,12 @@ class LifelongMap:
         if self._undrawn or self._grid is None or self._drawing is None:
             return
         self._differences = MapDifferences(self._grid, self._drawing)
+        self._check_building(self._differences)
+
+    def _check_building(self, differences: MapDifferences) -> None:
+        assert self._drawing is not None
+        obstacles = int(np.count_nonzero(self._drawing.whole().values > 0))
+        self.is_of_other_building = differences.count > _FOREIGN * max(1, obstacles)
 
     def _follow(self, blocks: Mapping[Block, frozenset[tuple[int, int]]], now_ns: int) -> None:
         """Note which blocks differ, and since when."""
