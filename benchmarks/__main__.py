@@ -17,6 +17,7 @@ BENCHMARKS = (
     "localization_scan",
     "localization_logs",
     "slam_landmarks",
+    "lifelong",
     "world",
     "recognition",
     "camera",

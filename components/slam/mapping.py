@@ -33,6 +33,7 @@ from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MotionModel
 from cairn.planar.poses import Pose, apart, compose, distance, relative
+from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
 from cairn.visual_map.observations import Observation
 
@@ -121,6 +122,10 @@ class Mapper:
         self.closer = LoopCloser()
         self.tracker = ScanTracker()
         self.farthest = farthest
+        self.renewals = Renewals()
+        """Where only keyframes from a version of the map on count."""
+        self.version = 0
+        """Version of the map, which new keyframes get."""
         self._odometry: Pose | None = None
         self._pose: Pose = (0.0, 0.0, 0.0)
         self._island = 0  # number of the first keyframe since the robot was moved
@@ -174,7 +179,9 @@ class Mapper:
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self._pose)
         if is_first or apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD):
-            frame = Keyframe(stamp_ns, odometry, cloud, scan_rays(rays), self._open.number)
+            frame = Keyframe(
+                stamp_ns, odometry, cloud, scan_rays(rays), self._open.number, self.version
+            )
             self._add_keyframe(frame, None if is_first else (offset, tracked))
             last, offset = last + 1, (0.0, 0.0, 0.0)
         self.trajectory.append(Step(stamp_ns, last, offset))

@@ -134,6 +134,7 @@ def build_map(
     _add_records(mapper, scans, seen, odometry, mount, progress)
     mapper.finish(progress)
     drawing = MapGrid(settings.resolution, settings.reach)
+    drawing.renew(mapper.renewals)
     try:
         drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
         grid = drawing.grid() if scans is not None else None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,13 +16,23 @@ import typer
 from cairn import CairnError
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, print_json
+from cairn.cli.output import show as show_rows
 from cairn.client import connect as connect_to
-from cairn.components.map_builder.cli import app, parse_mount, prepare
+from cairn.components.map_builder.cli import (
+    CHANGE_COLUMNS,
+    app,
+    change_row,
+    parse_mount,
+    prepare,
+)
+from cairn.components.map_builder.why import time_text
 from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.replay.open_recording import open_recording
-from cairn.planar.map_file import write_map
+from cairn.planar.map_file import read_map, write_map
+from cairn.visual_map.landmark_store import open_landmarks
 
 if TYPE_CHECKING:
+    from cairn.components.slam.graph_history import GraphLog
     from cairn.tools.mapping.build import BuiltMap, Progress
 
 __all__ = ["app"]
@@ -159,6 +171,120 @@ def save(
 
     with connect_to(connect, domain, robot, notify=note) as client:
         print_saved(save_map(client, out, force=force), as_json=json)
+
+
+@app.command()
+def history(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="Graph of a map (.graph), or visual map (.cairn)."),
+    ],
+    json: Json = False,
+) -> None:
+    """Show what changed in a map, and when."""
+    if file.suffix == ".cairn":
+        with open_landmarks(file, read_only=True) as store:
+            rows = [change_row(*change) for change in store.history()]
+            version = store.version()
+        if json:
+            print_json({"version": version, "changes": rows})
+            return
+        show_rows(rows, CHANGE_COLUMNS, as_json=False, nothing="the map has no changes")
+        return
+    from cairn.components.slam.graph_history import read_log
+
+    log = read_log(file)
+    rows = [
+        {"version": version, "time": time_text(change.stamp_ns), **vars(change)}
+        for version, change in log.changes
+    ]
+    if json:
+        print_json({"version": log.version, "oldest": log.oldest, "changes": rows})
+        return
+    line(f"{file.name}: version {log.version}; `cairn map rollback` can return to versions from "
+         f"{log.oldest} on")  # fmt: skip
+    show_rows(rows, _GRAPH_COLUMNS, as_json=False, nothing="the map has no changes")
+
+
+@app.command()
+def rollback(
+    file: Annotated[Path, typer.Argument(metavar="GRAPH", help="Graph of a map (.graph).")],
+    when: Annotated[
+        str,
+        typer.Argument(
+            metavar="TIME",
+            help="Time in UTC, such as '2026-05-04 10:00', or the number of a version.",
+        ),
+    ],
+    json: Json = False,
+) -> None:
+    """Return to the map of an earlier time; this is a change, too, so it can be undone.
+
+    Changes GRAPH, and writes the grid map (.yaml, .pgm) of that time beside it.
+    """
+    from cairn.components.slam.graph_history import GraphHistory, draw_state, read_log
+
+    version = _version_at(file, read_log(file), when)
+    grid_file = file.with_suffix(".yaml")
+    with GraphHistory(file) as graph:
+        graph.seal()  # fails while a robot uses the file: it would not see the change
+        then = graph.state(version)
+        resolution = read_map(grid_file).frame.resolution if grid_file.exists() else 0.05
+        try:
+            grid = draw_state(then, resolution).grid()
+        except ValueError as error:
+            raise CairnError(f"{file}: version {version} cannot be drawn: {error}") from error
+        reason = f"returned to version {version}"
+        new = graph.rollback(version, time.time_ns(), reason)
+        write_map(grid_file, grid)
+        graph.seal()
+    written = [str(file), str(grid_file), str(grid_file.with_suffix(".pgm"))]
+    if json:
+        print_json({"version": new, "returned_to": version, "files": written})
+        return
+    line(f"{file}: version {new}, which is the map of version {version}")
+    line(f"also written: {grid_file.name}, {grid_file.with_suffix('.pgm').name}")
+
+
+_GRAPH_COLUMNS = {
+    "version": "version",
+    "time": "time (UTC)",
+    "kind": "kind",
+    "x": "x [m]",
+    "y": "y [m]",
+    "width": "width [m]",
+    "height": "height [m]",
+    "added": "cells added",
+    "removed": "removed",
+    "reason": "reason",
+}
+
+
+def _version_at(file: Path, log: GraphLog, when: str) -> int:
+    """Return the version of the map that an argument names by its number or by a time."""
+    times = {version: time_text(change.stamp_ns) for version, change in log.changes}
+    oldest = f"version {log.oldest}" + (f" of {times[log.oldest]}" if log.oldest in times else "")
+    if when.isdecimal():
+        version = int(when)
+        if not log.oldest <= version <= log.version:
+            raise CairnError(
+                f"{file}: version {when} is not kept; the oldest is {oldest}, the newest "
+                f"{log.version}"
+            )
+        return version
+    try:
+        at = datetime.fromisoformat(when)
+    except ValueError:
+        raise CairnError(
+            f"{when} is not a time; write it as '2026-05-04 10:00' (UTC), or give the number of a "
+            "version that `cairn map history` lists"
+        ) from None
+    if at.tzinfo is None:
+        at = at.replace(tzinfo=UTC)
+    found = log.version_at(round(at.timestamp() * 1e9))
+    if found is None:
+        raise CairnError(f"{file}: the map of {when} is not kept any more; the oldest is {oldest}")
+    return found
 
 
 _ENDINGS = (".yaml", ".pgm", ".cairn", ".graph", ".tum", ".png")
