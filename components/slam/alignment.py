@@ -25,7 +25,7 @@ _SAME_SIDE = 0.7
 # A direction counts as seen only as far as the surfaces across it outweigh this share of those
 # across the other direction: the noise of their normals makes long walls look slightly rough.
 _ROUGHNESS = 0.01
-# Standard deviation of a point's distance to its surface [m], of which the errors of the points of
+# Least standard deviation of a point's distance to its surface [m], of which the errors of the points of
 # one scan have this share in common: the information counts so many times less.
 _NOISE_M, _COMMON = 0.02, 12.0
 
@@ -71,13 +71,15 @@ class Reference:
             self._origin, self._columns, self._rows, state, prior, reach, robust,
         )  # fmt: skip
         paired, flat, squares, fit = numbers
+        deviation = math.sqrt(squares / flat) if flat else math.inf
+        noise = max(_NOISE_M, deviation if flat else 0.0)
         return Alignment(
             pose=(float(state[0]), float(state[1]), wrap(float(state[2]))),
-            information=hessian / (_NOISE_M**2 * _COMMON),
+            information=hessian / (noise**2 * _COMMON),
             fit=float(fit / max(1, cloud.count)),
             paired=float(paired / max(1, cloud.count)),
             pairs=int(flat),
-            deviation=float(math.sqrt(squares / flat)) if flat else math.inf,
+            deviation=float(deviation),
         )
 
 

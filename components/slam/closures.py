@@ -8,24 +8,24 @@ after an exact alignment, and if neither of the two sees through a wall of the o
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.alignment import Reference
-from cairn.components.slam.correlation import CorrelationMap
-from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap, cloud_in
-from cairn.components.slam.point_cloud import PointCloud
+from cairn.components.slam.alignment import Alignment, Reference
+from cairn.components.slam.correlation import CorrelationMap, Peak
+from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap
+from cairn.components.slam.point_cloud import PointCloud, joined
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
-from cairn.planar.poses import Pose, apart, compose, distance, inverse, relative
-from cairn.planar.scan_grid import ScanGrid
+from cairn.components.slam.submap_view import REACH_M, SubmapView, conflicts, view_of
+from cairn.planar.poses import apart, compose, distance, relative
 
 Array = NDArray[np.float64]
 
-# The points that are searched for: one per cell of this size [m], no farther than this from the
-# middle of the submap [m], and at least so many.
-_SEARCH_CELL, _SEARCH_REACH_M, _LEAST_POINTS = 0.1, 15.0, 50
+# The points that are searched for: one per cell of this size [m], and at least so many.
+_SEARCH_CELL, _LEAST_POINTS = 0.1, 50
 # Submaps whose middles are farther apart see different places [m], beyond the window.
 _NEAR_M = 6.0
 # The window is so many standard deviations of the drift, and this [m], [rad] more; at most this
@@ -38,7 +38,9 @@ _LEAST_SCORE, _LEAST_SCORE_ANYWHERE = 0.55, 0.6
 _LEAST_PAIRED, _MOST_DEVIATION, _MOVED_M, _MOVED_RAD = 0.6, 0.06, 0.4, 0.1
 # Most points of one that lie where the other sees free space, as a share of those that it sees.
 _MOST_CONFLICTS = 0.2
-_CONFLICT_CELL, _PASSES = 0.1, 3  # [m], [1]
+# Peaks of a search that are aligned exactly; those of more are ambiguous. The alignment that fits
+# best must fit so much better than those that end elsewhere [m], [rad].
+_MOST_PEAKS, _CLEARLY_BETTER, _SAME_M, _SAME_RAD = 12, 0.03, 0.3, 0.1
 # Neighbors of the alignment's points share their errors: a closure counts as this much of one.
 _WORTH = 0.2
 # A match in a window wider than this [m] is accepted only with a second one that agrees with it up
@@ -82,15 +84,20 @@ class LoopCloser:
         self._tasks: list[Task] = []
         self._waiting: list[Edge] = []
         self._found: dict[int, int] = {}
+        self._views: list[SubmapView] = []
+        self._firsts: list[int] = []  # the first keyframe of each submap
 
     @property
     def pending(self) -> int:
         """Number of comparisons that are planned."""
         return len(self._tasks)
 
-    def add(self, number: int, submaps: list[Submap], graph: PoseGraph) -> None:
-        """Plan the comparisons of a new submap."""
-        new = submaps[number]
+    def add(self, submaps: list[Submap], keyframes: list[Keyframe], graph: PoseGraph) -> None:
+        """Plan the comparisons of the last submap, which is complete, with those before it."""
+        new = submaps[-1]
+        number = new.number
+        self._firsts.append(new.first)
+        self._views.append(view_of(new, keyframes, graph.poses))
         at = graph.pose(new.middle)
         drift = graph.drift(new.middle)
         islands = graph.islands()
@@ -111,45 +118,37 @@ class LoopCloser:
         planned.sort(key=lambda one: (one[0], -one[1].old))
         self._tasks += [task for _, task in planned[:_MOST_CANDIDATES]]
 
-    def work(
-        self, most: int | None, keyframes: list[Keyframe], submaps: list[Submap], graph: PoseGraph
-    ) -> list[Edge]:
-        """Compare at most `most` pairs of submaps, or all; return the accepted closures."""
+    def work(self, most: int, submaps: list[Submap], graph: PoseGraph) -> list[Edge]:
+        """Compare at most `most` pairs of submaps; return the accepted closures."""
         accepted: list[Edge] = []
         done = 0
-        while self._tasks and (most is None or done < most):
+        while self._tasks and done < most:
             task = self._tasks.pop(0)
             if self._found.get(task.new, 0) >= _ENOUGH:
                 continue
             done += 1
             self.counts.searched += 1
-            edge = self._compare(task, keyframes, submaps, graph)
+            edge = self._compare(task, submaps, graph)
             if edge is None:
                 continue
             accepted += self._confirm(edge, task, graph)
         for edge in accepted:
-            number = keyframes[edge.second].submap
+            number = bisect_right(self._firsts, edge.second) - 1
             self._found[number] = self._found.get(number, 0) + 1
         self.counts.accepted += len(accepted)
         return accepted
 
-    def _compare(
-        self, task: Task, keyframes: list[Keyframe], submaps: list[Submap], graph: PoseGraph
-    ) -> Edge | None:
+    def _compare(self, task: Task, submaps: list[Submap], graph: PoseGraph) -> Edge | None:
         new, old = submaps[task.new], submaps[task.old]
-        poses, base = graph.poses, graph.pose(old.middle)
-        at = graph.pose(new.middle)
-        members = list(range(new.first, new.last + 1))
-        query = cloud_in(at, members, keyframes, poses).thinned(_SEARCH_CELL)
-        near = np.hypot(query.points[:, 0], query.points[:, 1]) < _SEARCH_REACH_M
-        query = PointCloud(query.points[near], query.normals[near])
-        beside = [
-            other
+        base, at = graph.pose(old.middle), graph.pose(new.middle)
+        view = self._views[task.new]
+        query = view.nearby(REACH_M, _SEARCH_CELL)
+        around = [
+            (relative(base, graph.pose(other.middle)), self._views[other.number])
             for other in submaps[max(0, task.old - 1) : task.old + 2]
             if other.number < task.new
         ]
-        around = [k for other in beside for k in range(other.first, other.last + 1)]
-        cloud = cloud_in(base, around, keyframes, poses).thinned(DENSE_M)
+        cloud = joined([one.cloud.placed(pose) for pose, one in around]).thinned(DENSE_M)
         if min(query.count, cloud.count) < _LEAST_POINTS:
             self.counts.not_found += 1
             return None
@@ -157,29 +156,45 @@ class LoopCloser:
         least = _LEAST_SCORE_ANYWHERE if anywhere else _LEAST_SCORE
         center = (0.0, 0.0, 0.0) if anywhere else relative(base, at)
         peaks = CorrelationMap(cloud.points).search(
-            query.points, center, task.reach, task.turn, least
+            query.points, center, task.reach, task.turn, least, _MOST_PEAKS
         )
-        if len(peaks) != 1:
-            if peaks:
-                self.counts.ambiguous += 1
-            else:
-                self.counts.not_found += 1
+        if not peaks:
+            self.counts.not_found += 1
             return None
-        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
-        found = Reference(cloud).align(query, peaks[0].pose, prior, 0.3)
+        found = self._only_alignment(peaks, query, cloud)
+        if found is None:
+            return None
         if (
-            found.paired < _LEAST_PAIRED
-            or found.deviation > _MOST_DEVIATION
-            or apart(found.pose, peaks[0].pose, _MOVED_M, _MOVED_RAD)
+            conflicts(query.placed(found.pose).points, around) > _MOST_CONFLICTS
+            or conflicts(cloud.points, [(found.pose, view)]) > _MOST_CONFLICTS
         ):
-            self.counts.misaligned += 1
-            return None
-        frames = (base, at, found.pose)
-        if _conflicts(frames, query, members, cloud, around, keyframes, poses) > _MOST_CONFLICTS:
             self.counts.conflicting += 1
             return None
         information = turned(_WORTH * found.information, found.pose[2])
         return Edge(EdgeKind.CLOSURE, old.middle, new.middle, found.pose, information)
+
+    def _only_alignment(
+        self, peaks: list[Peak], query: PointCloud, cloud: PointCloud
+    ) -> Alignment | None:
+        """Return the alignment at the peak that fits clearly better than all others."""
+        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
+        reference = Reference(cloud)
+        aligned = [(peak, reference.align(query, peak.pose, prior, 0.3)) for peak in peaks]
+        peak, best = max(aligned, key=lambda one: one[1].fit)
+        if (
+            best.paired < _LEAST_PAIRED
+            or best.deviation > _MOST_DEVIATION
+            or apart(best.pose, peak.pose, _MOVED_M, _MOVED_RAD)
+        ):
+            self.counts.misaligned += 1
+            return None
+        others = [
+            other.fit for _, other in aligned if apart(best.pose, other.pose, _SAME_M, _SAME_RAD)
+        ]
+        if len(peaks) == _MOST_PEAKS or best.fit - max(others, default=0.0) < _CLEARLY_BETTER:
+            self.counts.ambiguous += 1
+            return None
+        return best
 
     def _confirm(self, edge: Edge, task: Task, graph: PoseGraph) -> list[Edge]:
         """Return the closures that are certain now: this one, and others that waited for it."""
@@ -212,32 +227,3 @@ def _agree(edge: Edge, other: Edge, graph: PoseGraph) -> bool:
     by_other = compose(other.measured, new)
     by_edge = compose(old, edge.measured)
     return not apart(by_other, by_edge, _AGREE_M, _AGREE_RAD)
-
-
-def _conflicts(
-    frames: tuple[Pose, Pose, Pose],
-    query: PointCloud,
-    members: list[int],
-    cloud: PointCloud,
-    around: list[int],
-    keyframes: list[Keyframe],
-    poses: Array,
-) -> float:
-    """Return the share of points that lie where the other submap has seen free space.
-
-    `frames` are those of the old and the new submap in the map, and that of the new in the old one.
-    """
-    base, at, found = frames
-    shares = []
-    for origin, seen, points in (
-        (base, around, query.placed(found).points),
-        (at, members, cloud.placed(inverse(found)).points),
-    ):
-        grid = ScanGrid(_CONFLICT_CELL, _SEARCH_REACH_M)
-        for k in seen:
-            rays = keyframes[k].rays
-            if rays is not None:
-                x, y, theta = poses[k].tolist()
-                grid.add(relative(origin, (x, y, theta)), rays.rays())
-        shares.append(grid.seen_through(points, _PASSES))
-    return max(shares)

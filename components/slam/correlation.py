@@ -62,9 +62,9 @@ class CorrelationMap:
         self._origin = low * _CELL
 
     def search(
-        self, points: Array, center: Pose, reach: float, turn: float, least: float
+        self, points: Array, center: Pose, reach: float, turn: float, least: float, most: int = 1
     ) -> list[Peak]:
-        """Return the best pose of the points (n, 2) [m], and the best one elsewhere.
+        """Return the best poses of the points (n, 2) [m], the best one first.
 
         Args:
             points: of the cloud, in its own frame.
@@ -72,17 +72,19 @@ class CorrelationMap:
             reach: half of the window's side [m].
             turn: half of its range of headings [rad]; pi for all.
             least: scores below this count as none.
+            most: largest number of peaks.
 
         Returns:
-            At most two peaks. The second one is missing if its score is below `least` or 0.8 times
-            the best one. Empty if none is found, or more than 400,000 nodes would be needed.
+            The peaks of the likelihood, 0.6 m or 12 degrees apart, whose score is at least `least`
+            and 0.8 times the best one. Empty if none is found; `most` times the best one if other
+            peaks remained unknown because more than 400,000 nodes would have to be searched.
 
         """
         steps = min(math.ceil(turn / _TURN), math.ceil(math.pi / _TURN) - 1)
         turns = center[2] + _TURN * np.arange(-steps, steps + 1)
         found = _search(
             np.ascontiguousarray(points), turns, self._levels, self._origin,
-            center[0], center[1], math.ceil(reach / _CELL), least,
+            center[0], center[1], math.ceil(reach / _CELL), least, most,
         )  # fmt: skip
         return [
             Peak((float(x), float(y), wrap(float(theta))), float(score))
@@ -104,7 +106,7 @@ def _score(
 
 @compiled(
     "float64[:, ::1](float64[:, ::1], float64[::1], float32[:, :, ::1], float64[::1],"
-    " float64, float64, int64, float64)"
+    " float64, float64, int64, float64, int64)"
 )
 def _search(
     points: Array,
@@ -115,6 +117,7 @@ def _search(
     y: float,
     reach: int,
     least: float,
+    most: int,
 ) -> Array:
     count, rotations = len(points), len(turns)
     height, rows, columns = levels.shape
@@ -138,35 +141,39 @@ def _search(
                 score = _score(levels[top], rows, columns, cells[j], dx, dy)
                 if score >= least:
                     heappush(heap, (-score, top, j, dx, dy))
-    found = np.empty((2, 4))
+    found = np.empty((most, 4))
     peaks, nodes, floor = 0, 0, least
     while len(heap) > 0:
         negative, level, j, dx, dy = heappop(heap)
         if -negative < floor:
             break
-        if peaks == 1:
-            # Not within the first peak, nor a coarse cell that lies within it.
-            near_x = abs(x + dx * _CELL - found[0, 0])
-            near_y = abs(y + dy * _CELL - found[0, 1])
-            turned = abs((turns[j] - found[0, 2] + math.pi) % (2.0 * math.pi) - math.pi)
+        # Not within a peak, nor a coarse cell that lies within it.
+        known = False
+        for k in range(peaks):
+            near_x = abs(x + dx * _CELL - found[k, 0])
+            near_y = abs(y + dy * _CELL - found[k, 1])
+            turned = abs((turns[j] - found[k, 2] + math.pi) % (2.0 * math.pi) - math.pi)
             span = ((1 << level) - 1) * _CELL
             if max(near_x, near_y) + span < _PEAK_M and turned < _PEAK_RAD:
-                continue
+                known = True
+                break
+        if known:
+            continue
         if level == 0:
             found[peaks, 0], found[peaks, 1] = x + dx * _CELL, y + dy * _CELL
             found[peaks, 2], found[peaks, 3] = turns[j], -negative
             peaks += 1
-            if peaks == 2:
+            if peaks == most:
                 break
-            floor = max(least, 0.8 * -negative)
+            floor = max(least, 0.8 * found[0, 3])
             continue
         nodes += 1
         if nodes > _MOST_NODES:
             if peaks == 0:
                 break
-            # What was not searched may be as good: the second peak is unknown, hence as good.
-            found[1] = found[0]
-            peaks = 2
+            # What was not searched may be as good.
+            found[1:] = found[0]
+            peaks = most
             break
         half = 1 << (level - 1)
         for step_y in range(2):

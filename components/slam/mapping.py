@@ -161,12 +161,12 @@ class Mapper:
 
     def _close_submap(self) -> None:
         self.submaps.append(self._open)
-        self.closer.add(self._open.number, self.submaps, self.graph)
+        self.closer.add(self.submaps, self.keyframes, self.graph)
         self._open = Submap(len(self.submaps), len(self.keyframes), len(self.keyframes) - 1)
         self._way = 0.0
 
     def _close_loops(self, most: int) -> None:
-        found = self.closer.work(most, self.keyframes, self.submaps, self.graph)
+        found = self.closer.work(most, self.submaps, self.graph)
         if found:
             self.graph.edges += found
             last = self.graph.pose(len(self.keyframes) - 1)
