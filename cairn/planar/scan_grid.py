@@ -104,9 +104,7 @@ class ScanGrid:
         rows, columns = self._ended.shape
         inside = (cells >= 1).all(axis=1) & (cells[:, 1] < rows - 1) & (cells[:, 0] < columns - 1)
         column, row = cells[inside].T
-        ended = sum(
-            self._ended[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)
-        )
+        ended = sum(self._ended[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1))
         reached = ended + self._passed[row, column]
         shares = np.ones(len(points))
         shares[inside] = np.where(reached > 0, ended / np.maximum(reached, 1), 1.0)

@@ -20,7 +20,7 @@ from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap
 from cairn.components.slam.point_cloud import PointCloud, joined
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.submap_view import REACH_M, SubmapView, conflicts, view_of
-from cairn.planar.poses import apart, compose, distance, relative
+from cairn.planar.poses import Pose, apart, compose, distance, inverse, relative, wrap
 
 Array = NDArray[np.float64]
 
@@ -40,27 +40,46 @@ _LEAST_PAIRED, _MOST_DEVIATION, _MOVED_M, _MOVED_RAD = 0.6, 0.06, 0.4, 0.1
 _MOST_CONFLICTS = 0.2
 # Peaks of a search that are aligned exactly; those of more are ambiguous. The alignment that fits
 # best must fit so much better than those that end elsewhere [m], [rad].
-_MOST_PEAKS, _CLEARLY_BETTER, _SAME_M, _SAME_RAD = 12, 0.03, 0.3, 0.1
+_MOST_PEAKS, _CLEARLY_BETTER, _SAME_M, _SAME_RAD = 20, 0.04, 0.2, 0.1
+# For this comparison, points are paired up to this distance [m]; the distance at which a pair
+# counts half is at least this [m], and so many times the deviation of the best alignment.
+_SHARP_REACH_M, _SHARP_M, _SHARP_DEVIATIONS = 0.12, 0.015, 1.5
+# A submap is compared with so many before and after it, to see whether the surroundings repeat.
+# They do if it fits elsewhere as well as in the old one, or worse by this; poses nearer than this
+# to its own are itself [m], [rad].
+_BESIDE, _REPEATED, _ITSELF_M, _ITSELF_RAD = 5, 0.1, 0.5, 0.3
+_ITSELF: Pose = (0.0, 0.0, 0.0)
 # Neighbors of the alignment's points share their errors: a closure counts as this much of one.
 _WORTH = 0.2
-# A match in a window wider than this [m] is accepted only with a second one that agrees with it up
+# A match in a window wider than this [m] is accepted only with so many in all that agree with it up
 # to this [m], [rad].
-_SURE_WINDOW_M, _AGREE_M, _AGREE_RAD = 2.5, 0.5, 0.1
-_REMEMBERED = 12  # matches that wait for a second one
+_SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
+_REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.
 _MOST_CANDIDATES = 24
+# Of other islands, one submap in this distance [m] is searched, and at most so many.
+_PLACES_M, _MOST_PLACES = 3.0, 100
 # Matches that are enough for one submap.
 _ENOUGH = 3
 
 
 @dataclass(frozen=True)
 class Task:
-    """Two submaps to compare: `new` is searched for in `old`, in the window by its drift."""
+    """Two submaps to compare: `new` is searched for in `old`, in the window by its drift.
+
+    `anywhere`: they are of different islands.
+    """
 
     new: int
     old: int
     reach: float
     turn: float
+    anywhere: bool = False
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the window is so narrow that a match needs no confirmation."""
+        return not self.anywhere and self.reach <= _SURE_WINDOW_M and self.turn < math.pi
 
 
 @dataclass
@@ -95,47 +114,43 @@ class LoopCloser:
     def add(self, submaps: list[Submap], keyframes: list[Keyframe], graph: PoseGraph) -> None:
         """Plan the comparisons of the last submap, which is complete, with those before it."""
         new = submaps[-1]
-        number = new.number
         self._firsts.append(new.first)
         self._views.append(view_of(new, keyframes, graph.poses))
-        at = graph.pose(new.middle)
-        drift = graph.drift(new.middle)
         islands = graph.islands()
-        planned: list[tuple[float, Task]] = []
-        for old in submaps[:number]:
-            if new.number - old.number < 2 and islands[new.middle] == islands[old.middle]:
-                continue
-            if islands[new.middle] != islands[old.middle]:
-                planned.append((0.0, Task(number, old.number, _WIDEST_M, math.pi)))
-                continue
-            covariance = drift[old.middle]
-            sd_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-            reach = min(_SIGMAS * sd_m + _EXTRA_M, _WIDEST_M)
-            turn = min(_SIGMAS * math.sqrt(covariance[2, 2]) + _EXTRA_RAD, math.pi)
-            apart_m = distance(at, graph.pose(old.middle))
-            if apart_m < _NEAR_M + reach:
-                planned.append((apart_m / reach, Task(number, old.number, reach, turn)))
-        planned.sort(key=lambda one: (one[0], -one[1].old))
-        self._tasks += [task for _, task in planned[:_MOST_CANDIDATES]]
+        here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
+        elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]
+        # A place in the own island is more urgent than those where the robot may have been.
+        self._tasks = [task for task in self._tasks if not task.anywhere] + [
+            *_near_tasks(new, here, graph),
+            *(task for task in self._tasks if task.anywhere),
+            *_anywhere_tasks(new, elsewhere, graph),
+        ]
 
     def work(self, most: int, submaps: list[Submap], graph: PoseGraph) -> list[Edge]:
         """Compare at most `most` pairs of submaps; return the accepted closures."""
         accepted: list[Edge] = []
         done = 0
-        while self._tasks and done < most:
+        while self._tasks and done < most and not accepted:
             task = self._tasks.pop(0)
-            if self._found.get(task.new, 0) >= _ENOUGH:
-                continue
-            done += 1
-            self.counts.searched += 1
-            edge = self._compare(task, submaps, graph)
-            if edge is None:
-                continue
-            accepted += self._confirm(edge, task, graph)
+            is_needed = self._found.get(task.new, 0) < _ENOUGH
+            if is_needed and task.anywhere:
+                islands = graph.islands()
+                is_needed = islands[submaps[task.new].middle] != islands[submaps[task.old].middle]
+            if is_needed:
+                done += 1
+                self.counts.searched += 1
+                edge = self._compare(task, submaps, graph)
+                if edge is not None and task.is_sure:
+                    accepted.append(edge)
+                elif edge is not None:
+                    self._waiting = [*self._waiting, edge][-_REMEMBERED:]
+            if not any(other.new == task.new for other in self._tasks):
+                accepted += self._confirmed(graph)
         for edge in accepted:
             number = bisect_right(self._firsts, edge.second) - 1
             self._found[number] = self._found.get(number, 0) + 1
         self.counts.accepted += len(accepted)
+        self.counts.unconfirmed = len(self._waiting)
         return accepted
 
     def _compare(self, task: Task, submaps: list[Submap], graph: PoseGraph) -> Edge | None:
@@ -152,17 +167,21 @@ class LoopCloser:
         if min(query.count, cloud.count) < _LEAST_POINTS:
             self.counts.not_found += 1
             return None
-        anywhere = task.turn >= math.pi
-        least = _LEAST_SCORE_ANYWHERE if anywhere else _LEAST_SCORE
-        center = (0.0, 0.0, 0.0) if anywhere else relative(base, at)
+        least = _LEAST_SCORE_ANYWHERE if task.anywhere else _LEAST_SCORE
+        center = (0.0, 0.0, 0.0) if task.anywhere else relative(base, at)
         peaks = CorrelationMap(cloud.points).search(
             query.points, center, task.reach, task.turn, least, _MOST_PEAKS
         )
+        if peaks and not task.anywhere:
+            peaks.append(Peak(center, least))  # along a corridor it may be best
         if not peaks:
             self.counts.not_found += 1
             return None
         found = self._only_alignment(peaks, query, cloud)
         if found is None:
+            return None
+        if not task.is_sure and self._is_repeated(task, found, center, submaps, graph):
+            self.counts.ambiguous += 1
             return None
         if (
             conflicts(query.placed(found.pose).points, around) > _MOST_CONFLICTS
@@ -180,6 +199,18 @@ class LoopCloser:
         prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
         reference = Reference(cloud)
         aligned = [(peak, reference.align(query, peak.pose, prior, 0.3)) for peak in peaks]
+        # Once more, with less tolerance: on a long wall, all places along it fit roughly.
+        best_deviation = min(
+            (one.deviation for _, one in aligned if one.paired >= _LEAST_PAIRED), default=math.inf
+        )
+        if best_deviation > _MOST_DEVIATION:
+            self.counts.misaligned += 1
+            return None
+        sharp = max(_SHARP_M, _SHARP_DEVIATIONS * best_deviation)
+        aligned = [
+            (peak, reference.align(query, one.pose, prior, _SHARP_REACH_M, sharp))
+            for peak, one in aligned
+        ]
         peak, best = max(aligned, key=lambda one: one[1].fit)
         if (
             best.paired < _LEAST_PAIRED
@@ -191,23 +222,99 @@ class LoopCloser:
         others = [
             other.fit for _, other in aligned if apart(best.pose, other.pose, _SAME_M, _SAME_RAD)
         ]
-        if len(peaks) == _MOST_PEAKS or best.fit - max(others, default=0.0) < _CLEARLY_BETTER:
+        if len(peaks) >= _MOST_PEAKS or best.fit - max(others, default=0.0) < _CLEARLY_BETTER:
             self.counts.ambiguous += 1
             return None
         return best
 
-    def _confirm(self, edge: Edge, task: Task, graph: PoseGraph) -> list[Edge]:
-        """Return the closures that are certain now: this one, and others that waited for it."""
-        if task.turn < math.pi and task.reach <= _SURE_WINDOW_M:
-            return [edge]
-        agreeing = [other for other in self._waiting if _agree(edge, other, graph)]
-        if not agreeing:
-            self.counts.unconfirmed += 1
-            self._waiting = [*self._waiting, edge][-_REMEMBERED:]
-            return []
-        self.counts.unconfirmed -= len(agreeing)
-        self._waiting = [other for other in self._waiting if other not in agreeing]
-        return [*agreeing, edge]
+    def _is_repeated(
+        self, task: Task, found: Alignment, center: Pose, submaps: list[Submap], graph: PoseGraph
+    ) -> bool:
+        """Return whether the surroundings repeat so that other poses in the window are as likely.
+
+        A corridor with equal doors at equal distances looks the same from several places, of which
+        the old submap may show only one.
+        """
+        new = submaps[task.new]
+        at, island = graph.pose(new.middle), graph.islands()
+        around = [
+            self._views[other.number].cloud.placed(relative(at, graph.pose(other.middle)))
+            for other in submaps[max(0, task.new - _BESIDE) : task.new + _BESIDE + 1]
+            if island[other.middle] == island[new.middle] and other.number < len(self._views)
+        ]
+        query = self._views[task.new].nearby(REACH_M, _SEARCH_CELL)
+        cloud = joined(around).thinned(DENSE_M)
+        peaks = CorrelationMap(cloud.points).search(
+            query.points, _ITSELF, task.reach, task.turn, _LEAST_SCORE, _MOST_PEAKS, 0.0
+        )
+        reference = Reference(cloud)
+        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
+        sharp = max(_SHARP_M, _SHARP_DEVIATIONS * found.deviation)
+        for peak in peaks:
+            rough = reference.align(query, peak.pose, prior, 0.3)
+            again = reference.align(query, rough.pose, prior, _SHARP_REACH_M, sharp)
+            is_itself = not apart(again.pose, _ITSELF, _ITSELF_M, _ITSELF_RAD)
+            if is_itself or again.fit < found.fit - _REPEATED:
+                continue
+            for shift in (again.pose, inverse(again.pose)):
+                other = compose(found.pose, shift)
+                dx, dy, turn = other[0] - center[0], other[1] - center[1], other[2] - center[2]
+                if max(abs(dx), abs(dy)) <= task.reach and abs(wrap(turn)) <= task.turn:
+                    return True
+        return False
+
+    def _confirmed(self, graph: PoseGraph) -> list[Edge]:
+        """Return the closures that others confirm, of those that were found in wide windows.
+
+        They put at least two submaps in the same place, and twice as many as any other place of
+        these submaps.
+        """
+        islands = graph.islands()
+        support = [
+            {e.second for e in self._waiting if _agree(edge, e, islands, graph)}
+            for edge in self._waiting
+        ]
+        for k in sorted(range(len(support)), key=lambda k: -len(support[k])):
+            edge, submaps = self._waiting[k], support[k]
+            if len(submaps) < _CONFIRMATIONS:
+                break
+            rivals = [
+                len(support[i])
+                for i, other in enumerate(self._waiting)
+                if other.second in submaps and not _agree(edge, other, islands, graph)
+            ]
+            if 2 * max(rivals, default=0) > len(submaps):
+                continue
+            accepted = [e for e in self._waiting if _agree(edge, e, islands, graph)]
+            self._waiting = [e for e in self._waiting if e.second not in submaps]
+            return accepted
+        return []
+
+
+def _near_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]:
+    """Return the comparisons with submaps that may show the same place, best first."""
+    at, drift = graph.pose(new.middle), graph.drift(new.middle)
+    planned: list[tuple[float, Task]] = []
+    for old in olds:
+        covariance = drift[old.middle]
+        sd_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+        reach = min(_SIGMAS * sd_m + _EXTRA_M, _WIDEST_M)
+        turn = min(_SIGMAS * math.sqrt(covariance[2, 2]) + _EXTRA_RAD, math.pi)
+        apart_m = distance(at, graph.pose(old.middle))
+        if apart_m < _NEAR_M + reach:
+            planned.append((apart_m / reach, Task(new.number, old.number, reach, turn)))
+    planned.sort(key=lambda one: (one[0], -one[1].old))
+    return [task for _, task in planned[:_MOST_CANDIDATES]]
+
+
+def _anywhere_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]:
+    """Return the comparisons with submaps of other islands: one for each place, newest first."""
+    chosen: list[Submap] = []
+    for old in reversed(olds):
+        at = graph.pose(old.middle)
+        if all(distance(at, graph.pose(other.middle)) > _PLACES_M for other in chosen):
+            chosen.append(old)
+    return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in chosen[:_MOST_PLACES]]
 
 
 def turned(information: Array, heading: float) -> Array:
@@ -218,9 +325,9 @@ def turned(information: Array, heading: float) -> Array:
     return result
 
 
-def _agree(edge: Edge, other: Edge, graph: PoseGraph) -> bool:
-    """Return whether two closures of different submaps put the robot in the same place."""
-    if edge.second == other.second:
+def _agree(edge: Edge, other: Edge, islands: NDArray[np.int64], graph: PoseGraph) -> bool:
+    """Return whether two closures put the robot in the same place."""
+    if islands[edge.first] != islands[other.first] or islands[edge.second] != islands[other.second]:
         return False
     old = relative(graph.pose(other.first), graph.pose(edge.first))
     new = relative(graph.pose(other.second), graph.pose(edge.second))

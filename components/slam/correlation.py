@@ -23,7 +23,7 @@ _SIGMA_M = 0.1  # of the likelihood of a point at a distance to the nearest poin
 _LEVELS = 6  # the coarsest cells are 2^5 times larger: 3.2 m
 _TURN = math.radians(1.0)  # between the headings that are tried
 # Two poses nearer than this [m], [rad] are one peak of the likelihood.
-_PEAK_M, _PEAK_RAD = 0.6, math.radians(12.0)
+_PEAK_M, _PEAK_RAD = 0.4, math.radians(12.0)
 # A search that has expanded so many nodes ends without a result: the window is too ambiguous.
 _MOST_NODES = 400_000
 
@@ -62,7 +62,14 @@ class CorrelationMap:
         self._origin = low * _CELL
 
     def search(
-        self, points: Array, center: Pose, reach: float, turn: float, least: float, most: int = 1
+        self,
+        points: Array,
+        center: Pose,
+        reach: float,
+        turn: float,
+        least: float,
+        most: int = 1,
+        share: float = 0.8,
     ) -> list[Peak]:
         """Return the best poses of the points (n, 2) [m], the best one first.
 
@@ -73,10 +80,11 @@ class CorrelationMap:
             turn: half of its range of headings [rad]; pi for all.
             least: scores below this count as none.
             most: largest number of peaks.
+            share: scores below this share of the best one count as none.
 
         Returns:
-            The peaks of the likelihood, 0.6 m or 12 degrees apart, whose score is at least `least`
-            and 0.8 times the best one. Empty if none is found; `most` times the best one if other
+            The peaks of the likelihood, 0.4 m or 12 degrees apart, whose score is at least `least`
+            and `share` times the best one. Empty if none is found; `most` times the best one if other
             peaks remained unknown because more than 400,000 nodes would have to be searched.
 
         """
@@ -84,7 +92,7 @@ class CorrelationMap:
         turns = center[2] + _TURN * np.arange(-steps, steps + 1)
         found = _search(
             np.ascontiguousarray(points), turns, self._levels, self._origin,
-            center[0], center[1], math.ceil(reach / _CELL), least, most,
+            center[0], center[1], math.ceil(reach / _CELL), least, most, share,
         )  # fmt: skip
         return [
             Peak((float(x), float(y), wrap(float(theta))), float(score))
@@ -106,7 +114,7 @@ def _score(
 
 @compiled(
     "float64[:, ::1](float64[:, ::1], float64[::1], float32[:, :, ::1], float64[::1],"
-    " float64, float64, int64, float64, int64)"
+    " float64, float64, int64, float64, int64, float64)"
 )
 def _search(
     points: Array,
@@ -118,6 +126,7 @@ def _search(
     reach: int,
     least: float,
     most: int,
+    share: float,
 ) -> Array:
     count, rotations = len(points), len(turns)
     height, rows, columns = levels.shape
@@ -165,7 +174,7 @@ def _search(
             peaks += 1
             if peaks == most:
                 break
-            floor = max(least, 0.8 * found[0, 3])
+            floor = max(least, share * found[0, 3])
             continue
         nodes += 1
         if nodes > _MOST_NODES:

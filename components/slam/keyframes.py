@@ -108,7 +108,9 @@ class Submap:
         return (self.first + self.last) // 2
 
 
-def cloud_in(origin: Pose, members: list[int], keyframes: list[Keyframe], poses: Array) -> PointCloud:
+def cloud_in(
+    origin: Pose, members: list[int], keyframes: list[Keyframe], poses: Array
+) -> PointCloud:
     """Return the points of some keyframes together, in the frame `origin`."""
     placed = [
         keyframes[k].cloud.placed(relative(origin, (poses[k, 0], poses[k, 1], poses[k, 2])))

@@ -67,7 +67,9 @@ def joined(clouds: Sequence[PointCloud]) -> PointCloud:
     )
 
 
-def cloud_of(points: Array, indices: NDArray[np.int64], scanner: Array, spacing: float) -> PointCloud:
+def cloud_of(
+    points: Array, indices: NDArray[np.int64], scanner: Array, spacing: float
+) -> PointCloud:
     """Return the hits of one scan with the normals of their surfaces.
 
     Args:
@@ -128,9 +130,7 @@ def _normals(points: Array, indices: NDArray[np.int64], scanner: Array, spacing:
     return normals
 
 
-@compiled(
-    "Tuple((float64[:, ::1], float64[:, ::1]))(float64[:, ::1], float64[:, ::1], float64)"
-)
+@compiled("Tuple((float64[:, ::1], float64[:, ::1]))(float64[:, ::1], float64[:, ::1], float64)")
 def _thin(points: Array, normals: Array, cell: float) -> tuple[Array, Array]:
     count = len(points)
     keys = np.empty(count, np.int64)

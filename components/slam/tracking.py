@@ -34,7 +34,7 @@ _POOR_FIT, _SURPRISE_M, _SURPRISE_RAD = 0.8, 0.1, 0.06
 _FIT_MEMORY = 0.1  # share of the newest scan in the usual fit
 # Least score of a searched pose. How much better a scan must fit for the wheels to have slipped,
 # times the square root of the number of its points: few points fit by chance.
-_LEAST_SCORE, _BETTER = 0.3, 1.2
+_LEAST_SCORE, _BETTER = 0.3, 2.0
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # A scan that fits worse is not of this place; so many in a row mean that the robot was moved.
@@ -110,9 +110,7 @@ class ScanTracker:
             sd_m, sd_rad = math.sqrt(slip[0, 0]), math.sqrt(slip[2, 2])
             searched = self._search(cloud, guess, 0.1 + 2 * sd_m, 0.1 + 3 * sd_rad)
             if searched is not None:
-                others.append(
-                    reference.align(cloud, searched, 0.1 * prior, _REACH_AFTER_SEARCH_M)
-                )
+                others.append(reference.align(cloud, searched, 0.1 * prior, _REACH_AFTER_SEARCH_M))
             other = max(others, key=lambda one: one.fit)
             if other.fit > found.fit + _BETTER / math.sqrt(cloud.count):
                 found, noise = other, slip

@@ -249,5 +249,3 @@ def _world(lines: list[list[Point]], start: Point) -> WorldFile:
             "robot": {"x": start[0], "y": start[1], "theta": 0.0},
         }
     )
-
-

@@ -64,9 +64,7 @@ def alignment_to(truth: Array, poses: Array) -> Pose:
     """Return the pose of the map's frame in the world that fits the positions best."""
     center, other = poses[:, :2].mean(axis=0), truth[:, :2].mean(axis=0)
     a, b = poses[:, :2] - center, truth[:, :2] - other
-    turn = math.atan2(
-        float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
-    )
+    turn = math.atan2(float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum()))
     cosine, sine = math.cos(turn), math.sin(turn)
     x = other[0] - (cosine * center[0] - sine * center[1])
     y = other[1] - (sine * center[0] + cosine * center[1])
