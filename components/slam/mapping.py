@@ -59,6 +59,14 @@ class Step:
     offset: Pose
 
 
+@dataclass(frozen=True)
+class Island:
+    """A connected part of the map: the numbers of its keyframes, and of its scans."""
+
+    keyframes: NDArray[np.int64]
+    scans: NDArray[np.int64]
+
+
 class Mapper:
     """Builds a map from odometry and scans, in the order of their times.
 
@@ -80,6 +88,7 @@ class Mapper:
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
         self._way = 0.0
+        self._misfits = 0  # scans in a row that fitted nowhere
 
     @property
     def pose(self) -> Pose:
@@ -97,7 +106,7 @@ class Mapper:
         """
         cloud = scan_cloud(rays, self._farthest)
         if self._odometry is None:
-            tracked = Tracked(self._pose, np.zeros((3, 3)), None, False)
+            tracked = Tracked(self._pose, np.zeros((3, 3)), None)
         else:
             step = relative(self._odometry, odometry)
             tracked = self.tracker.track(self._pose, step, cloud)
@@ -108,12 +117,32 @@ class Mapper:
         last = len(self.keyframes) - 1
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self._pose)
-        if is_first or apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD):
+        has_moved = apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD)
+        # A scan that does not fit is no keyframe, or those after it would fit to it.
+        if is_first or (has_moved and not tracked.is_misfit):
             frame = Keyframe(stamp_ns, odometry, cloud, scan_rays(rays), self._open.number)
             self._add_keyframe(frame, None if is_first else (offset, tracked))
             last, offset = last + 1, (0.0, 0.0, 0.0)
+        if tracked.is_lost:
+            self._move_steps(self._misfits, last)
+        self._misfits = self._misfits + 1 if tracked.is_misfit and not tracked.is_lost else 0
         self.trajectory.append(Step(stamp_ns, last, offset))
         return tracked
+
+    @property
+    def islands(self) -> list[Island]:
+        """The parts of the map that nothing connects, the one with the most scans first.
+
+        Only the first one is the map. Where the robot was moved by hand, and no place was
+        recognized afterward, the position of the others relative to it is unknown.
+        """
+        first = self.graph.islands()
+        numbers = first[[step.keyframe for step in self.trajectory]]
+        islands = [
+            Island(np.flatnonzero(first == number), np.flatnonzero(numbers == number))
+            for number in np.unique(numbers).tolist()
+        ]
+        return sorted(islands, key=lambda one: (-len(one.scans), int(one.keyframes[0])))
 
     def poses(self) -> Array:
         """Return the pose (n, 3) of the base in the map at each scan."""
@@ -140,6 +169,14 @@ class Mapper:
             self._close_submap()
         self._island = len(self.keyframes)
         self.tracker.start()
+
+    def _move_steps(self, count: int, keyframe: int) -> None:
+        """Attach the last steps to another keyframe: the robot was moved before them."""
+        for k in range(len(self.trajectory) - count, len(self.trajectory)):
+            step = self.trajectory[k]
+            pose = compose(self.graph.pose(step.keyframe), step.offset)
+            offset = relative(self.graph.pose(keyframe), pose)
+            self.trajectory[k] = Step(step.stamp_ns, keyframe, offset)
 
     def _add_keyframe(self, frame: Keyframe, step: tuple[Pose, Tracked] | None) -> None:
         number = self.graph.add_pose(self._pose)

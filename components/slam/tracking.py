@@ -37,8 +37,10 @@ _FIT_MEMORY = 0.1  # share of the newest scan in the usual fit
 _LEAST_SCORE, _BETTER = 0.3, 2.0
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
-# A scan that fits worse is not of this place; so many in a row mean that the robot was moved.
-_NO_FIT, _NO_FIT_IN_A_ROW = 0.3, 4
+# A scan that fits worse than this, or than this share of the usual fit, is not of this place; so
+# many in a row mean that the robot was moved. In simulated drives through doors and among people,
+# at most two in a row fit worse than 0.6 of the usual fit.
+_NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
 
 
 @dataclass(frozen=True)
@@ -50,14 +52,16 @@ class Tracked:
         information: (3, 3) of the pose relative to the surroundings that were set last, over x, y
             [m] and heading [rad] in the map's frame.
         fit: how well the scan fits, from 0 to 1; None if it has too few points.
-        is_lost: whether the last scans fit nowhere: the robot was moved by hand.
+        is_misfit: whether the scan fits nowhere near, and the pose is that of odometry.
+        is_lost: whether so many scans in a row did that the robot was moved by hand.
 
     """
 
     pose: Pose
     information: Array
     fit: float | None
-    is_lost: bool
+    is_misfit: bool = False
+    is_lost: bool = False
 
 
 class ScanTracker:
@@ -98,6 +102,7 @@ class ScanTracker:
         noise = _covariance(step, _NOISE)
         reference = self._reference
         if reference is None or min(cloud.count, reference.cloud.count) < _LEAST_POINTS:
+            self._misfits = 0
             return self._at(guess, noise, None, None)
         trusted = np.linalg.inv(_TRUSTED**2 * noise)
         found = reference.align(cloud, guess, trusted, _REACH_M)
@@ -114,7 +119,8 @@ class ScanTracker:
             other = max(others, key=lambda one: one.fit)
             if other.fit > found.fit + _BETTER / math.sqrt(cloud.count):
                 found, noise = other, slip
-        self._misfits = self._misfits + 1 if found.fit < _NO_FIT else 0
+        is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self._usual_fit)
+        self._misfits = self._misfits + 1 if is_misfit else 0
         if self._misfits:
             # Better a wrong step of odometry than one to where nothing fits.
             return self._at(guess, noise, None, found.fit)
@@ -131,7 +137,7 @@ class ScanTracker:
         if information is not None:
             known += information
             self._covariance = np.linalg.inv(known)
-        return Tracked(pose, known, fit, self._misfits >= _NO_FIT_IN_A_ROW)
+        return Tracked(pose, known, fit, self._misfits > 0, self._misfits >= _NO_FIT_IN_A_ROW)
 
     def _search(self, cloud: PointCloud, guess: Pose, reach: float, turn: float) -> Pose | None:
         assert self._reference is not None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.ray_casting import clearance
-from cairn.components.slam.mapping import Mapper
+from cairn.components.slam.mapping import Island, Mapper
 from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.scan_grid import ScanGrid
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 BROKEN_M = 0.5
 """A map is broken if a pose is farther than this from the truth [m]."""
 _CELL, _WALL_M = 0.05, 0.05
-_PAIRS, _NEAR_M = 4000, 5.0
+_PAIRS, _NEAR_M, _REACH_M = 4000, 5.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -49,15 +49,13 @@ class MapErrors:
 
 def map_errors(mapper: Mapper, recording: Recording) -> MapErrors:
     """Return the errors of the largest island of a finished map."""
-    islands = mapper.graph.islands()[[step.keyframe for step in mapper.trajectory]]
-    numbers, counts = np.unique(islands, return_counts=True)
-    main = numbers[int(counts.argmax())]
-    inside = islands == main
+    main = mapper.islands[0]
+    inside = main.scans
     poses, truth = mapper.poses()[inside], np.array(recording.truth)[inside]
     shift = alignment_to(truth, poses)
     worst = float(position_errors(truth, poses, shift).max())
     meters, degrees = relation_errors(truth, poses)
-    return MapErrors(meters, degrees, worst, wall_share(mapper, recording, int(main), shift))
+    return MapErrors(meters, degrees, worst, wall_share(mapper, recording, main, shift))
 
 
 def alignment_to(truth: Array, poses: Array) -> Pose:
@@ -100,14 +98,13 @@ def relation_errors(truth: Array, poses: Array, seed: int = 0) -> tuple[float, f
     return float(np.mean(meters)), float(np.mean(degrees))
 
 
-def wall_share(mapper: Mapper, recording: Recording, island: int, shift: Pose) -> float:
+def wall_share(mapper: Mapper, recording: Recording, island: Island, shift: Pose) -> float:
     """Return the share of occupied cells of the drawn map within 5 cm of a true wall."""
-    islands = mapper.graph.islands()
-    reach = 30.0
-    grid = ScanGrid(_CELL, reach)
-    for number, frame in enumerate(mapper.keyframes):
-        if frame.rays is not None and islands[number] == island:
-            grid.add(compose(shift, mapper.graph.pose(number)), frame.rays.rays())
+    grid = ScanGrid(_CELL, _REACH_M)
+    for number in island.keyframes.tolist():
+        rays = mapper.keyframes[number].rays
+        if rays is not None:
+            grid.add(compose(shift, mapper.graph.pose(number)), rays.rays())
     cells = grid.grid()
     rows, columns = np.nonzero(cells.values == OCCUPIED)
     segments = WorldLayout.of(recording.course.world).solid_segments.segments
