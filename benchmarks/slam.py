@@ -2,8 +2,8 @@
 
     python -m benchmarks.slam [--worlds office,ring] [--scanners UST-10LX] [LOG.clf.gz RELATIONS]
 
-Without a log, all worlds are driven with all scanners. A log of the SLAM benchmark (Kuemmerle et al.
-2009) is judged by its relations.
+Without a log, all worlds are driven with all scanners. A log of the SLAM benchmark (Kuemmerle
+et al. 2009) is judged by its relations.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import argparse
 import math
 import resource
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +23,11 @@ from cairn.components.slam.mapping import Mapper
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import rays_of
 from tests.components.slam import courses
+from tests.components.slam.courses import Course
 from tests.components.slam.map_errors import map_errors
 from tests.components.slam.recordings import SCANNERS, record
 
-WORLDS = {
+WORLDS: dict[str, Callable[[], Course]] = {
     "office": lambda: courses.shipped("office"),
     "hall": lambda: courses.shipped("hall"),
     "ward": lambda: courses.shipped("ward"),
@@ -63,7 +64,8 @@ def measure_world(world: str, scanner: str, seed: int = 0) -> list[Metric]:
                f" cells within 5 cm of a wall {errors.walls:.3f};"
                f" {len(mapper.islands)} islands"),
         Metric(f"{name}: speed", recording.seconds / spent, "x real time", at_least=20.0,
-               note=f"{recording.seconds / live:.0f} while driving; {len(mapper.keyframes)} keyframes"),
+               note=f"{recording.seconds / live:.0f} while driving;"
+               f" {len(mapper.keyframes)} keyframes"),
     ]  # fmt: skip
 
 
@@ -71,21 +73,22 @@ def measure_log(log: Path, relations: Path) -> list[Metric]:
     """Return the metrics of a recorded log, by the relations of the SLAM benchmark."""
     recording = CarmenRecording(log, 0.0)
     track = recording.odometry()
-    if track is None:
-        raise ValueError(f"{log} has no odometry")
+    scans = recording.scans()
+    if track is None or scans is None:
+        raise ValueError(f"{log} has no odometry or no scans")
     stamps, poses = np.array(track.stamps), track.poses.copy()
     poses[:, 2] = np.unwrap(poses[:, 2])
-    scans = recording.scans()
     mapper = Mapper(FARTHEST_M)
     times = []
     begin = time.process_time()
-    for stamp, scan in scans:
+    for stamp, scan in zip(scans.stamps, scans.messages, strict=True):
         x, y, theta = (float(np.interp(stamp, stamps, column)) for column in poses.T)
         mapper.add_scan(stamp, (x, y, theta), rays_of(scan, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
         times.append(stamp)
     mapper.finish()
     spent = time.process_time() - begin
-    meters, degrees = relation_errors(times, mapper.poses().tolist(), relations)
+    found = [(x, y, theta) for x, y, theta in mapper.poses().tolist()]
+    meters, degrees = relation_errors(times, found, relations)
     seconds = (times[-1] - times[0]) / 1e9
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return [
@@ -101,7 +104,7 @@ def measure_log(log: Path, relations: Path) -> list[Metric]:
 def relation_errors(
     times: Sequence[int], poses: Sequence[Pose], relations: Path
 ) -> tuple[list[float], list[float]]:
-    """Return the errors [m], [degrees] of a benchmark's relations: two times, x, y, ..., heading."""
+    """Return the errors [m], [degrees] of relations: two times, x, y, ..., heading."""
     number = {round(stamp / 1e3): k for k, stamp in enumerate(times)}
     meters, degrees = [], []
     for line in relations.read_text("ascii").splitlines():
@@ -110,7 +113,7 @@ def relation_errors(
         if first is None or second is None:
             continue
         expected = (float(words[2]), float(words[3]), float(words[7]))
-        error = relative(expected, relative(tuple(poses[first]), tuple(poses[second])))
+        error = relative(expected, relative(poses[first], poses[second]))
         meters.append(math.hypot(error[0], error[1]))
         degrees.append(abs(math.degrees(error[2])))
     return meters, degrees
@@ -121,7 +124,10 @@ def measure(
 ) -> list[Metric]:
     """Return the metrics of all worlds with all scanners."""
     return [
-        metric for world in worlds for scanner in scanners for metric in measure_world(world, scanner)
+        metric
+        for world in worlds
+        for scanner in scanners
+        for metric in measure_world(world, scanner)
     ]
 
 

@@ -84,12 +84,12 @@ class CorrelationMap:
 
         Returns:
             The peaks of the likelihood, 0.4 m or 12 degrees apart, whose score is at least `least`
-            and `share` times the best one. Empty if none is found; `most` times the best one if other
-            peaks remained unknown because more than 400,000 nodes would have to be searched.
+            and `share` times the best one. Empty if none is found; `most` times the best one if
+            others remained unknown because more than 400,000 nodes would have to be searched.
 
         """
         steps = min(math.ceil(turn / _TURN), math.ceil(math.pi / _TURN) - 1)
-        turns = center[2] + _TURN * np.arange(-steps, steps + 1)
+        turns = np.asarray(center[2] + _TURN * np.arange(-steps, steps + 1), np.float64)
         found = _search(
             np.ascontiguousarray(points), turns, self._levels, self._origin,
             center[0], center[1], math.ceil(reach / _CELL), least, most, share,

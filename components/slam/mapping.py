@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,6 @@ _COMPARED = 2
 # this many around the partner on each side; so many partners, no nearer to each other and to the
 # keyframe than this.
 _SHARED, _BESIDE, _PARTNERS, _BETWEEN = 0.35, 2, 6, 4
-_ROUNDS = 2
 # Points are paired up to this distance [m] in the first and in later rounds.
 _REACH_M = (0.3, 0.15)
 # An alignment to a partner may move a keyframe by this much [m], [rad], and must pair as many
@@ -158,10 +158,8 @@ class Mapper:
         while self.closer.pending:
             self._close_loops(_COMPARED)
             report("loops", 1.0 - self.closer.pending / planned)
-        for number in range(_ROUNDS):
-            self._align_neighbors(
-                _REACH_M[number], lambda share, n=number: report("alignment", (n + share) / _ROUNDS)
-            )
+        for number, reach in enumerate(_REACH_M):
+            self._align_neighbors(reach, partial(_report_round, report, number))
             self.graph.optimize()
 
     def _start_island(self) -> None:
@@ -264,6 +262,10 @@ class Mapper:
             return None
         information = turned(found.information, found.pose[2])
         return Edge(EdgeKind.MATCH, other, number, found.pose, information)
+
+
+def _report_round(report: Progress, number: int, share: float) -> None:
+    report("alignment", (number + share) / len(_REACH_M))
 
 
 def _ignore(stage: str, share: float) -> None:

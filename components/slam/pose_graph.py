@@ -227,9 +227,7 @@ class PoseGraph:
         covariances = np.linalg.inv(information + 1e-6 * np.eye(3)) + floor
         both = np.concatenate((ends, ends[:, ::-1]))
         order = np.argsort(both[:, 0], kind="stable")
-        first = np.concatenate(
-            (np.zeros(1, np.int64), np.cumsum(np.bincount(both[:, 0], minlength=count)))
-        )
+        first = np.concatenate((np.zeros(1, np.int64), np.cumsum(np.bincount(both[:, 0], minlength=count))))
         return _drift(origin, count, first, order, both, measured, covariances)
 
 

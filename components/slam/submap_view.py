@@ -86,7 +86,8 @@ def conflicts(points: Array, views: Sequence[tuple[Pose, SubmapView]]) -> float:
         free |= evidence == SEEN_FREE
         solid |= (evidence != NOT_SEEN) & (evidence != SEEN_FREE)
     through = free & ~solid
-    return float(np.count_nonzero(through) / max(1, np.count_nonzero(seen)))
+    known = int(np.count_nonzero(seen))
+    return int(np.count_nonzero(through)) / known if known else 0.0
 
 
 def _pose(poses: Array, number: int) -> Pose:

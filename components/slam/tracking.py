@@ -104,13 +104,13 @@ class ScanTracker:
         if reference is None or min(cloud.count, reference.cloud.count) < _LEAST_POINTS:
             self._misfits = 0
             return self._at(guess, noise, None, None)
-        trusted = np.linalg.inv(_TRUSTED**2 * noise)
+        trusted = _inverse(_TRUSTED**2 * noise)
         found = reference.align(cloud, guess, trusted, _REACH_M)
         if found.fit < _POOR_FIT * self._usual_fit or apart(
             found.pose, guess, _SURPRISE_M, _SURPRISE_RAD
         ):
             slip = _covariance(step, _SLIP)
-            prior = np.linalg.inv(slip)
+            prior = _inverse(slip)
             others = [reference.align(cloud, guess, prior, _REACH_M)]
             sd_m, sd_rad = math.sqrt(slip[0, 0]), math.sqrt(slip[2, 2])
             searched = self._search(cloud, guess, 0.1 + 2 * sd_m, 0.1 + 3 * sd_rad)
@@ -133,10 +133,10 @@ class ScanTracker:
     ) -> Tracked:
         """Return the result of a step with `noise` (3, 3) and of an alignment, if there is one."""
         self._covariance = self._covariance + noise
-        known = np.linalg.inv(self._covariance)
+        known = _inverse(self._covariance)
         if information is not None:
             known += information
-            self._covariance = np.linalg.inv(known)
+            self._covariance = _inverse(known)
         return Tracked(pose, known, fit, self._misfits > 0, self._misfits >= _NO_FIT_IN_A_ROW)
 
     def _search(self, cloud: PointCloud, guess: Pose, reach: float, turn: float) -> Pose | None:
@@ -159,3 +159,7 @@ def _covariance(step: Pose, noise: Noise) -> Array:
     sd_rad = radians + per_rad * turn + rad_per_m * forward
     covariance: Array = np.diag([sd_m**2, sd_m**2, sd_rad**2])
     return covariance
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), np.float64)

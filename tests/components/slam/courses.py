@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -210,7 +211,7 @@ def path_through(world: WorldFile, stops: Sequence[Point]) -> np.ndarray[Any, np
     grid, costs = _planning_grid(world)
     search = PathSearch(costs.shape)
     points = [stops[0]]
-    for begin, end in zip(stops[:-1], stops[1:], strict=True):
+    for begin, end in pairwise(stops):
         cells = search.find(costs, grid.frame.cell(*begin), grid.frame.cell(*end)).cells
         if cells is None:
             raise ValueError(f"there is no path from {begin} to {end}")

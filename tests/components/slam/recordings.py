@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,14 +108,6 @@ class Recording:
         """How long the recording lasts [s]."""
         return (self.stamps[-1] - self.stamps[0]) / 1e9
 
-    def chosen(self, indices: Sequence[int]) -> Recording:
-        """Return a recording of some of the scans."""
-        return Recording(
-            self.course,
-            *([values[k] for k in indices]
-              for values in (self.stamps, self.odometry, self.rays, self.truth, self.legs)),
-        )  # fmt: skip
-
 
 def record(
     course: Course,
@@ -144,7 +137,7 @@ def record(
             clock += leg.carried_s
             due = clock
         measured = [odometry]
-        for before, after in zip(track[:-1], track[1:], strict=True):
+        for before, after in pairwise(track):
             step = relative(tuple(before.tolist()), tuple(after.tolist()))
             forward = math.copysign(math.hypot(step[0], step[1]), step[0])
             slip_left -= _TICK_S
@@ -155,11 +148,11 @@ def record(
             counted = abs(forward) if errors.mirrors_reverse else forward
             odometry = compose(odometry, ((1.0 + errors.scale) * counted, 0.0, turn))
             measured.append(odometry)
-        times = clock + _TICK_S * np.arange(len(track))
+        times = np.asarray(clock + _TICK_S * np.arange(len(track)), np.float64)
         moves = np.array(measured)
         last = clock
         while due + sweep_s < times[-1]:
-            at = sensor_times(times, track, due + beams.times)
+            at = sensor_times(times, track, np.asarray(due + beams.times, np.float64))
             for walker in walkers:
                 walker.step(max(0.0, due - last), tuple(at[0, :2].tolist()), _ROBOT_RADIUS_M,
                             solid.segments)  # fmt: skip
@@ -167,7 +160,9 @@ def record(
             targets = RayTargets(solid.segments, solid.surfaces, circles_of(walkers))
             poses = sensor_poses(at, scanner.mount)
             ranges = simulate_sweep(model, beams, _FAULTS, poses, targets, random)
-            begin, end = sensor_times(times, moves, np.array([due, due + sweep_s])).tolist()
+            begin, end = sensor_times(
+                times, moves, np.array((due, due + sweep_s), np.float64)
+            ).tolist()
             scan = LaserScan(
                 header=Header(frame_id="laser"),
                 angle_min=float(beams.angles[0]),

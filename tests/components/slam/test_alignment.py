@@ -22,7 +22,12 @@ def walls(lines: list[tuple[float, float, float, float, float, float]]) -> Point
     return PointCloud(np.concatenate(points), np.concatenate(normals).astype(float))
 
 
-ROOM = [(0, 0, 6, 0, 0, 1), (6, 0, 6, 4, -1, 0), (6, 4, 0, 4, 0, -1), (0, 4, 0, 0, 1, 0)]
+ROOM: list[tuple[float, float, float, float, float, float]] = [
+    (0, 0, 6, 0, 0, 1),
+    (6, 0, 6, 4, -1, 0),
+    (6, 4, 0, 4, 0, -1),
+    (0, 4, 0, 0, 1, 0),
+]
 
 
 @pytest.mark.parametrize("seed", range(20))

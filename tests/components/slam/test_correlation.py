@@ -50,7 +50,7 @@ def test_the_best_peak_is_that_of_an_exhaustive_search(seed: int) -> None:
 
 def test_equal_places_are_separate_peaks() -> None:
     points = room(1)
-    twice = np.concatenate((points, points + (20.0, 0.0)))
+    twice = np.concatenate((points, points + np.array([20.0, 0.0])))
     peaks = CorrelationMap(twice).search(points[::5], (10.0, 0.0, 0.0), 12.0, 0.05, 0.5, 5)
     assert sorted(round(peak.pose[0]) for peak in peaks) == [0, 20]
 
