@@ -136,7 +136,7 @@ class PlaceIndex:
             self._cells[key].append(number)
 
     def move(self, poses: Array) -> None:
-        """Set the poses (n, 3) of all keyframes anew."""
+        """Set the poses (n, 3) of all keyframes."""
         self._cells.clear()
         for number, (x, y, theta) in enumerate(poses.tolist()):
             self._poses[number] = (x, y, theta)

@@ -118,7 +118,7 @@ class Mapper:
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self._pose)
         has_moved = apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD)
-        # A scan that does not fit is no keyframe, or those after it would fit to it.
+        # If a scan that does not fit became a keyframe, those after it would fit to it.
         if is_first or (has_moved and not tracked.is_misfit):
             frame = Keyframe(stamp_ns, odometry, cloud, scan_rays(rays), self._open.number)
             self._add_keyframe(frame, None if is_first else (offset, tracked))

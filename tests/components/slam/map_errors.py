@@ -108,9 +108,9 @@ def wall_share(mapper: Mapper, recording: Recording, island: Island, shift: Pose
     cells = grid.grid()
     rows, columns = np.nonzero(cells.values == OCCUPIED)
     segments = WorldLayout.of(recording.course.world).solid_segments.segments
-    nobody = np.zeros((0, 3))
+    people = np.zeros((0, 3))
     near = [
-        clearance(*cells.frame.point(row, column), segments, nobody)[0] <= _WALL_M
+        clearance(*cells.frame.point(row, column), segments, people)[0] <= _WALL_M
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
     ]
     return float(np.mean(near)) if near else 0.0
