@@ -26,7 +26,7 @@ def view(walls: list[float], person: float | None = None) -> SubmapView:
 
 
 def test_a_person_who_walked_on_is_not_part_of_the_view() -> None:
-    seen = view([4.0] * 8, person=2.0)
+    seen = view([4.0] * 20, person=2.0)
     assert seen.cloud.count > 50
     assert np.allclose(seen.cloud.points[:, 0], 4.0, atol=0.05)
     assert math.isclose(view([4.0], person=2.0).cloud.points[:, 0].min(), 2.0, abs_tol=0.05)
