@@ -16,6 +16,7 @@ BENCHMARKS = (
     "planning",
     "localization_scan",
     "localization_logs",
+    "slam",
     "slam_landmarks",
     "lifelong",
     "world",

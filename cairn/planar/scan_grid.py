@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,6 +32,9 @@ _NEIGHBOR, _SURFACE_M = 3, 1.0
 # Least sine of the angle between a ray and a surface: smaller ones count as this.
 _GRAZING = 0.1
 _HITS = 3  # ends of rays from which a cell counts when conflicts are counted
+NOT_SEEN, SEEN, SEEN_FREE = 0, 1, 2
+"""What rays say of a cell: none came there, some did, or it is free for certain."""
+
 # The counts grow by blocks of so many cells, so that they are rarely copied.
 _BLOCK = 128
 
@@ -138,24 +142,34 @@ class ScanGrid:
         free = ended < _OCCUPIED_SHARE * (ended + self._passed[hit])
         return float(np.count_nonzero(free) / max(1, free.size))
 
-    def seen_through(self, points: Array, passes: int) -> float:
-        """Return the share of points (n, 2) [m] that lie where rays show free space.
+    def evidence(self, passes: int) -> Grid[np.uint8]:
+        """Return for each cell what the rays say of it: NOT_SEEN, SEEN or SEEN_FREE.
 
-        That is where at least `passes` rays passed, and none ended in the cell or beside it. Points
-        where no ray came are left out; 0 without others.
+        A cell is seen free if at least `passes` rays passed it, and no ray ended in it or beside
+        it.
+        """
+        beside = cv2.dilate((self._ended > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
+        values = np.full(self._ended.shape, NOT_SEEN, np.uint8)
+        values[(self._passed > 0) | (beside > 0)] = SEEN
+        values[(self._passed >= passes) & (beside == 0)] = SEEN_FREE
+        origin = (self._column * self._resolution, self._row * self._resolution, 0.0)
+        return Grid(values, Frame(self._resolution, origin))
+
+    def ended_share(self, points: Array) -> Array:
+        """Return for each point (n, 2) [m] the share of rays that ended around it.
+
+        Those are the rays that ended in its cell or beside it, of these and the ones that passed
+        its cell. It is 1 where no ray came.
         """
         cells = np.floor(points / self._resolution).astype(np.int64) - (self._column, self._row)
         rows, columns = self._ended.shape
-        near = (cells >= 1).all(axis=1) & (cells[:, 1] < rows - 1) & (cells[:, 0] < columns - 1)
-        column, row = cells[near].T
-        ended = np.zeros(len(row), np.int64)
-        for dy in (-1, 0, 1):
-            for dx in (-1, 0, 1):
-                ended += self._ended[row + dy, column + dx]
-        passed = self._passed[row, column]
-        known = np.count_nonzero((ended > 0) | (passed > 0))
-        through = np.count_nonzero((ended == 0) & (passed >= passes))
-        return through / known if known else 0.0
+        inside = (cells >= 1).all(axis=1) & (cells[:, 1] < rows - 1) & (cells[:, 0] < columns - 1)
+        column, row = cells[inside].T
+        ended = sum(self._ended[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1))
+        reached = ended + self._passed[row, column]
+        shares = np.ones(len(points))
+        shares[inside] = np.where(reached > 0, ended / np.maximum(reached, 1), 1.0)
+        return shares
 
     @property
     def frame(self) -> Frame:

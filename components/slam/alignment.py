@@ -25,8 +25,8 @@ _SAME_SIDE = 0.7
 # A direction counts as seen only as far as the surfaces across it outweigh this share of those
 # across the other direction: the noise of their normals makes long walls look slightly rough.
 _ROUGHNESS = 0.01
-# Standard deviation of a point's distance to its surface [m], of which the errors of the points of
-# one scan have this share in common: the information counts so many times less.
+# Least standard deviation of a point's distance to its surface [m]. The points of one scan share
+# their errors: the information counts so many times less.
 _NOISE_M, _COMMON = 0.02, 12.0
 
 
@@ -38,7 +38,7 @@ class Reference:
         points = cloud.points
         self._origin = points.min(axis=0) - _CELL if cloud.count else np.zeros(2)
         extent = points.max(axis=0) - self._origin if cloud.count else np.zeros(2)
-        self._columns, self._rows = (int(math.floor(size / _CELL)) + 2 for size in extent)
+        self._columns, self._rows = (math.floor(size / _CELL) + 2 for size in extent)
         cells = np.floor((points - self._origin) / _CELL).astype(np.int64)
         keys = cells[:, 1] * self._columns + cells[:, 0]
         self._order = np.argsort(keys, kind="stable")
@@ -71,13 +71,15 @@ class Reference:
             self._origin, self._columns, self._rows, state, prior, reach, robust,
         )  # fmt: skip
         paired, flat, squares, fit = numbers
+        deviation = math.sqrt(squares / flat) if flat else math.inf
+        noise = max(_NOISE_M, deviation if flat else 0.0)
         return Alignment(
             pose=(float(state[0]), float(state[1]), wrap(float(state[2]))),
-            information=hessian / (_NOISE_M**2 * _COMMON),
+            information=hessian / (noise**2 * _COMMON),
             fit=float(fit / max(1, cloud.count)),
             paired=float(paired / max(1, cloud.count)),
             pairs=int(flat),
-            deviation=float(math.sqrt(squares / flat)) if flat else math.inf,
+            deviation=float(deviation),
         )
 
 
@@ -127,7 +129,7 @@ def _align(
     x, y, turn = x0, y0, t0
     hessian = np.zeros((3, 3))
     numbers = np.zeros(4)
-    for iteration in range(_ITERATIONS):
+    for _ in range(_ITERATIONS):
         cosine, sine = math.cos(turn), math.sin(turn)
         hessian[:] = 0.0
         gx, gy, gt = 0.0, 0.0, 0.0
@@ -141,10 +143,10 @@ def _align(
             ny = sine * normals[i, 0] + cosine * normals[i, 1]
             is_flat = normals[i, 0] != 0.0 or normals[i, 1] != 0.0
             best, nearest = -1, reach * reach
-            low_column = max(0, int(math.floor((px - reach - origin[0]) / _CELL)))
-            high_column = min(columns - 1, int(math.floor((px + reach - origin[0]) / _CELL)))
-            low_row = max(0, int(math.floor((py - reach - origin[1]) / _CELL)))
-            high_row = min(rows - 1, int(math.floor((py + reach - origin[1]) / _CELL)))
+            low_column = max(0, math.floor((px - reach - origin[0]) / _CELL))
+            high_column = min(columns - 1, math.floor((px + reach - origin[0]) / _CELL))
+            low_row = max(0, math.floor((py - reach - origin[1]) / _CELL))
+            high_row = min(rows - 1, math.floor((py + reach - origin[1]) / _CELL))
             for row in range(low_row, high_row + 1):
                 start = first[row * columns + low_column] if low_column <= high_column else 0
                 stop = first[row * columns + high_column + 1] if low_column <= high_column else 0

@@ -8,24 +8,24 @@ after an exact alignment, and if neither of the two sees through a wall of the o
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.alignment import Reference
-from cairn.components.slam.correlation import CorrelationMap
-from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap, cloud_in
-from cairn.components.slam.point_cloud import PointCloud
+from cairn.components.slam.alignment import Alignment, Reference
+from cairn.components.slam.correlation import CorrelationMap, Peak
+from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap
+from cairn.components.slam.point_cloud import PointCloud, joined
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
-from cairn.planar.poses import Pose, apart, compose, distance, inverse, relative
-from cairn.planar.scan_grid import ScanGrid
+from cairn.components.slam.submap_view import REACH_M, SubmapView, conflicts, view_of
+from cairn.planar.poses import Pose, apart, compose, distance, inverse, relative, wrap
 
 Array = NDArray[np.float64]
 
-# The points that are searched for: one per cell of this size [m], no farther than this from the
-# middle of the submap [m], and at least so many.
-_SEARCH_CELL, _SEARCH_REACH_M, _LEAST_POINTS = 0.1, 15.0, 50
+# The points that are searched for: one per cell of this size [m], and at least so many.
+_SEARCH_CELL, _LEAST_POINTS = 0.1, 50
 # Submaps whose middles are farther apart see different places [m], beyond the window.
 _NEAR_M = 6.0
 # The window is so many standard deviations of the drift, and this [m], [rad] more; at most this
@@ -38,27 +38,48 @@ _LEAST_SCORE, _LEAST_SCORE_ANYWHERE = 0.55, 0.6
 _LEAST_PAIRED, _MOST_DEVIATION, _MOVED_M, _MOVED_RAD = 0.6, 0.06, 0.4, 0.1
 # Most points of one that lie where the other sees free space, as a share of those that it sees.
 _MOST_CONFLICTS = 0.2
-_CONFLICT_CELL, _PASSES = 0.1, 3  # [m], [1]
+# Peaks of a search that are aligned exactly; those of more are ambiguous. The alignment that fits
+# best must fit so much better than those that end elsewhere [m], [rad].
+_MOST_PEAKS, _CLEARLY_BETTER, _SAME_M, _SAME_RAD = 20, 0.04, 0.2, 0.1
+# For this comparison, points are paired up to this distance [m]; the distance at which a pair
+# counts half is at least this [m], and so many times the deviation of the best alignment.
+_SHARP_REACH_M, _SHARP_M, _SHARP_DEVIATIONS = 0.12, 0.015, 1.5
+# A submap is compared with so many before and after it, to see whether the surroundings repeat.
+# They do if it fits elsewhere as well as in the old one, or worse by this; poses nearer than this
+# to its own are itself [m], [rad].
+_BESIDE, _REPEATED, _ITSELF_M, _ITSELF_RAD = 5, 0.1, 0.5, 0.3
+_ITSELF: Pose = (0.0, 0.0, 0.0)
 # Neighbors of the alignment's points share their errors: a closure counts as this much of one.
 _WORTH = 0.2
-# A match in a window wider than this [m] is accepted only with a second one that agrees with it up
+# A match in a window wider than this [m] is accepted only with so many in all that agree with it up
 # to this [m], [rad].
-_SURE_WINDOW_M, _AGREE_M, _AGREE_RAD = 2.5, 0.5, 0.1
-_REMEMBERED = 12  # matches that wait for a second one
+_SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
+_REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.
 _MOST_CANDIDATES = 24
+# Of other islands, one submap in this distance [m] is searched, and at most so many.
+_PLACES_M, _MOST_PLACES = 3.0, 100
 # Matches that are enough for one submap.
 _ENOUGH = 3
 
 
 @dataclass(frozen=True)
 class Task:
-    """Two submaps to compare: `new` is searched for in `old`, in the window by its drift."""
+    """Two submaps to compare: `new` is searched for in `old`, in the window by its drift.
+
+    `anywhere`: they are of different islands.
+    """
 
     new: int
     old: int
     reach: float
     turn: float
+    anywhere: bool = False
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the window is so narrow that a match needs no confirmation."""
+        return not self.anywhere and self.reach <= _SURE_WINDOW_M and self.turn < math.pi
 
 
 @dataclass
@@ -82,117 +103,218 @@ class LoopCloser:
         self._tasks: list[Task] = []
         self._waiting: list[Edge] = []
         self._found: dict[int, int] = {}
+        self._views: list[SubmapView] = []
+        self._firsts: list[int] = []  # the first keyframe of each submap
 
     @property
     def pending(self) -> int:
         """Number of comparisons that are planned."""
         return len(self._tasks)
 
-    def add(self, number: int, submaps: list[Submap], graph: PoseGraph) -> None:
-        """Plan the comparisons of a new submap."""
-        new = submaps[number]
-        at = graph.pose(new.middle)
-        drift = graph.drift(new.middle)
+    def add(self, submaps: list[Submap], keyframes: list[Keyframe], graph: PoseGraph) -> None:
+        """Plan the comparisons of the last submap, which is complete, with those before it."""
+        new = submaps[-1]
+        self._firsts.append(new.first)
+        self._views.append(view_of(new, keyframes, graph.poses))
         islands = graph.islands()
-        planned: list[tuple[float, Task]] = []
-        for old in submaps[:number]:
-            if new.number - old.number < 2 and islands[new.middle] == islands[old.middle]:
-                continue
-            if islands[new.middle] != islands[old.middle]:
-                planned.append((0.0, Task(number, old.number, _WIDEST_M, math.pi)))
-                continue
-            covariance = drift[old.middle]
-            sd_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-            reach = min(_SIGMAS * sd_m + _EXTRA_M, _WIDEST_M)
-            turn = min(_SIGMAS * math.sqrt(covariance[2, 2]) + _EXTRA_RAD, math.pi)
-            apart_m = distance(at, graph.pose(old.middle))
-            if apart_m < _NEAR_M + reach:
-                planned.append((apart_m / reach, Task(number, old.number, reach, turn)))
-        planned.sort(key=lambda one: (one[0], -one[1].old))
-        self._tasks += [task for _, task in planned[:_MOST_CANDIDATES]]
+        here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
+        elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]
+        # A place in the own island is more urgent than those where the robot may have been.
+        self._tasks = [task for task in self._tasks if not task.anywhere] + [
+            *_near_tasks(new, here, graph),
+            *(task for task in self._tasks if task.anywhere),
+            *_anywhere_tasks(new, elsewhere, graph),
+        ]
 
-    def work(
-        self, most: int | None, keyframes: list[Keyframe], submaps: list[Submap], graph: PoseGraph
-    ) -> list[Edge]:
-        """Compare at most `most` pairs of submaps, or all; return the accepted closures."""
+    def work(self, most: int, submaps: list[Submap], graph: PoseGraph) -> list[Edge]:
+        """Compare at most `most` pairs of submaps; return the accepted closures."""
         accepted: list[Edge] = []
         done = 0
-        while self._tasks and (most is None or done < most):
+        while self._tasks and done < most and not accepted:
             task = self._tasks.pop(0)
-            if self._found.get(task.new, 0) >= _ENOUGH:
-                continue
-            done += 1
-            self.counts.searched += 1
-            edge = self._compare(task, keyframes, submaps, graph)
-            if edge is None:
-                continue
-            accepted += self._confirm(edge, task, graph)
+            is_needed = self._found.get(task.new, 0) < _ENOUGH
+            if is_needed and task.anywhere:
+                islands = graph.islands()
+                is_needed = islands[submaps[task.new].middle] != islands[submaps[task.old].middle]
+            if is_needed:
+                done += 1
+                self.counts.searched += 1
+                edge = self._compare(task, submaps, graph)
+                if edge is not None and task.is_sure:
+                    accepted.append(edge)
+                elif edge is not None:
+                    self._waiting = [*self._waiting, edge][-_REMEMBERED:]
+            if not any(other.new == task.new for other in self._tasks):
+                accepted += self._confirmed(graph)
         for edge in accepted:
-            number = keyframes[edge.second].submap
+            number = bisect_right(self._firsts, edge.second) - 1
             self._found[number] = self._found.get(number, 0) + 1
         self.counts.accepted += len(accepted)
+        self.counts.unconfirmed = len(self._waiting)
         return accepted
 
-    def _compare(
-        self, task: Task, keyframes: list[Keyframe], submaps: list[Submap], graph: PoseGraph
-    ) -> Edge | None:
+    def _compare(self, task: Task, submaps: list[Submap], graph: PoseGraph) -> Edge | None:
         new, old = submaps[task.new], submaps[task.old]
-        poses, base = graph.poses, graph.pose(old.middle)
-        at = graph.pose(new.middle)
-        members = list(range(new.first, new.last + 1))
-        query = cloud_in(at, members, keyframes, poses).thinned(_SEARCH_CELL)
-        near = np.hypot(query.points[:, 0], query.points[:, 1]) < _SEARCH_REACH_M
-        query = PointCloud(query.points[near], query.normals[near])
-        beside = [
-            other
+        base, at = graph.pose(old.middle), graph.pose(new.middle)
+        view = self._views[task.new]
+        query = view.nearby(REACH_M, _SEARCH_CELL)
+        around = [
+            (relative(base, graph.pose(other.middle)), self._views[other.number])
             for other in submaps[max(0, task.old - 1) : task.old + 2]
             if other.number < task.new
         ]
-        around = [k for other in beside for k in range(other.first, other.last + 1)]
-        cloud = cloud_in(base, around, keyframes, poses).thinned(DENSE_M)
+        cloud = joined([one.cloud.placed(pose) for pose, one in around]).thinned(DENSE_M)
         if min(query.count, cloud.count) < _LEAST_POINTS:
             self.counts.not_found += 1
             return None
-        anywhere = task.turn >= math.pi
-        least = _LEAST_SCORE_ANYWHERE if anywhere else _LEAST_SCORE
-        center = (0.0, 0.0, 0.0) if anywhere else relative(base, at)
+        least = _LEAST_SCORE_ANYWHERE if task.anywhere else _LEAST_SCORE
+        center = (0.0, 0.0, 0.0) if task.anywhere else relative(base, at)
         peaks = CorrelationMap(cloud.points).search(
-            query.points, center, task.reach, task.turn, least
+            query.points, center, task.reach, task.turn, least, _MOST_PEAKS
         )
-        if len(peaks) != 1:
-            if peaks:
-                self.counts.ambiguous += 1
-            else:
-                self.counts.not_found += 1
+        if peaks and not task.anywhere:
+            peaks.append(Peak(center, least))  # along a corridor it may be best
+        if not peaks:
+            self.counts.not_found += 1
             return None
-        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
-        found = Reference(cloud).align(query, peaks[0].pose, prior, 0.3)
+        found = self._only_alignment(peaks, query, cloud)
+        if found is None:
+            return None
+        if not task.is_sure and self._is_repeated(task, found, center, submaps, graph):
+            self.counts.ambiguous += 1
+            return None
         if (
-            found.paired < _LEAST_PAIRED
-            or found.deviation > _MOST_DEVIATION
-            or apart(found.pose, peaks[0].pose, _MOVED_M, _MOVED_RAD)
+            conflicts(query.placed(found.pose).points, around) > _MOST_CONFLICTS
+            or conflicts(cloud.points, [(found.pose, view)]) > _MOST_CONFLICTS
         ):
-            self.counts.misaligned += 1
-            return None
-        frames = (base, at, found.pose)
-        if _conflicts(frames, query, members, cloud, around, keyframes, poses) > _MOST_CONFLICTS:
             self.counts.conflicting += 1
             return None
         information = turned(_WORTH * found.information, found.pose[2])
         return Edge(EdgeKind.CLOSURE, old.middle, new.middle, found.pose, information)
 
-    def _confirm(self, edge: Edge, task: Task, graph: PoseGraph) -> list[Edge]:
-        """Return the closures that are certain now: this one, and others that waited for it."""
-        if task.turn < math.pi and task.reach <= _SURE_WINDOW_M:
-            return [edge]
-        agreeing = [other for other in self._waiting if _agree(edge, other, graph)]
-        if not agreeing:
-            self.counts.unconfirmed += 1
-            self._waiting = [*self._waiting, edge][-_REMEMBERED:]
-            return []
-        self.counts.unconfirmed -= len(agreeing)
-        self._waiting = [other for other in self._waiting if other not in agreeing]
-        return [*agreeing, edge]
+    def _only_alignment(
+        self, peaks: list[Peak], query: PointCloud, cloud: PointCloud
+    ) -> Alignment | None:
+        """Return the alignment at the peak that fits clearly better than all others."""
+        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
+        reference = Reference(cloud)
+        aligned = [(peak, reference.align(query, peak.pose, prior, 0.3)) for peak in peaks]
+        # Once more, with less tolerance: on a long wall, all places along it fit roughly.
+        best_deviation = min(
+            (one.deviation for _, one in aligned if one.paired >= _LEAST_PAIRED), default=math.inf
+        )
+        if best_deviation > _MOST_DEVIATION:
+            self.counts.misaligned += 1
+            return None
+        sharp = max(_SHARP_M, _SHARP_DEVIATIONS * best_deviation)
+        aligned = [
+            (peak, reference.align(query, one.pose, prior, _SHARP_REACH_M, sharp))
+            for peak, one in aligned
+        ]
+        peak, best = max(aligned, key=lambda one: one[1].fit)
+        if (
+            best.paired < _LEAST_PAIRED
+            or best.deviation > _MOST_DEVIATION
+            or apart(best.pose, peak.pose, _MOVED_M, _MOVED_RAD)
+        ):
+            self.counts.misaligned += 1
+            return None
+        others = [
+            other.fit for _, other in aligned if apart(best.pose, other.pose, _SAME_M, _SAME_RAD)
+        ]
+        if len(peaks) >= _MOST_PEAKS or best.fit - max(others, default=0.0) < _CLEARLY_BETTER:
+            self.counts.ambiguous += 1
+            return None
+        return best
+
+    def _is_repeated(
+        self, task: Task, found: Alignment, center: Pose, submaps: list[Submap], graph: PoseGraph
+    ) -> bool:
+        """Return whether the surroundings repeat so that other poses in the window are as likely.
+
+        A corridor with equal doors at equal distances looks the same from several places, of which
+        the old submap may show only one.
+        """
+        new = submaps[task.new]
+        at, island = graph.pose(new.middle), graph.islands()
+        around = [
+            self._views[other.number].cloud.placed(relative(at, graph.pose(other.middle)))
+            for other in submaps[max(0, task.new - _BESIDE) : task.new + _BESIDE + 1]
+            if island[other.middle] == island[new.middle] and other.number < len(self._views)
+        ]
+        query = self._views[task.new].nearby(REACH_M, _SEARCH_CELL)
+        cloud = joined(around).thinned(DENSE_M)
+        peaks = CorrelationMap(cloud.points).search(
+            query.points, _ITSELF, task.reach, task.turn, _LEAST_SCORE, _MOST_PEAKS, 0.0
+        )
+        reference = Reference(cloud)
+        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
+        sharp = max(_SHARP_M, _SHARP_DEVIATIONS * found.deviation)
+        for peak in peaks:
+            rough = reference.align(query, peak.pose, prior, 0.3)
+            again = reference.align(query, rough.pose, prior, _SHARP_REACH_M, sharp)
+            is_itself = not apart(again.pose, _ITSELF, _ITSELF_M, _ITSELF_RAD)
+            if is_itself or again.fit < found.fit - _REPEATED:
+                continue
+            for shift in (again.pose, inverse(again.pose)):
+                other = compose(found.pose, shift)
+                dx, dy, turn = other[0] - center[0], other[1] - center[1], other[2] - center[2]
+                if max(abs(dx), abs(dy)) <= task.reach and abs(wrap(turn)) <= task.turn:
+                    return True
+        return False
+
+    def _confirmed(self, graph: PoseGraph) -> list[Edge]:
+        """Return the closures that others confirm, of those that were found in wide windows.
+
+        They put at least two submaps in the same place, and twice as many as any other place of
+        these submaps.
+        """
+        islands = graph.islands()
+        support = [
+            {e.second for e in self._waiting if _agree(edge, e, islands, graph)}
+            for edge in self._waiting
+        ]
+        for k in sorted(range(len(support)), key=lambda k: -len(support[k])):
+            edge, submaps = self._waiting[k], support[k]
+            if len(submaps) < _CONFIRMATIONS:
+                break
+            rivals = [
+                len(support[i])
+                for i, other in enumerate(self._waiting)
+                if other.second in submaps and not _agree(edge, other, islands, graph)
+            ]
+            if 2 * max(rivals, default=0) > len(submaps):
+                continue
+            accepted = [e for e in self._waiting if _agree(edge, e, islands, graph)]
+            self._waiting = [e for e in self._waiting if e.second not in submaps]
+            return accepted
+        return []
+
+
+def _near_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]:
+    """Return the comparisons with submaps that may show the same place, best first."""
+    at, drift = graph.pose(new.middle), graph.drift(new.middle)
+    planned: list[tuple[float, Task]] = []
+    for old in olds:
+        covariance = drift[old.middle]
+        sd_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+        reach = min(_SIGMAS * sd_m + _EXTRA_M, _WIDEST_M)
+        turn = min(_SIGMAS * math.sqrt(covariance[2, 2]) + _EXTRA_RAD, math.pi)
+        apart_m = distance(at, graph.pose(old.middle))
+        if apart_m < _NEAR_M + reach:
+            planned.append((apart_m / reach, Task(new.number, old.number, reach, turn)))
+    planned.sort(key=lambda one: (one[0], -one[1].old))
+    return [task for _, task in planned[:_MOST_CANDIDATES]]
+
+
+def _anywhere_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]:
+    """Return the comparisons with submaps of other islands: one for each place, newest first."""
+    chosen: list[Submap] = []
+    for old in reversed(olds):
+        at = graph.pose(old.middle)
+        if all(distance(at, graph.pose(other.middle)) > _PLACES_M for other in chosen):
+            chosen.append(old)
+    return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in chosen[:_MOST_PLACES]]
 
 
 def turned(information: Array, heading: float) -> Array:
@@ -203,41 +325,12 @@ def turned(information: Array, heading: float) -> Array:
     return result
 
 
-def _agree(edge: Edge, other: Edge, graph: PoseGraph) -> bool:
-    """Return whether two closures of different submaps put the robot in the same place."""
-    if edge.second == other.second:
+def _agree(edge: Edge, other: Edge, islands: NDArray[np.int64], graph: PoseGraph) -> bool:
+    """Return whether two closures put the robot in the same place."""
+    if islands[edge.first] != islands[other.first] or islands[edge.second] != islands[other.second]:
         return False
     old = relative(graph.pose(other.first), graph.pose(edge.first))
     new = relative(graph.pose(other.second), graph.pose(edge.second))
     by_other = compose(other.measured, new)
     by_edge = compose(old, edge.measured)
     return not apart(by_other, by_edge, _AGREE_M, _AGREE_RAD)
-
-
-def _conflicts(
-    frames: tuple[Pose, Pose, Pose],
-    query: PointCloud,
-    members: list[int],
-    cloud: PointCloud,
-    around: list[int],
-    keyframes: list[Keyframe],
-    poses: Array,
-) -> float:
-    """Return the share of points that lie where the other submap has seen free space.
-
-    `frames` are those of the old and the new submap in the map, and that of the new in the old one.
-    """
-    base, at, found = frames
-    shares = []
-    for origin, seen, points in (
-        (base, around, query.placed(found).points),
-        (at, members, cloud.placed(inverse(found)).points),
-    ):
-        grid = ScanGrid(_CONFLICT_CELL, _SEARCH_REACH_M)
-        for k in seen:
-            rays = keyframes[k].rays
-            if rays is not None:
-                x, y, theta = poses[k].tolist()
-                grid.add(relative(origin, (x, y, theta)), rays.rays())
-        shares.append(grid.seen_through(points, _PASSES))
-    return max(shares)

@@ -23,7 +23,7 @@ _SIGMA_M = 0.1  # of the likelihood of a point at a distance to the nearest poin
 _LEVELS = 6  # the coarsest cells are 2^5 times larger: 3.2 m
 _TURN = math.radians(1.0)  # between the headings that are tried
 # Two poses nearer than this [m], [rad] are one peak of the likelihood.
-_PEAK_M, _PEAK_RAD = 0.6, math.radians(12.0)
+_PEAK_M, _PEAK_RAD = 0.4, math.radians(12.0)
 # A search that has expanded so many nodes ends without a result: the window is too ambiguous.
 _MOST_NODES = 400_000
 
@@ -62,9 +62,16 @@ class CorrelationMap:
         self._origin = low * _CELL
 
     def search(
-        self, points: Array, center: Pose, reach: float, turn: float, least: float
+        self,
+        points: Array,
+        center: Pose,
+        reach: float,
+        turn: float,
+        least: float,
+        most: int = 1,
+        share: float = 0.8,
     ) -> list[Peak]:
-        """Return the best pose of the points (n, 2) [m], and the best one elsewhere.
+        """Return the best poses of the points (n, 2) [m], the best one first.
 
         Args:
             points: of the cloud, in its own frame.
@@ -72,17 +79,20 @@ class CorrelationMap:
             reach: half of the window's side [m].
             turn: half of its range of headings [rad]; pi for all.
             least: scores below this count as none.
+            most: largest number of peaks.
+            share: scores below this share of the best one count as none.
 
         Returns:
-            At most two peaks. The second one is missing if its score is below `least` or 0.8 times
-            the best one. Empty if none is found, or more than 400,000 nodes would be needed.
+            The peaks of the likelihood, 0.4 m or 12 degrees apart, whose score is at least `least`
+            and `share` times the best one. Empty if none is found; `most` times the best one if
+            others remained unknown because more than 400,000 nodes would have to be searched.
 
         """
         steps = min(math.ceil(turn / _TURN), math.ceil(math.pi / _TURN) - 1)
-        turns = center[2] + _TURN * np.arange(-steps, steps + 1)
+        turns = np.asarray(center[2] + _TURN * np.arange(-steps, steps + 1), np.float64)
         found = _search(
             np.ascontiguousarray(points), turns, self._levels, self._origin,
-            center[0], center[1], math.ceil(reach / _CELL), least,
+            center[0], center[1], math.ceil(reach / _CELL), least, most, share,
         )  # fmt: skip
         return [
             Peak((float(x), float(y), wrap(float(theta))), float(score))
@@ -104,7 +114,7 @@ def _score(
 
 @compiled(
     "float64[:, ::1](float64[:, ::1], float64[::1], float32[:, :, ::1], float64[::1],"
-    " float64, float64, int64, float64)"
+    " float64, float64, int64, float64, int64, float64)"
 )
 def _search(
     points: Array,
@@ -115,6 +125,8 @@ def _search(
     y: float,
     reach: int,
     least: float,
+    most: int,
+    share: float,
 ) -> Array:
     count, rotations = len(points), len(turns)
     height, rows, columns = levels.shape
@@ -138,35 +150,39 @@ def _search(
                 score = _score(levels[top], rows, columns, cells[j], dx, dy)
                 if score >= least:
                     heappush(heap, (-score, top, j, dx, dy))
-    found = np.empty((2, 4))
+    found = np.empty((most, 4))
     peaks, nodes, floor = 0, 0, least
     while len(heap) > 0:
         negative, level, j, dx, dy = heappop(heap)
         if -negative < floor:
             break
-        if peaks == 1:
-            # Not within the first peak, nor a coarse cell that lies within it.
-            near_x = abs(x + dx * _CELL - found[0, 0])
-            near_y = abs(y + dy * _CELL - found[0, 1])
-            turned = abs((turns[j] - found[0, 2] + math.pi) % (2.0 * math.pi) - math.pi)
+        # Not within a peak, nor a coarse cell that lies within it.
+        known = False
+        for k in range(peaks):
+            near_x = abs(x + dx * _CELL - found[k, 0])
+            near_y = abs(y + dy * _CELL - found[k, 1])
+            turned = abs((turns[j] - found[k, 2] + math.pi) % (2.0 * math.pi) - math.pi)
             span = ((1 << level) - 1) * _CELL
             if max(near_x, near_y) + span < _PEAK_M and turned < _PEAK_RAD:
-                continue
+                known = True
+                break
+        if known:
+            continue
         if level == 0:
             found[peaks, 0], found[peaks, 1] = x + dx * _CELL, y + dy * _CELL
             found[peaks, 2], found[peaks, 3] = turns[j], -negative
             peaks += 1
-            if peaks == 2:
+            if peaks == most:
                 break
-            floor = max(least, 0.8 * -negative)
+            floor = max(least, share * found[0, 3])
             continue
         nodes += 1
         if nodes > _MOST_NODES:
             if peaks == 0:
                 break
-            # What was not searched may be as good: the second peak is unknown, hence as good.
-            found[1] = found[0]
-            peaks = 2
+            # What was not searched may be as good.
+            found[1:] = found[0]
+            peaks = most
             break
         half = 1 << (level - 1)
         for step_y in range(2):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +48,13 @@ _SURROUNDINGS = 30
 _SUBMAP_M, _SUBMAP_KEYFRAMES = 4.0, 40
 # Pairs of submaps that are compared while a keyframe is added: about 10 ms each.
 _COMPARED = 2
+# The graph is optimized once per so many new keyframes: the number of all divided by this. It takes
+# 0.5 s with 6,000 keyframes, which are then added in 6 to 15 s of driving.
+_KEYFRAMES_PER_PAUSE = 200
 # When the map is finished: keyframes that share this much of what they see are aligned again, with
 # this many around the partner on each side; so many partners, no nearer to each other and to the
 # keyframe than this.
 _SHARED, _BESIDE, _PARTNERS, _BETWEEN = 0.35, 2, 6, 4
-_ROUNDS = 2
 # Points are paired up to this distance [m] in the first and in later rounds.
 _REACH_M = (0.3, 0.15)
 # An alignment to a partner may move a keyframe by this much [m], [rad], and must pair as many
@@ -89,6 +92,14 @@ class Step:
     stamp_ns: int
     keyframe: int
     offset: Pose
+
+
+@dataclass(frozen=True)
+class Island:
+    """A connected part of the map: the numbers of its keyframes, and of its scans."""
+
+    keyframes: NDArray[np.int64]
+    scans: NDArray[np.int64]
 
 
 class Mapper:
@@ -140,6 +151,9 @@ class Mapper:
         self.calibration = CalibrationEstimate(calibration, OdometryCalibration(0.1, 0.1, 0.1))
         """The calibration of odometry, estimated when the map is finished."""
         self._continues = False  # the next scan is the first since the map was read
+        # Closures since the last optimization, and the number of keyframes then.
+        self._unsolved, self._solved_at = 0, 0
+        self._misfits = 0  # scans in a row that fitted nowhere
 
     @property
     def is_located(self) -> bool:
@@ -167,7 +181,7 @@ class Mapper:
             self._continues = False
             tracked = self._find_near(stamp_ns, odometry, cloud)
         elif self._odometry is None:
-            tracked = Tracked(self._pose, np.zeros((3, 3)), None, False)
+            tracked = Tracked(self._pose, np.zeros((3, 3)), None)
         else:
             step = relative(self._odometry, odometry)
             tracked = self.tracker.track(self._pose, step, cloud)
@@ -178,12 +192,17 @@ class Mapper:
         last = len(self.keyframes) - 1
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self._pose)
-        if is_first or apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD):
+        has_moved = apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD)
+        # If a scan that does not fit became a keyframe, those after it would fit to it.
+        if is_first or (has_moved and not tracked.is_misfit):
             frame = Keyframe(
                 stamp_ns, odometry, cloud, scan_rays(rays), self._open.number, self.version
             )
             self._add_keyframe(frame, None if is_first else (offset, tracked))
             last, offset = last + 1, (0.0, 0.0, 0.0)
+        if tracked.is_lost:
+            self._move_steps(self._misfits, last)
+        self._misfits = self._misfits + 1 if tracked.is_misfit and not tracked.is_lost else 0
         self.trajectory.append(Step(stamp_ns, last, offset))
         return tracked
 
@@ -258,6 +277,21 @@ class Mapper:
         largest: NDArray[np.bool_] = islands == numbers[np.argmax(sizes)]
         return largest
 
+    @property
+    def islands(self) -> list[Island]:
+        """The parts of the map that nothing connects, the one with the most keyframes first.
+
+        Only the first one is the map. Where the robot was moved by hand, and no place was
+        recognized afterward, the position of the others relative to it is unknown.
+        """
+        first = self.graph.islands()
+        numbers = first[[step.keyframe for step in self.trajectory]]
+        islands = [
+            Island(np.flatnonzero(first == number), np.flatnonzero(numbers == number))
+            for number in np.unique(numbers).tolist()
+        ]
+        return sorted(islands, key=lambda one: (-len(one.keyframes), int(one.keyframes[0])))
+
     def poses(self) -> Array:
         """Return the pose (n, 3) of the base in the map at each scan; NaN outside of the map."""
         poses = np.array(
@@ -276,21 +310,21 @@ class Mapper:
         report = progress or _ignore
         if self._open.last >= self._open.first:
             self._close_submap()
+        self._solved_at = 0
         planned = self.closer.pending
         while self.closer.pending:
             self._close_loops(_COMPARED)
             report("loops", 1.0 - self.closer.pending / planned)
+        if self._unsolved:
+            self._unsolved = 0
+            self.graph.optimize()
         if self.graph.depends_on_odometry:
             self.graph.optimize()
             self._use_landmarks()
         if self._scanned_ns is None:
             return
-        for number in range(_ROUNDS):
-
-            def aligned(share: float, done: int = number) -> None:
-                report("alignment", (done + share) / _ROUNDS)
-
-            self._align_neighbors(_REACH_M[number], aligned)
+        for number, reach in enumerate(_REACH_M):
+            self._align_neighbors(reach, partial(_report_round, report, number))
             self.graph.optimize()
         self._use_landmarks()
 
@@ -354,7 +388,7 @@ class Mapper:
         age_s = (stamp_ns - last.stamp_ns) / SECOND
         is_recent = 0.0 <= age_s < _NEAR_S
         moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
-        tracked = Tracked(self._pose, np.zeros((3, 3)), 0.0, True)
+        tracked = Tracked(self._pose, np.zeros((3, 3)), 0.0, is_misfit=True)
         if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
             tracked = self.tracker.track(self._pose, relative(last.odometry, odometry), cloud)
         if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
@@ -367,6 +401,14 @@ class Mapper:
             self._close_submap()
         self._island = len(self.keyframes)
         self.tracker.start()
+
+    def _move_steps(self, count: int, keyframe: int) -> None:
+        """Attach the last steps to another keyframe: the robot was moved before them."""
+        for k in range(len(self.trajectory) - count, len(self.trajectory)):
+            step = self.trajectory[k]
+            pose = compose(self.graph.pose(step.keyframe), step.offset)
+            offset = relative(self.graph.pose(keyframe), pose)
+            self.trajectory[k] = Step(step.stamp_ns, keyframe, offset)
 
     def _add_keyframe(self, frame: Keyframe, step: tuple[Pose, Tracked] | None) -> None:
         number = self.graph.add_pose(self._pose)
@@ -405,14 +447,17 @@ class Mapper:
         self.submaps.append(self._open)
         members = self.keyframes[self._open.first : self._open.last + 1]
         if any(frame.rays is not None for frame in members):
-            self.closer.add(self._open.number, self.submaps, self.graph)
+            self.closer.add(self.submaps, self.keyframes, self.graph)
         self._open = Submap(len(self.submaps), len(self.keyframes), len(self.keyframes) - 1)
         self._way = 0.0
 
     def _close_loops(self, most: int) -> None:
-        found = self.closer.work(most, self.keyframes, self.submaps, self.graph)
-        if found:
-            self.graph.edges += found
+        found = self.closer.work(most, self.submaps, self.graph)
+        self.graph.edges += found
+        self._unsolved += len(found)
+        count = len(self.keyframes)
+        if self._unsolved and count - self._solved_at >= count // _KEYFRAMES_PER_PAUSE:
+            self._unsolved, self._solved_at = 0, count
             self._optimize()
 
     def _align_neighbors(self, reach: float, report: Callable[[float], None]) -> None:
@@ -467,6 +512,10 @@ class Mapper:
             return None
         information = turned(found.information, found.pose[2])
         return Edge(EdgeKind.MATCH, other, number, found.pose, information)
+
+
+def _report_round(report: Progress, number: int, share: float) -> None:
+    report("alignment", (number + share) / len(_REACH_M))
 
 
 def _ignore(stage: str, share: float) -> None:

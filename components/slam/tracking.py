@@ -14,28 +14,33 @@ from cairn.components.slam.point_cloud import PointCloud
 from cairn.planar.poses import Pose, apart, compose
 
 Array = NDArray[np.float64]
+Noise = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 # A scan with fewer points is not aligned: the robot is where odometry says.
 _LEAST_POINTS = 20
-# How far a pose may be from where odometry puts it, as standard deviations: constant [m], [rad],
-# per meter and per radian. Wheels that slip turn the robot by tenths of a radian.
-_SLIP_M, _SLIP_PER_M, _SLIP_M_PER_RAD = 0.1, 0.2, 0.02
-_SLIP_RAD, _SLIP_PER_RAD, _SLIP_RAD_PER_M = 0.1, 0.2, 0.05
-# Noise of odometry itself: constant, per meter, per radian.
-_NOISE_M, _NOISE_PER_M, _NOISE_M_PER_RAD = 0.005, 0.05, 0.01
-_NOISE_RAD, _NOISE_PER_RAD, _NOISE_RAD_PER_M = 0.003, 0.05, 0.02
+# How far a pose may be from where odometry puts it, as standard deviations: of the position,
+# constant [m], per meter, and per radian [m/rad]; of the heading, constant [rad], per radian, and
+# per meter [rad/m]. If wheels slip, they turn the robot by tenths of a radian.
+_NOISE: Noise = ((0.005, 0.05, 0.01), (0.003, 0.05, 0.02))
+_SLIP: Noise = ((0.1, 0.2, 0.02), (0.1, 0.2, 0.05))
+# A scan is aligned with so many times the noise first, as the noise of successive steps has a
+# common sign.
+_TRUSTED = 2.5
 # Points are paired up to this distance at first [m]; less after a search.
 _REACH_M, _REACH_AFTER_SEARCH_M = 0.4, 0.2
 # A scan is searched for if it fits worse than this share of the usual fit, or if its pose is so far
 # from where odometry puts it [m], [rad].
 _POOR_FIT, _SURPRISE_M, _SURPRISE_RAD = 0.8, 0.1, 0.06
 _FIT_MEMORY = 0.1  # share of the newest scan in the usual fit
-# Least score of a searched pose, and by how much it must fit better.
-_LEAST_SCORE, _BETTER = 0.3, 0.03
+# Least score of a searched pose. How much better a scan must fit for the wheels to have slipped,
+# times the square root of the number of its points: few points fit by chance.
+_LEAST_SCORE, _BETTER = 0.3, 2.0
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
-# A scan that fits worse is not of this place; so many in a row mean that the robot was moved.
-_NO_FIT, _NO_FIT_IN_A_ROW = 0.3, 4
+# A scan that fits worse than this, or than this share of the usual fit, is not of this place; so
+# many in a row mean that the robot was moved. In simulated drives through doors and among people,
+# at most two in a row fit worse than 0.6 of the usual fit.
+_NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
 
 
 @dataclass(frozen=True)
@@ -44,17 +49,19 @@ class Tracked:
 
     Attributes:
         pose: of the base in the map.
-        information: (3, 3) of the step from the scan before, over x, y [m] and heading [rad] in the
-            map's frame.
+        information: (3, 3) of the pose relative to the surroundings that were set last, over x, y
+            [m] and heading [rad] in the map's frame.
         fit: how well the scan fits, from 0 to 1; None if it has too few points.
-        is_lost: whether the last scans fit nowhere: the robot was moved by hand.
+        is_misfit: whether the scan fits nowhere near, and the pose is that of odometry.
+        is_lost: whether so many scans in a row did that the robot was moved by hand.
 
     """
 
     pose: Pose
     information: Array
     fit: float | None
-    is_lost: bool
+    is_misfit: bool = False
+    is_lost: bool = False
 
 
 class ScanTracker:
@@ -68,6 +75,7 @@ class ScanTracker:
         self._search_map: CorrelationMap | None = None
         self._usual_fit = 0.0
         self._misfits = 0
+        self._covariance = np.zeros((3, 3))  # since the surroundings were set
 
     @property
     def usual_fit(self) -> float:
@@ -82,34 +90,54 @@ class ScanTracker:
     def set_surroundings(self, cloud: PointCloud) -> None:
         """Set the points, in the map, of the last keyframes."""
         self._reference, self._search_map = Reference(cloud), None
+        self._covariance = np.zeros((3, 3))
 
     def track(self, pose: Pose, step: Pose, cloud: PointCloud) -> Tracked:
-        """Return where a scan was taken, `step` after a scan at `pose` by odometry."""
+        """Return where a scan was taken, `step` after a scan at `pose` by odometry.
+
+        If the scan fits where odometry puts it, odometry is right about what the scan does not
+        show. Otherwise the wheels may have slipped.
+        """
         guess = compose(pose, step)
-        noise = _step_information(step)
+        noise = _covariance(step, _NOISE)
         reference = self._reference
         if reference is None or min(cloud.count, reference.cloud.count) < _LEAST_POINTS:
-            return Tracked(guess, noise, None, False)
-        forward, turn = math.hypot(step[0], step[1]), abs(step[2])
-        sd_m = _SLIP_M + _SLIP_PER_M * forward + _SLIP_M_PER_RAD * turn
-        sd_rad = _SLIP_RAD + _SLIP_PER_RAD * turn + _SLIP_RAD_PER_M * forward
-        prior = np.diag([sd_m**-2, sd_m**-2, sd_rad**-2])
-        found = reference.align(cloud, guess, prior, _REACH_M)
+            self._misfits = 0
+            return self._at(guess, noise, None, None)
+        trusted = _inverse(_TRUSTED**2 * noise)
+        found = reference.align(cloud, guess, trusted, _REACH_M)
         if found.fit < _POOR_FIT * self._usual_fit or apart(
             found.pose, guess, _SURPRISE_M, _SURPRISE_RAD
         ):
+            slip = _covariance(step, _SLIP)
+            prior = _inverse(slip)
+            others = [reference.align(cloud, guess, prior, _REACH_M)]
+            sd_m, sd_rad = math.sqrt(slip[0, 0]), math.sqrt(slip[2, 2])
             searched = self._search(cloud, guess, 0.1 + 2 * sd_m, 0.1 + 3 * sd_rad)
             if searched is not None:
-                other = reference.align(cloud, searched, 0.1 * prior, _REACH_AFTER_SEARCH_M)
-                if other.fit > found.fit + _BETTER:
-                    found = other
-        self._misfits = self._misfits + 1 if found.fit < _NO_FIT else 0
+                others.append(reference.align(cloud, searched, 0.1 * prior, _REACH_AFTER_SEARCH_M))
+            other = max(others, key=lambda one: one.fit)
+            if other.fit > found.fit + _BETTER / math.sqrt(cloud.count):
+                found, noise = other, slip
+        is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self._usual_fit)
+        self._misfits = self._misfits + 1 if is_misfit else 0
         if self._misfits:
             # Better a wrong step of odometry than one to where nothing fits.
-            return Tracked(guess, noise, found.fit, self._misfits >= _NO_FIT_IN_A_ROW)
+            return self._at(guess, noise, None, found.fit)
         gain = _FIT_MEMORY if self._usual_fit else 1.0
         self._usual_fit += gain * (found.fit - self._usual_fit)
-        return Tracked(found.pose, found.information + noise, found.fit, False)
+        return self._at(found.pose, noise, found.information, found.fit)
+
+    def _at(
+        self, pose: Pose, noise: Array, information: Array | None, fit: float | None
+    ) -> Tracked:
+        """Return the result of a step with `noise` (3, 3) and of an alignment, if there is one."""
+        self._covariance = self._covariance + noise
+        known = _inverse(self._covariance)
+        if information is not None:
+            known += information
+            self._covariance = _inverse(known)
+        return Tracked(pose, known, fit, self._misfits > 0, self._misfits >= _NO_FIT_IN_A_ROW)
 
     def locate(self, pose: Pose, cloud: PointCloud, reach: float) -> Tracked:
         """Search for where a scan was taken: up to `reach` [m] around a pose, facing anywhere."""
@@ -117,7 +145,7 @@ class ScanTracker:
         if self._reference is not None:
             guess = self._search(cloud, pose, reach, math.pi)
         if guess is None:
-            return Tracked(pose, np.zeros((3, 3)), 0.0, True)
+            return Tracked(pose, np.zeros((3, 3)), 0.0, is_misfit=True)
         return self.track(guess, (0.0, 0.0, 0.0), cloud)
 
     def _search(self, cloud: PointCloud, guess: Pose, reach: float, turn: float) -> Pose | None:
@@ -132,10 +160,15 @@ class ScanTracker:
         return peaks[0].pose if peaks else None
 
 
-def _step_information(step: Pose) -> Array:
-    """Return the information (3, 3) of a step of odometry, in the map's frame."""
+def _covariance(step: Pose, noise: Noise) -> Array:
+    """Return the covariance (3, 3) of a step of odometry, in the map's frame."""
     forward, turn = math.hypot(step[0], step[1]), abs(step[2])
-    sd_m = _NOISE_M + _NOISE_PER_M * forward + _NOISE_M_PER_RAD * turn
-    sd_rad = _NOISE_RAD + _NOISE_PER_RAD * turn + _NOISE_RAD_PER_M * forward
-    information: Array = np.diag([sd_m**-2, sd_m**-2, sd_rad**-2])
-    return information
+    (meters, per_m, m_per_rad), (radians, per_rad, rad_per_m) = noise
+    sd_m = meters + per_m * forward + m_per_rad * turn
+    sd_rad = radians + per_rad * turn + rad_per_m * forward
+    covariance: Array = np.diag([sd_m**2, sd_m**2, sd_rad**2])
+    return covariance
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), np.float64)

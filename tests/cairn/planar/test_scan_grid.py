@@ -7,7 +7,7 @@ import pytest
 
 from cairn.planar.grid import OCCUPIED, OccupancyCells, distance_field
 from cairn.planar.poses import Pose
-from cairn.planar.scan_grid import ScanGrid, build_grid
+from cairn.planar.scan_grid import SEEN_FREE, ScanGrid, build_grid
 from cairn.planar.scans import Rays, rays_of
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.localizer.room import Box, room, scanned
@@ -142,7 +142,7 @@ def test_blurred_map_has_more_entropy_and_conflicts() -> None:
     assert blurred.conflicts() > 1.2 * sharp.conflicts()
 
 
-def test_points_in_free_space_are_seen_through() -> None:
+def test_points_in_free_space_are_told_from_walls() -> None:
     grid = ScanGrid(0.05, 15.0)
     for pose, scan in drive(corridor(), 6):
         grid.add(pose, rays_of_scan(scan))
@@ -152,6 +152,15 @@ def test_points_in_free_space_are_seen_through() -> None:
     wall = np.column_stack((along, np.full(50, 3.0)))
     unknown = np.column_stack((along, np.full(50, 9.0)))
 
-    assert grid.seen_through(free, 3) == 1.0
-    assert grid.seen_through(wall, 3) < 0.1
-    assert grid.seen_through(unknown, 3) == 0.0
+    evidence = grid.evidence(3)
+    shares = []
+    for points in (free, wall, unknown):
+        rows, columns = np.array([evidence.frame.cell(x, y) for x, y in points.tolist()]).T
+        inside = (rows < evidence.values.shape[0]) & (columns < evidence.values.shape[1])
+        values = evidence.values[rows[inside], columns[inside]]
+        shares.append(np.mean(values == SEEN_FREE) if values.size else 0.0)
+    assert shares[0] == 1.0
+    assert shares[1] < 0.1
+    assert shares[2] == 0.0
+    assert grid.ended_share(wall).mean() > 0.5
+    assert grid.ended_share(free).max() < 0.1

@@ -1,0 +1,95 @@
+"""What a submap shows: the surfaces that stand still, and the space that is free."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap
+from cairn.components.slam.point_cloud import PointCloud, joined
+from cairn.planar.grid import Grid
+from cairn.planar.poses import Pose, inverse, relative
+from cairn.planar.scan_grid import NOT_SEEN, SEEN_FREE, ScanGrid
+
+Array = NDArray[np.float64]
+
+# Surfaces farther from the middle keyframe are not part of the view [m].
+REACH_M = 15.0
+# Size of the cells in which space is free [m], and rays that must have passed one.
+_CELL, _PASSES = 0.1, 3
+# A point does not stand still if a smaller share of the rays ended around it: beams pass where a
+# person was before or after.
+_STANDING_SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class SubmapView:
+    """What a submap shows, in the frame of its middle keyframe.
+
+    `cloud` are the surfaces that stand still; `space` has for each cell of 0.1 m whether it was
+    seen, and whether it is free (`ScanGrid.evidence`).
+    """
+
+    cloud: PointCloud
+    space: Grid[np.uint8]
+
+    def nearby(self, reach: float, cell: float) -> PointCloud:
+        """Return the surfaces up to `reach` [m] from the origin, one point per `cell` [m]."""
+        cloud = self.cloud.thinned(cell)
+        near = np.hypot(cloud.points[:, 0], cloud.points[:, 1]) < reach
+        return PointCloud(cloud.points[near], cloud.normals[near])
+
+    def evidence(self, points: Array) -> NDArray[np.uint8]:
+        """Return what was seen of the cell of each point (n, 2) [m]."""
+        x, y, _ = self.space.frame.origin
+        cells = np.floor((points - (x, y)) / self.space.frame.resolution).astype(np.int64)
+        rows, columns = self.space.values.shape
+        inside = (cells >= 0).all(axis=1) & (cells[:, 1] < rows) & (cells[:, 0] < columns)
+        found = np.full(len(points), NOT_SEEN, np.uint8)
+        found[inside] = self.space.values[cells[inside, 1], cells[inside, 0]]
+        return found
+
+
+def view_of(submap: Submap, keyframes: Sequence[Keyframe], poses: Array) -> SubmapView:
+    """Return what a submap shows, from the poses (n, 3) of the keyframes."""
+    origin = _pose(poses, submap.middle)
+    grid = ScanGrid(_CELL, REACH_M)
+    clouds = []
+    for number in range(submap.first, submap.last + 1):
+        at, frame = relative(origin, _pose(poses, number)), keyframes[number]
+        if frame.rays is not None:
+            grid.add(at, frame.rays.rays())
+        clouds.append(frame.cloud.placed(at))
+    cloud = joined(clouds)
+    stands = grid.ended_share(cloud.points) >= _STANDING_SHARE
+    cloud = PointCloud(cloud.points[stands], cloud.normals[stands])
+    return SubmapView(cloud.thinned(DENSE_M), grid.evidence(_PASSES))
+
+
+def conflicts(points: Array, views: Sequence[tuple[Pose, SubmapView]]) -> float:
+    """Return the share of points (n, 2) [m] that lie where others have seen free space.
+
+    `views` are the others, with their poses in the points' frame. Points that none of them has seen
+    are left out; 0 without others.
+    """
+    seen = np.zeros(len(points), np.bool_)
+    free, solid = seen.copy(), seen.copy()
+    for pose, view in views:
+        x, y, turn = inverse(pose)
+        cosine, sine = np.cos(turn), np.sin(turn)
+        rotation = np.array([[cosine, sine], [-sine, cosine]])
+        evidence = view.evidence(points @ rotation + (x, y))
+        seen |= evidence != NOT_SEEN
+        free |= evidence == SEEN_FREE
+        solid |= (evidence != NOT_SEEN) & (evidence != SEEN_FREE)
+    through = free & ~solid
+    known = int(np.count_nonzero(seen))
+    return int(np.count_nonzero(through)) / known if known else 0.0
+
+
+def _pose(poses: Array, number: int) -> Pose:
+    x, y, theta = poses[number].tolist()
+    return x, y, theta

@@ -1,0 +1,126 @@
+"""The map of a simulated drive: loops are closed, a moved robot is found, nothing is ever bent."""
+
+import hashlib
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from cairn.components.slam.mapping import Mapper
+from tests.components.slam import courses
+from tests.components.slam.map_errors import map_errors
+from tests.components.slam.recordings import SCANNERS, Leg, Recording, record
+
+FARTHEST_M = 30.0
+
+
+def mapped(recording: Recording) -> Mapper:
+    mapper = Mapper(FARTHEST_M)
+    for stamp, odometry, rays in zip(
+        recording.stamps, recording.odometry, recording.rays, strict=True
+    ):
+        mapper.add_scan(stamp, odometry, rays)
+    mapper.finish()
+    return mapper
+
+
+@pytest.mark.slow
+def test_a_tour_of_an_office_is_mapped_within_centimeters() -> None:
+    recording = record(courses.shipped("office"), SCANNERS["UST-10LX"])
+    mapper = mapped(recording)
+    errors = map_errors(mapper, recording)
+    assert mapper.closer.counts.accepted > 0
+    assert errors.relation_m < 0.02
+    assert errors.worst_m < 0.1
+    assert errors.walls > 0.95
+
+
+@pytest.mark.slow
+def test_people_who_walk_around_do_not_prevent_closures() -> None:
+    recording = record(courses.shipped("hall", 5.0), SCANNERS["UST-10LX"])
+    errors = map_errors(mapped(recording), recording)
+    assert errors.worst_m < 0.1
+    assert errors.walls > 0.95
+
+
+@pytest.mark.slow
+def test_a_ring_of_equal_rooms_is_not_bent() -> None:
+    recording = record(courses.ring(), SCANNERS["UST-10LX"])
+    assert not map_errors(mapped(recording), recording).is_broken
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("odometry_moved", [(0.0, 0.0, 0.0), (2.0, 1.0, 0.8)])
+def test_a_robot_carried_to_another_room_is_joined_to_the_map(
+    odometry_moved: tuple[float, float, float],
+) -> None:
+    course = courses.shipped("office")
+    stops = course.stops[: len(course.stops) // 2]
+    legs = [Leg(stops), Leg(stops[4:], odometry_moved=odometry_moved)]
+    recording = record(course, SCANNERS["UST-10LX"], legs=legs)
+    mapper = mapped(recording)
+    assert [len(island.scans) for island in mapper.islands] == [len(recording.stamps)]
+    errors = map_errors(mapper, recording)
+    assert errors.worst_m < 0.2
+    assert errors.walls > 0.95
+
+
+@pytest.mark.slow
+def test_an_unrecognized_place_stays_an_island_of_its_own() -> None:
+    course = courses.shipped("office")
+    first, second = [(1.0, 6.0), (3.0, 6.0), (2.0, 6.0)], [(17.5, 9.0), (17.5, 8.0), (18.0, 9.0)]
+    recording = record(course, SCANNERS["URG-04LX"], legs=[Leg(first * 2), Leg(second)])
+    mapper = mapped(recording)
+    legs = np.array(recording.legs)
+    islands = mapper.islands
+    assert len(islands) == 2
+    assert [set(legs[island.scans]) for island in islands] == [{0}, {1}]
+    assert not map_errors(mapper, recording).is_broken
+
+
+def test_scans_of_a_moved_robot_belong_to_its_new_island() -> None:
+    course = courses.shipped("office")
+    legs = [Leg([(1.0, 6.0), (4.0, 6.0)]), Leg([(7.5, 3.0), (7.0, 2.0)])]
+    recording = record(course, SCANNERS["UST-10LX"], legs=legs)
+    mapper = mapped(recording)
+    assert len(mapper.islands) == 2
+    carried = recording.legs.index(1)
+    belongs = {k: n for n, island in enumerate(mapper.islands) for k in island.scans.tolist()}
+    assert belongs[carried - 1] != belongs[carried]
+    assert len({belongs[k] for k in range(carried, len(recording.legs))}) == 1
+
+
+_SCRIPT = """
+import sys
+from tests.components.slam.test_mapping import digest
+print(digest())
+"""
+
+
+def digest() -> str:
+    """Return a hash of the map of a short drive in the office."""
+    stops = [(1.0, 6.0), (9.0, 6.0), (9.0, 9.0), (9.0, 6.0), (1.0, 6.0), (4.0, 6.0)]
+    recording = record(courses.shipped("office"), SCANNERS["UST-10LX"], legs=[Leg(stops)])
+    mapper = mapped(recording)
+    assert mapper.closer.counts.accepted > 0
+    return hashlib.sha256(mapper.poses().tobytes() + mapper.graph.poses.tobytes()).hexdigest()
+
+
+@pytest.mark.slow
+def test_the_same_recording_gives_the_same_map_in_every_process() -> None:
+    results = set()
+    for threads in ("1", "4"):
+        environment = {
+            **os.environ,
+            "OMP_NUM_THREADS": threads,
+            "OPENBLAS_NUM_THREADS": threads,
+            "TBB_NUM_THREADS": threads,
+        }
+        done = subprocess.run(
+            [sys.executable, "-c", _SCRIPT], capture_output=True, text=True, check=True,
+            env=environment, timeout=300,
+        )  # fmt: skip
+        results.add(done.stdout.strip())
+    assert len(results) == 1

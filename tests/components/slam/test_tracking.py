@@ -1,0 +1,49 @@
+"""Tracking: odometry is trusted where scans do not contradict it, and no further."""
+
+import math
+
+import numpy as np
+
+from cairn.components.slam.keyframes import scan_cloud
+from cairn.components.slam.point_cloud import PointCloud
+from cairn.components.slam.tracking import ScanTracker
+from cairn.planar.poses import Pose, apart
+from tests.components.slam import courses
+from tests.components.slam.recordings import SCANNERS, Leg, record
+
+
+def started() -> tuple[ScanTracker, list[PointCloud]]:
+    """A tracker in an office, and the scans of a short drive there."""
+    legs = [Leg([(1.0, 6.0), (2.0, 6.0)]), Leg([(17.0, 9.0), (17.5, 9.0)])]
+    recording = record(courses.shipped("office"), SCANNERS["UST-10LX"], legs=legs)
+    clouds = [scan_cloud(rays, 30.0) for rays in recording.rays]
+    elsewhere = recording.legs.index(1)
+    tracker = ScanTracker()
+    tracker.set_surroundings(clouds[0])
+    return tracker, [clouds[0], clouds[elsewhere]]
+
+
+def test_wheels_that_slipped_do_not_lead_astray() -> None:
+    tracker, (here, _) = started()
+    for step in ((0.0, 0.0, 0.0), (0.0, 0.0, 0.25), (0.15, 0.0, 0.0)):
+        tracked = tracker.track((0.0, 0.0, 0.0), step, here)
+        assert not apart(tracked.pose, (0.0, 0.0, 0.0), 0.02, 0.01)
+
+
+def test_a_robot_that_was_moved_is_lost_after_four_scans() -> None:
+    tracker, (here, elsewhere) = started()
+    still = (0.0, 0.0, 0.0)
+    assert not tracker.track(still, still, here).is_misfit
+    misfits = [tracker.track(still, still, elsewhere) for _ in range(4)]
+    assert all(tracked.is_misfit for tracked in misfits)
+    assert [tracked.is_lost for tracked in misfits] == [False, False, False, True]
+    assert misfits[0].pose == still
+
+
+def test_the_uncertainty_of_steps_without_a_fit_adds_up() -> None:
+    tracker = ScanTracker()
+    nothing = PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+    step: Pose = (0.1, 0.0, 0.0)
+    one, two = (tracker.track((0.0, 0.0, 0.0), step, nothing) for _ in range(2))
+    assert one.fit is None
+    assert math.isclose(one.information[0, 0], 2 * two.information[0, 0], rel_tol=1e-9)
