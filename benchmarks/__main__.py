@@ -16,6 +16,8 @@ BENCHMARKS = (
     "planning",
     "localization_scan",
     "localization_logs",
+    "slam_landmarks",
+    "lifelong",
     "world",
     "recognition",
     "camera",

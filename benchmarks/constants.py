@@ -56,7 +56,6 @@ SCENARIOS = {
     "map_builder": ("displaced",),
     "map_builder/occupancy.py": ("tour",),
     "map_builder/grid_from_scans.py": ("tour", "log"),
-    "map_builder/posed_scans.py": ("tour",),
     "localizer": ("log",),
     **dict.fromkeys(
         (

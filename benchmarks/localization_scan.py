@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from benchmarks.result import Metric
 from cairn.components.localizer.likelihood_field import LikelihoodField
-from cairn.components.localizer.odometry import OdometryStep, move_pose
 from cairn.components.localizer.particle_set import ParticleSet
 from cairn.planar.grid import OCCUPIED, distance_field
+from cairn.planar.motion_model import OdometryStep, move_pose
 from cairn.tools.evaluation.results import SIGMA_LIMITS
 from tests.components.localizer.random_floor import (
     MODEL,

@@ -29,6 +29,7 @@ from PIL import Image
 from cairn.visual_map.object_models import add_views
 from cairn.visual_map.sqlite_file import create
 from tests.cairn.visual_map.views import view
+from tests.components.slam.changing_room import ROUND, write_room_graph
 
 MB: Final = 1_000_000
 
@@ -1100,6 +1101,79 @@ ZONE_FILES: Final[Mapping[str, HostileFile]] = {
     "fifo": HostileFile(fifo(_ZONES), "FIFO"),
 }
 
+# --- Graphs of maps -----------------------------------------------------------------------------
+
+
+def _graph_after(*statements: str) -> Callable[[Path], Path]:
+    """Return a builder of a graph of two scans in which SQL statements were executed."""
+
+    def build(folder: Path) -> Path:
+        file = folder / "map.graph"
+        write_room_graph(file, [], ROUND[:2])
+        with closing(sqlite3.connect(file, isolation_level=None)) as connection:
+            for statement in statements:
+                connection.execute(statement)
+        return file
+
+    return build
+
+
+_MANY_KEYFRAMES: Final = (
+    "WITH RECURSIVE n(k) AS (SELECT 2 UNION ALL SELECT k + 1 FROM n WHERE k < 600000) "
+    "INSERT INTO {} SELECT {} FROM n"
+)
+
+GRAPHS: Final[Mapping[str, HostileFile]] = {
+    "trigger": HostileFile(
+        _graph_after("CREATE TRIGGER t AFTER INSERT ON lives BEGIN DELETE FROM poses; END"),
+        "trigger",
+    ),
+    "view": HostileFile(_graph_after("CREATE VIEW extra AS SELECT * FROM poses"), "extra"),
+    "table": HostileFile(_graph_after("CREATE TABLE extra (a)"), "extra"),
+    "no_table": HostileFile(_graph_after("DROP TABLE places"), "tables are missing"),
+    "other_format": HostileFile(_graph_after("PRAGMA user_version = 77"), "newer"),
+    "old_format": HostileFile(_graph_after("PRAGMA user_version = 1"), "older"),
+    "other_file": HostileFile(_graph_after("PRAGMA application_id = 1"), "not a graph"),
+    "no_graph": HostileFile(_graph_after("DELETE FROM graph"), "damaged"),
+    "version": HostileFile(_graph_after("UPDATE graph SET oldest = 5"), "version"),
+    "huge_version": HostileFile(_graph_after("UPDATE graph SET version = 1 << 40"), "version"),
+    "infinite_pose": HostileFile(_graph_after("UPDATE poses SET x = 9e999"), "not finite"),
+    "text_pose": HostileFile(_graph_after("UPDATE poses SET x = 'here'"), "damaged"),
+    "no_pose": HostileFile(_graph_after("DELETE FROM poses WHERE number = 1"), "missing"),
+    "no_keyframe": HostileFile(_graph_after("DELETE FROM keyframes WHERE number = 1"), "missing"),
+    "long_value": HostileFile(
+        _graph_after("UPDATE keyframes SET cloud = zeroblob(100000000)"), "too big"
+    ),
+    "odd_cloud": HostileFile(_graph_after("UPDATE keyframes SET cloud = x'0102'"), "damaged"),
+    "infinite_cloud": HostileFile(
+        _graph_after("UPDATE keyframes SET cloud = x'0000807f0000807f0000807f0000807f'"),
+        "not finite",
+    ),
+    "tile": HostileFile(_graph_after("INSERT INTO places VALUES (0, 0, 0, NULL, x'00')"), "damag"),
+    "text_tile": HostileFile(
+        _graph_after("INSERT INTO places VALUES ('a', 0, 0, NULL, zeroblob(1024))"), "place"
+    ),
+    "edge": HostileFile(_graph_after("UPDATE edges SET first = 99"), "missing"),
+    "edge_kind": HostileFile(_graph_after("UPDATE edges SET kind = 99"), "damaged"),
+    "change": HostileFile(
+        _graph_after("INSERT INTO changes VALUES (1, 'now', '', 0, 0, 0, 0, 0, 0, '')"), "change 1"
+    ),
+    "many_keyframes": HostileFile(
+        _graph_after(
+            _MANY_KEYFRAMES.format(
+                "keyframes", "k, 0, 0, 0, zeroblob(24), zeroblob(0), NULL, NULL"
+            ),
+            _MANY_KEYFRAMES.format("lives", "k, 0, NULL"),
+            _MANY_KEYFRAMES.format("poses", "k, 0, 0, 0"),
+        ),
+        "more than 500000",
+    ),
+    "zeros": HostileFile(device("/dev/zero", "map.graph"), "no such file"),
+    "fifo": HostileFile(fifo("map.graph"), "no such file"),
+    "sparse": HostileFile(sparse("map.graph", 5_000 * MB, b"SQLite format 3\0"), "MB"),
+}
+
+
 HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "deployment": DEPLOYMENTS,
     "world": WORLDS,
@@ -1112,4 +1186,5 @@ HOSTILE: Final[Mapping[str, Mapping[str, HostileFile]]] = {
     "mcap": MCAPS,
     "visual_map": VISUAL_MAPS,
     "zones": ZONE_FILES,
+    "graph": GRAPHS,
 }

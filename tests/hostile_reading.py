@@ -37,6 +37,7 @@ _KILLED_AFTER_S: Final = 12 * MOST_SECONDS  # of real time, also on a machine th
 _MODULES: Final = (
     "components.replay.open_recording",
     "components.simulation.textures",
+    "components.slam.graph_history",
     "components.simulation.world_file",
     "deployment.yaml_document",
     "planar.map_file",
@@ -166,6 +167,14 @@ def _visual_map(file: Path) -> None:
     read_models(file)
 
 
+def _graph(file: Path) -> None:
+    from cairn.components.slam.graph_file import read_graph
+    from cairn.components.slam.graph_history import read_log
+
+    read_graph(file)
+    read_log(file)
+
+
 READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     "deployment": _deployment,
     "world": _world,
@@ -178,6 +187,7 @@ READERS: Final[Mapping[str, Callable[[Path], Any]]] = {
     "mcap": _mcap,
     "visual_map": _visual_map,
     "zones": _zones,
+    "graph": _graph,
 }
 
 

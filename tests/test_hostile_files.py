@@ -11,7 +11,7 @@ from tests.hostile_files import HOSTILE
 from tests.hostile_reading import MOST_MEMORY_MB, MOST_SECONDS, read_all
 
 
-@pytest.mark.parametrize("kind", ["visual_map", "recording", "mcap", "zones"])
+@pytest.mark.parametrize("kind", ["visual_map", "graph", "recording", "mcap", "zones"])
 def test_hostile_files_are_refused_with_little_memory_and_time(kind: str) -> None:
     hostile = HOSTILE[kind]
 

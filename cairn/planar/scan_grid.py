@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose
+from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays, rays_of
 from cairn.schemas.nav_msgs import MOST_CELLS
 from cairn.schemas.sensor_msgs import LaserScan
@@ -41,7 +42,8 @@ class ScanGrid:
     counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] only pass. A ray
     is not evidence about cells before its end that are within a cell's size of the surface that it
     hit: where it grazes a wall, errors of a few centimeters lead it through many cells of that
-    wall. A scan can be removed again, to be added with a better pose.
+    wall. A scan can be removed again, to be added with a better pose. Where the map was renewed,
+    only scans from a version on count.
     """
 
     def __init__(self, resolution: float, reach: float) -> None:
@@ -49,18 +51,52 @@ class ScanGrid:
         self._row, self._column = 0, 0  # of the first cell, counted from the map's origin
         self._ended = np.zeros((0, 0), np.int32)
         self._passed = np.zeros((0, 0), np.int32)
+        self._renewals = Renewals()
+        self._since = np.zeros((0, 0), np.int32)  # of each cell; empty without renewals
         self._changed: tuple[int, int, int, int] | None = None  # rows and columns, as `_row`
 
-    def add(self, base: Pose, rays: Rays) -> None:
-        """Add the rays of a scan from a pose of the base.
+    def add(self, base: Pose, rays: Rays, version: int = 0) -> None:
+        """Add the rays of a scan from a pose of the base, and of a version of the map.
 
         Raises `ValueError` if the map had more than `MOST_CELLS`.
         """
-        self._count(base, rays, 1)
+        self._count(base, rays, 1, version)
 
-    def remove(self, base: Pose, rays: Rays) -> None:
+    def remove(self, base: Pose, rays: Rays, version: int = 0) -> None:
         """Remove what `add` has added with the same arguments."""
-        self._count(base, rays, -1)
+        self._count(base, rays, -1, version)
+
+    def renew(self, renewals: Renewals) -> None:
+        """Count in renewed places only scans from their version on; forget what was counted there.
+
+        Scans of a new version are added after this. Raises `ValueError` if a place had a newer
+        version before.
+        """
+        since = renewals.cells(self._row, self._column, self.shape, self._resolution)
+        before = self._since if self._since.size else np.zeros_like(since)
+        if (since < before).any():
+            raise ValueError("a renewed place cannot return to an older version")
+        rows, columns = np.nonzero(since > before)
+        self._ended[rows, columns] = 0
+        self._passed[rows, columns] = 0
+        self._renewals, self._since = renewals, since
+        if rows.size:
+            top, left = int(rows.min()) + self._row, int(columns.min()) + self._column
+            bottom, right = int(rows.max()) + self._row + 1, int(columns.max()) + self._column + 1
+            self._note_change(top, left, bottom, right)
+
+    def change_without(self, base: Pose, rays: Rays, version: int = 0) -> int:
+        """Return in how many cells the map would change without a scan that was added so."""
+        box = self._box(_segments(rays.placed(base), self._reach, self._resolution))
+        if box is None:
+            return 0
+        left, top, right, bottom = _edges(*box)
+        shape = bottom - top, right - left
+        before = self.window(top, left, shape)
+        self.remove(base, rays, version)
+        after = self.window(top, left, shape)
+        self.add(base, rays, version)
+        return int(np.count_nonzero(before != after))
 
     def grid(self) -> OccupancyCells:
         """Return the map, with a border of 1 m around what was seen.
@@ -138,6 +174,24 @@ class ScanGrid:
         rows, columns = self._ended.shape
         return Grid(self._cells((slice(0, rows), slice(0, columns))), self.frame)
 
+    def window(self, row: int, column: int, shape: tuple[int, int]) -> NDArray[np.int8]:
+        """Return a window of the map whose first cell is counted from the map's origin.
+
+        Cells that no ray can have reached are unknown.
+        """
+        found = np.full(shape, UNKNOWN, np.int8)
+        rows, columns = self.shape
+        top, left = max(row, self._row), max(column, self._column)
+        bottom = min(row + shape[0], self._row + rows)
+        right = min(column + shape[1], self._column + columns)
+        if top < bottom and left < right:
+            inner = (
+                slice(top - self._row, bottom - self._row),
+                slice(left - self._column, right - self._column),
+            )
+            found[top - row : bottom - row, left - column : right - column] = self._cells(inner)
+        return found
+
     def take_changes(self) -> tuple[int, int, NDArray[np.int8]] | None:
         """Return first row, first column and cells of what has changed in `whole` since last time.
 
@@ -159,26 +213,39 @@ class ScanGrid:
         cells[(ended > 0) & (ended >= _OCCUPIED_SHARE * reached)] = OCCUPIED
         return cells
 
-    def _count(self, base: Pose, rays: Rays, times: int) -> None:
-        placed = rays.placed(base)
-        starts, ends, hit, free_share = _segments(placed, self._reach, self._resolution)
-        if not len(hit):
+    def _count(self, base: Pose, rays: Rays, times: int, version: int) -> None:
+        segments = _segments(rays.placed(base), self._reach, self._resolution)
+        box = self._box(segments)
+        if box is None:
             return
-        starts, ends = starts / self._resolution, ends / self._resolution
-        # With a cell more, into which rounding may lead a ray.
+        self._cover(*box)
+        left, top, right, bottom = _edges(*box)
+        self._note_change(top, left, bottom, right)
+        starts, ends, hit, free_share = segments
+        _count(
+            starts / self._resolution, ends / self._resolution, hit, free_share, times,
+            self._row, self._column, self._ended, self._passed, self._since, version,
+        )  # fmt: skip
+
+    def _box(
+        self, segments: tuple[Array, Array, NDArray[np.bool_], Array]
+    ) -> tuple[Array, Array] | None:
+        """Return the least and the largest column and row of rays, None without rays.
+
+        With a cell more, into which rounding may lead a ray.
+        """
+        starts, ends = segments[0] / self._resolution, segments[1] / self._resolution
+        if not len(starts):
+            return None
         least = np.minimum(starts.min(axis=0), ends.min(axis=0)) - 1
         most = np.maximum(starts.max(axis=0), ends.max(axis=0)) + 1
-        self._cover(least, most)
-        left, top = (int(value) for value in np.floor(least))
-        right, bottom = (int(value) + 1 for value in np.floor(most))
+        return least, most
+
+    def _note_change(self, top: int, left: int, bottom: int, right: int) -> None:
         if self._changed is not None:
             top, left = min(top, self._changed[0]), min(left, self._changed[1])
             bottom, right = max(bottom, self._changed[2]), max(right, self._changed[3])
         self._changed = top, left, bottom, right
-        _count(
-            starts, ends, hit, free_share, times,
-            self._row, self._column, self._ended, self._passed,
-        )  # fmt: skip
 
     def _cover(self, least: Array, most: Array) -> None:
         """Grow the counts so that they have the cells from `least` to `most`, columns first."""
@@ -206,6 +273,8 @@ class ScanGrid:
                 new[top : top + rows, left : left + columns] = old
         self._ended, self._passed = grown
         self._row, self._column = row, column
+        if self._renewals.tiles:
+            self._since = self._renewals.cells(row, column, self.shape, self._resolution)
 
 
 def build_grid(
@@ -220,6 +289,12 @@ def build_grid(
     for pose, scan in posed_scans:
         grid.add(pose, rays_of(scan, mount, (0.0, 0.0, 0.0)))
     return grid.grid()
+
+
+def _edges(least: Array, most: Array) -> tuple[int, int, int, int]:
+    left, top = (int(value) for value in np.floor(least))
+    right, bottom = (int(value) + 1 for value in np.floor(most))
+    return left, top, right, bottom
 
 
 def _segments(
@@ -281,7 +356,7 @@ def first_step(begin: float, direction: float) -> tuple[int, float, float]:
 
 @compiled(
     "void(float64[:, ::1], float64[:, ::1], boolean[::1], float64[::1], int64, int64, int64,"
-    " int32[:, ::1], int32[:, ::1])"
+    " int32[:, ::1], int32[:, ::1], int32[:, ::1], int64)"
 )
 def _count(
     starts: Array,
@@ -293,7 +368,10 @@ def _count(
     first_column: int,
     ended: NDArray[np.int32],
     passed: NDArray[np.int32],
+    since: NDArray[np.int32],
+    version: int,
 ) -> None:
+    all_count = since.shape[0] == 0
     for i in range(len(starts)):
         x, y = starts[i, 0], starts[i, 1]
         dx, dy = ends[i, 0] - x, ends[i, 1] - y
@@ -303,7 +381,9 @@ def _count(
         step_x, next_x, every_x = first_step(x, dx)
         step_y, next_y, every_y = first_step(y, dy)
         for _ in range(abs(last_column - column) + abs(last_row - row)):
-            if min(next_x, next_y) <= free_share[i]:
+            if min(next_x, next_y) <= free_share[i] and (
+                all_count or since[row, column] <= version
+            ):
                 passed[row, column] += times
             if next_x < next_y:
                 next_x += every_x
@@ -311,6 +391,8 @@ def _count(
             else:
                 next_y += every_y
                 row += step_y
+        if not (all_count or since[last_row, last_column] <= version):
+            continue
         if hit[i]:
             ended[last_row, last_column] += times
         else:

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.observations import CameraView, Landmark, Observation
+from cairn.components.localizer.observations import CameraView, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.components.localizer.pose_health import SILENT_S
 from cairn.planar.poses import Pose, relative, wrap
+from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 

@@ -32,7 +32,6 @@ from cairn.components.localizer.messages import (
     estimate_message,
     evidence_message,
     landmarks_of,
-    observations_of,
     relocalization_message,
     transform_message,
     view_of,
@@ -56,6 +55,7 @@ from cairn.schemas.nav_msgs import LARGEST_ORIGIN, OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.visual_map.observations import observations_of
 
 # The particles are moved at least this often [s], and stay behind odometry by as much as
 # observations may be late [s]: 95 % arrive within 0.15 s (docs/benchmarks.md, `vision`).

@@ -11,12 +11,8 @@ from pydantic import Field
 
 from cairn import Config, Mount
 from cairn.components.localizer.landmark_evidence import SimilarityMode
-from cairn.components.localizer.odometry import (
-    CommandedTrack,
-    MeasuredTrack,
-    MotionModel,
-    OdometryTrack,
-)
+from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
+from cairn.planar.motion_model import MotionModel
 
 # How objects are fused: by their reliability, or each as if it certainly stood in its position.
 ObjectFusion = Literal["reliability", "certain"]

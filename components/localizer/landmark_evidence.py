@@ -18,7 +18,6 @@ from cairn.components.localizer.observations import (
     POSE_FLOOR,
     Innovation,
     Landmark,
-    Observation,
     as_certain,
     implied_position,
     innovation,
@@ -35,6 +34,7 @@ from cairn.planar.poses import Pose, apart, wrap, wrap_all
 from cairn.planar.poses import distance as meters_between
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.visual_map.landmarks import EvidenceVerdict
+from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.observations import Landmark, Observation, object_log_likelihood
-from cairn.components.localizer.odometry import OdometryStep, move_particles
+from cairn.components.localizer.observations import Landmark, object_log_likelihood
+from cairn.components.localizer.odometry import move_particles
 from cairn.components.localizer.particle_set import (
     ParticleSet,
     PoseEstimate,
@@ -17,6 +17,8 @@ from cairn.components.localizer.particle_set import (
     systematic_choice,
     tempered_update,
 )
+from cairn.planar.motion_model import OdometryStep
+from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 

@@ -16,14 +16,8 @@ from cairn.components.localizer.global_search import RecentMeasurements
 from cairn.components.localizer.landmark_evidence import LandmarkEvaluator
 from cairn.components.localizer.leave_one_out import LeaveOneOutFilters
 from cairn.components.localizer.likelihood_field import ScanMap
-from cairn.components.localizer.observations import (
-    CameraView,
-    Landmark,
-    Observation,
-    as_certain,
-    associate,
-)
-from cairn.components.localizer.odometry import OdometryTrack, move_pose
+from cairn.components.localizer.observations import CameraView, Landmark, as_certain, associate
+from cairn.components.localizer.odometry import OdometryTrack
 from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
 from cairn.components.localizer.pose_health import (
     LOST,
@@ -37,10 +31,12 @@ from cairn.components.localizer.relocalization import ConfirmationHistory, Reloc
 from cairn.components.localizer.scan_fit import BeamSelector, RecentScans, ScanFit
 from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
+from cairn.planar.motion_model import move_pose
 from cairn.planar.odometry import OdometryChange
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
+from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 

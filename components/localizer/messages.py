@@ -8,7 +8,7 @@ import numpy as np
 
 from cairn import SECOND, from_ns
 from cairn.components.localizer.localization import EvidenceFrame
-from cairn.components.localizer.observations import CameraView, Landmark, Observation
+from cairn.components.localizer.observations import CameraView, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.components.localizer.pose_health import PoseHealth
 from cairn.planar.messages import planar_covariance, with_covariance
@@ -30,10 +30,6 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# Deviations of an observation whose sender states no covariance [m], [rad]: several times those of
-# the recognizer, so that it has little weight. Chosen by hand; `benchmarks/constants.yaml` has the
-# effect of half and double.
-_RANGE_SD, _BEARING_SD = 0.2, math.radians(3.0)
 # The limits of the reliability, as the map builder keeps them (`map_builder/pose_reliability.py`).
 _LEAST_RELIABILITY, _MOST_RELIABILITY = 0.02, 0.98
 
@@ -52,21 +48,6 @@ def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
             live=o.state == VisualObject.LIVE,
         )
         for o in visual_map.objects
-    ]
-
-
-def observations_of(message: RecognizedObjectArray) -> list[Observation]:
-    """Return the recognized objects as observations."""
-    return [
-        Observation(
-            object_id=o.object_id,
-            range_m=o.range,
-            bearing=o.bearing,
-            range_variance=float(o.covariance[0]) or _RANGE_SD**2,
-            bearing_variance=float(o.covariance[3]) or _BEARING_SD**2,
-            alternatives=tuple(o.alternatives.tolist()),
-        )
-        for o in message.objects
     ]
 
 

@@ -11,27 +11,13 @@ from numpy.typing import NDArray
 
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, wrap, wrap_all
+from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
 # Log-density of a stray observation, which is unrelated to the object's position in the map,
 # relative to the peak of the observation's own Gaussian: that of the 99 % quantile, -9.2 / 2.
 STRAY = -4.6
-
-
-@dataclass(frozen=True)
-class Observation:
-    """One recognized object: range [m], bearing [rad, left positive] and their variances.
-
-    `alternatives` are other objects that look the same.
-    """
-
-    object_id: int
-    range_m: float
-    bearing: float
-    range_variance: float
-    bearing_variance: float
-    alternatives: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.odometry import MotionModel, OdometryStep, move_particles
+from cairn.components.localizer.odometry import move_particles
 from cairn.planar.compiled import compiled
+from cairn.planar.motion_model import MotionModel, OdometryStep
 from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]

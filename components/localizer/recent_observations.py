@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.observations import STRAY, Landmark, Observation
+from cairn.components.localizer.observations import STRAY, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, apart, wrap_all
+from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.localizer.likelihood_field import LikelihoodField
-from cairn.components.localizer.odometry import OdometryStep
 from cairn.components.localizer.particle_set import carry
 from cairn.components.localizer.pose_health import FITS, SILENT_S
+from cairn.planar.motion_model import OdometryStep
 from cairn.planar.poses import Pose, apart, compose, relative
 
 Array = NDArray[np.float64]

@@ -12,13 +12,7 @@ import typer
 from cairn import CairnError
 from cairn.cli.output import line, print_json
 from cairn.cli.output import show as show_rows
-from cairn.components.map_builder.importing import (
-    alter,
-    import_grid,
-    import_models,
-    importer,
-    write_map,
-)
+from cairn.components.map_builder.importing import alter, import_grid, import_models, importer
 from cairn.components.map_builder.why import (
     describe_state,
     find_landmark,
@@ -35,6 +29,7 @@ from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.zones import read_zones
 from cairn.visual_map.landmark_store import open_landmarks
+from cairn.visual_map.new_map import write_map
 from cairn.visual_map.sqlite_file import side_files
 
 DEFAULT_MAP = Path("visual_map.cairn")
@@ -56,7 +51,7 @@ _OBJECT_COLUMNS = {
     "candidate_y": "y [m]",
     "candidate_reliability": "its reliability",
 }
-_CHANGE_COLUMNS = {
+CHANGE_COLUMNS = {
     "version": "version",
     "time": "time (UTC)",
     "object_id": "object",
@@ -130,7 +125,7 @@ def show(
         return
     with open_landmarks(file, read_only=True) as store:
         objects = [object_row(landmark) for landmark in store.landmarks()]
-        changes = [_change_row(*change) for change in store.history()] if history else []
+        changes = [change_row(*change) for change in store.history()] if history else []
         version = store.version()
     if as_json:
         shown = {"version": version, "objects": objects}
@@ -140,7 +135,7 @@ def show(
     show_rows(objects, _OBJECT_COLUMNS, as_json=False, nothing="the map has no objects")
     if history:
         line("")
-        show_rows(changes, _CHANGE_COLUMNS, as_json=False, nothing="the map has no changes")
+        show_rows(changes, CHANGE_COLUMNS, as_json=False, nothing="the map has no changes")
 
 
 @app.command()
@@ -243,9 +238,10 @@ def prepare(out: Path) -> None:
         raise CairnError(f"{out} cannot be written: {explain_os_error(error)}") from error
 
 
-def _change_row(
+def change_row(
     version: int, stamp_ns: int, object_id: int, kind: str, reliability: float, reason: str
 ) -> dict[str, Any]:
+    """Return a change of a visual map as a row of `CHANGE_COLUMNS`."""
     return {
         "version": version,
         "time": time_text(stamp_ns),

@@ -32,13 +32,13 @@ from cairn.components.map_builder.config import MapBuilderConfig
 from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates
 from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedChange
 from cairn.components.map_builder.landmark_rule import rule_named
-from cairn.components.map_builder.posed_scans import PosedScans
 from cairn.components.map_builder.why import explain
 from cairn.components.map_builder.zone_keeper import CHANGES, ZoneKeeper
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import OdometryChange
+from cairn.planar.posed_scans import PosedScans
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import (
     ObjectEvidenceArray,

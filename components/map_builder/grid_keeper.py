@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,14 @@ from cairn import CairnError
 from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.map_builder.occupancy import Occupancy
 from cairn.components.map_builder.undo import GridWindow
-from cairn.components.map_builder.working_copy import LOG, is_reusable
 from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
+from cairn.working_copy import is_reusable
+
+_LOG = logging.getLogger("cairn.map_builder")
 
 
 class _CopyOrigin(BaseModel):
@@ -141,10 +144,10 @@ def _read_copy(copy: Path, source: str, now_ns: int) -> OccupancyCells | None:
     except FileNotFoundError:
         return None
     except (OSError, CairnError) as error:
-        LOG.warning("replacing the working copy %s: %s", copy, error)
+        _LOG.warning("replacing the working copy %s: %s", copy, error)
         return None
     except ValidationError:
-        LOG.warning("replacing the working copy %s: %s is not valid", copy, sidecar)
+        _LOG.warning("replacing the working copy %s: %s is not valid", copy, sidecar)
         return None
     ahead = origin.stamp_ns > now_ns
-    return cells if is_reusable(copy, same=origin.source == source, ahead=ahead) else None
+    return cells if is_reusable(copy, _LOG, same=origin.source == source, ahead=ahead) else None

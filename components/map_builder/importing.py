@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from cairn import CairnError
-from cairn.files import replacing
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose
 from cairn.planar.scan_grid import build_grid
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.vision.object_model import ObjectModel
-from cairn.visual_map.landmark_store import create_landmarks
 from cairn.visual_map.landmarks import (
-    ChangeKind,
-    LandmarkChange,
     LandmarkRecord,
     MapPosition,
 )
-from cairn.visual_map.object_models import add_views
 
 IMPORTERS_GROUP = "cairn.visual_map_importers"
 """Entry points of this group are functions of a path that return its `VisualMap`."""
@@ -131,33 +125,3 @@ def alter(
             )
         )
     return objects
-
-
-def write_map(
-    path: Path,
-    source: str,
-    landmarks: Sequence[LandmarkRecord],
-    stamp_ns: int = 0,
-    models: Sequence[ObjectModel] = (),
-) -> None:
-    """Write a new map file with these landmarks, each with a change IMPORTED.
-
-    The models of these landmarks are written as well, so robots recognize them at once.
-    """
-    with replacing(path) as part:
-        with create_landmarks(part, source) as store:
-            changes = [
-                (
-                    version,
-                    stamp_ns,
-                    LandmarkChange(
-                        o.object_id, ChangeKind.IMPORTED, None, o.position, o.reliability, source
-                    ),
-                )
-                for version, o in enumerate(landmarks, start=1)
-            ]
-            store.commit([replace(o) for o in landmarks], (), changes)
-        known = {o.object_id for o in landmarks}
-        for one in models:
-            if one.object_id in known:
-                add_views(part, one.name, one.views, one.size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +11,6 @@ from pathlib import Path
 from cairn import SECOND
 from cairn.components.map_builder.landmark_rule import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
-from cairn.components.map_builder.working_copy import is_reusable
 from cairn.visual_map.evidence_history import EvidenceSummaries, Row
 from cairn.visual_map.landmark_store import (
     FARTHEST_M,
@@ -30,6 +30,9 @@ from cairn.visual_map.landmarks import (
 )
 from cairn.visual_map.object_models import read_model_name
 from cairn.visual_map.sqlite_file import MapFileError, MapNotWritable, copy_map, digest_of
+from cairn.working_copy import is_reusable
+
+_LOG = logging.getLogger("cairn.map_builder")
 
 # Changes of so many seconds can be undone: a lost robot is found within 21 s (docs/benchmarks.md,
 # navigation in simulated worlds).
@@ -299,7 +302,7 @@ def _is_reusable(map_file: Path, working_copy: Path, now_ns: int) -> bool:
     with open_landmarks(working_copy, read_only=True) as previous:
         same = previous.digest() == digest_of(map_file)
         ahead = previous.last_stamp_ns() > now_ns
-    return is_reusable(working_copy, same=same, ahead=ahead)
+    return is_reusable(working_copy, _LOG, same=same, ahead=ahead)
 
 
 def _is_near(landmark: LandmarkRecord) -> bool:

@@ -213,6 +213,7 @@ class Slam(Component):
         stamp = to_ns(scan.header.stamp)
         if self._mapper is None:
             self._mapper = self._start(scan)
+            self._drawing.renew(self._mapper.renewals)
         mapper = self._mapper
         motion = sweep.motion
         rays = rays_of(scan, self.config.mount.pose, motion).placed(motion)

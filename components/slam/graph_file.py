@@ -6,10 +6,13 @@ optimized. A kill loses what was added since the last `save`, and never the file
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import time
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -25,6 +28,7 @@ from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, Sighting
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
+from cairn.planar.renewals import TILE, Renewals
 
 Array = NDArray[np.float64]
 
@@ -34,11 +38,21 @@ APPLICATION: Final = 0x4361_7267
 FILE_BYTES: Final = 4_000_000_000
 """Largest graph file [bytes]."""
 
-_FORMAT: Final = 1
+_FORMAT: Final = 2
+# Lives and places have a row for each span of versions, from `since` until before `until`; NULL:
+# until now. A keyframe belongs to the map in its lives. A place is a tile of `Renewals`.
 _TABLES: Final = {
-    "graph": "farthest REAL NOT NULL, created_s REAL NOT NULL, source TEXT NOT NULL",
+    "graph": "farthest REAL NOT NULL, created_s REAL NOT NULL, source TEXT NOT NULL, "
+    "origin TEXT NOT NULL, version INTEGER NOT NULL, oldest INTEGER NOT NULL",
     "keyframes": "number INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, submap INTEGER NOT NULL, "
-    "odometry BLOB NOT NULL, cloud BLOB NOT NULL, geometry BLOB, ranges BLOB",
+    "version INTEGER NOT NULL, odometry BLOB NOT NULL, cloud BLOB NOT NULL, geometry BLOB, "
+    "ranges BLOB",
+    "lives": "keyframe INTEGER NOT NULL, since INTEGER NOT NULL, until INTEGER",
+    "places": "tile_column INTEGER NOT NULL, tile_row INTEGER NOT NULL, since INTEGER NOT NULL, "
+    "until INTEGER, versions BLOB NOT NULL",
+    "changes": "version INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, kind TEXT NOT NULL, "
+    "x REAL NOT NULL, y REAL NOT NULL, width REAL NOT NULL, height REAL NOT NULL, "
+    "added INTEGER NOT NULL, removed INTEGER NOT NULL, reason TEXT NOT NULL",
     "poses": "number INTEGER PRIMARY KEY, x REAL NOT NULL, y REAL NOT NULL, theta REAL NOT NULL",
     "submaps": "number INTEGER PRIMARY KEY, first INTEGER NOT NULL, last INTEGER NOT NULL",
     "edges": "number INTEGER PRIMARY KEY, kind INTEGER NOT NULL, first INTEGER NOT NULL, "
@@ -52,6 +66,7 @@ _MOST_KEYFRAMES: Final = 500_000
 _STEPS: Final = 400_000_000
 _LOCK_WAIT_S: Final = 5.0
 _LARGEST: Final = 1e7  # of coordinates [m]
+_VERSIONS: Final = 2**31  # of which numbers are smaller than this
 
 
 class GraphFile:
@@ -62,8 +77,9 @@ class GraphFile:
         self._connection = connection
         self._keyframes = self._submaps = 0
         self._edges: list[Edge] = []
-        self._sightings = 0
+        self._sightings: list[Sighting] = []
         self._poses = np.zeros((0, 3))
+        self._has_tiles = False
 
     @classmethod
     def create(cls, path: Path, farthest: float, source: str) -> GraphFile:
@@ -73,14 +89,14 @@ class GraphFile:
         """
         if path.exists():
             raise CairnError(f"{path} exists already; remove it, or give another name")
-        with _explained(path):
+        with explained_errors(path):
             path.touch(exist_ok=False)
-            connection = _connect(path)
+            connection = open_connection(path)
             with connection:
                 for name, columns in _TABLES.items():
                     connection.execute(f"CREATE TABLE {name} ({columns})")
                 connection.execute(
-                    "INSERT INTO graph VALUES (?, ?, ?)", (farthest, time.time(), source)
+                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0)", (farthest, time.time(), source)
                 )
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {_FORMAT}")
@@ -90,11 +106,19 @@ class GraphFile:
     def open(cls, path: Path) -> tuple[GraphFile, Mapper]:
         """Open a file to continue it; return a mapper with its content.
 
-        Raises `CairnError` if there is no such file, or it is damaged.
+        Raises `CairnError` if there is no such file, it is damaged, or it has changed since it was
+        finished: such a map is extended in another file.
         """
         mapper = read_graph(path)
-        with _explained(path):
-            file = cls(path, _connect(path))
+        with explained_errors(path):
+            file = cls(path, open_connection(path))
+        ((changes,),) = file._connection.execute("SELECT count(*) FROM changes").fetchall()
+        if changes:
+            file.close()
+            raise CairnError(
+                f"{path}: has a history of changes, so it is not continued; extend it "
+                "(`extend`, --extend) and give another name for the new map"
+            )
         file._note(mapper)
         return file, mapper
 
@@ -104,24 +128,23 @@ class GraphFile:
         edges_changed = any(
             old is not new for old, new in zip(self._edges, graph.edges, strict=False)
         ) or len(graph.edges) < len(self._edges)
-        with _explained(self._path), self._connection as connection:
-            connection.executemany(
-                "INSERT INTO keyframes VALUES (?, ?, ?, ?, ?, ?, ?)",
-                _keyframe_rows(mapper.keyframes, self._keyframes),
-            )
+        with explained_errors(self._path), self._connection as connection:
+            numbered = list(enumerate(mapper.keyframes))[self._keyframes :]
+            insert_keyframes(connection, numbered)
             first = 0 if edges_changed else len(self._edges)
             if edges_changed:
                 connection.execute("DELETE FROM edges")
             connection.executemany(
-                "INSERT INTO edges VALUES (?, ?, ?, ?, ?, ?)", _edge_rows(graph.edges, first)
+                "INSERT INTO edges VALUES (?, ?, ?, ?, ?, ?)",
+                edge_rows(graph.edges[first:], first),
             )
             connection.executemany(
                 "REPLACE INTO submaps VALUES (?, ?, ?)",
                 [(s.number, s.first, s.last) for s in mapper.submaps[self._submaps :]],
             )
             connection.executemany(
-                "INSERT INTO sightings VALUES (?, ?, ?, ?)",
-                _sighting_rows(graph.sightings, self._sightings),
+                "REPLACE INTO sightings VALUES (?, ?, ?, ?)",
+                _sighting_rows(graph.sightings, _first_change(self._sightings, graph.sightings)),
             )
             same = len(self._poses)
             if not np.array_equal(self._poses, graph.poses[:same]):
@@ -133,6 +156,11 @@ class GraphFile:
                     for number, pose in enumerate(graph.poses[same:].tolist(), start=same)
                 ],
             )
+            connection.execute(
+                "UPDATE graph SET version = ?, oldest = ?", (mapper.version, mapper.version)
+            )
+            if not self._has_tiles:
+                insert_tiles(connection, mapper.renewals, mapper.renewals.tiles, mapper.version)
             connection.execute("DELETE FROM landmarks")
             connection.executemany(
                 "INSERT INTO landmarks VALUES (?, ?, ?)",
@@ -142,7 +170,7 @@ class GraphFile:
 
     def seal(self) -> None:
         """Write everything into the one file, without a log beside it."""
-        with _explained(self._path):
+        with explained_errors(self._path):
             self._connection.execute("PRAGMA journal_mode = DELETE")
 
     def close(self) -> None:
@@ -152,13 +180,14 @@ class GraphFile:
     def _note(self, mapper: Mapper) -> None:
         self._keyframes, self._submaps = len(mapper.keyframes), len(mapper.submaps)
         self._edges = list(mapper.graph.edges)
-        self._sightings = len(mapper.graph.sightings)
+        self._sightings = list(mapper.graph.sightings)
         self._poses = mapper.graph.poses.copy()
+        self._has_tiles = True
 
 
 def write_graph(path: Path, mapper: Mapper, source: str) -> None:
     """Write a whole graph to a new file, or replace one; raises `CairnError` if that fails."""
-    with _explained(path), replacing(path) as part:
+    with explained_errors(path), replacing(path) as part:
         file = GraphFile.create(part, mapper.farthest, source)
         with closing(file):
             file.save(mapper)
@@ -172,56 +201,168 @@ def read_graph(path: Path) -> Mapper:
     """
     if not path.is_file():
         raise CairnError(f"{path}: no such file; give a graph that `cairn map build` has written")
-    with _explained(path), closing(_connect(path, read_only=True)) as connection:
+    with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
         if (size := path.stat().st_size) > FILE_BYTES:
             raise too_large(path, size, FILE_BYTES)
         bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
-        _check(path, connection)
+        check_format(path, connection)
         try:
             return _read(connection)
         except (ValueError, TypeError, KeyError, IndexError) as error:
-            raise _damaged(path, str(error)) from error
+            raise damaged(path, str(error)) from error
 
 
-def _read(connection: sqlite3.Connection) -> Mapper:
-    ((farthest,),) = connection.execute("SELECT farthest FROM graph").fetchall()
-    mapper = Mapper(float(farthest))
-    graph = mapper.graph
+@dataclass(frozen=True)
+class GraphState:
+    """The graph at one version of the map.
+
+    Attributes:
+        version: of the map.
+        farthest: surfaces are known up to here from the scanner [m].
+        numbers: of the keyframes in the file.
+        keyframes: the same keyframes.
+        poses: (n, 3) of them in the map.
+        renewals: where only newer keyframes count.
+
+    """
+
+    version: int
+    farthest: float
+    numbers: list[int]
+    keyframes: list[Keyframe]
+    poses: Array
+    renewals: Renewals
+
+
+def read_state(connection: sqlite3.Connection, version: int | None = None) -> GraphState:
+    """Return the graph at a version that the file keeps; None: the newest.
+
+    Raises `ValueError` if the file is damaged.
+    """
+    ((farthest, newest, oldest),) = connection.execute(
+        "SELECT farthest, version, oldest FROM graph"
+    ).fetchall()
+    if not (type(newest) is type(oldest) is int and 0 <= oldest <= newest < _VERSIONS):
+        raise ValueError("the version of the map is wrong")
+    if not 0.0 < farthest < _LARGEST:
+        raise ValueError(f"its largest range {farthest!r} is wrong")
+    at = newest if version is None else version
+    alive = {
+        number
+        for (number,) in connection.execute(
+            "SELECT keyframe FROM lives WHERE since <= ? AND coalesce(until, 1e18) > ? LIMIT ?",
+            (at, at, _MOST_KEYFRAMES + 1),
+        )
+    }
+    if len(alive) > _MOST_KEYFRAMES:
+        raise ValueError(f"it has more than {_MOST_KEYFRAMES} keyframes")
+    state = GraphState(at, float(farthest), [], [], np.zeros((0, 3)), _renewals(connection, at))
     for number, *columns in _rows(connection, "keyframes", "number"):
-        if number != len(mapper.keyframes) or number >= _MOST_KEYFRAMES:
-            raise ValueError(f"keyframe {len(mapper.keyframes)} is missing")
-        mapper.keyframes.append(_keyframe(*columns))
-    count = len(mapper.keyframes)
-    poses = [row[1:] for row in _rows(connection, "poses", "number")]
-    graph.poses = np.array(poses, np.float64).reshape(-1, 3)
-    if len(graph.poses) != count or not np.all(np.abs(graph.poses) < _LARGEST):
+        if number in alive:
+            state.numbers.append(number)
+            state.keyframes.append(_keyframe(*columns))
+    if len(state.numbers) != len(alive):
+        raise ValueError("keyframes are missing")
+    places = {number: row for number, *row in _rows(connection, "poses", "number")}
+    poses = np.array([places.get(k, (math.nan,) * 3) for k in state.numbers], np.float64)
+    if not np.all(np.abs(poses) < _LARGEST):
         raise ValueError("poses are missing or not finite")
-    for number, first, last in _rows(connection, "submaps", "number"):
-        if number != len(mapper.submaps) or not 0 <= first <= last < count:
-            raise ValueError(f"submap {number} is wrong")
-        mapper.submaps.append(Submap(number, first, last))
+    return replace(state, poses=poses.reshape(-1, 3))
+
+
+def read_edges(connection: sqlite3.Connection, numbers: Sequence[int]) -> list[Edge]:
+    """Return the constraints between these keyframes, by their numbers in the file.
+
+    Raises `ValueError` if the file is damaged.
+    """
+    wanted = set(numbers)
+    known = {number for (number,) in connection.execute("SELECT number FROM keyframes")}
+    edges = []
     for _, kind, first, second, measured, information in _rows(connection, "edges", "number"):
-        _check_keyframes(count, first, second)
         x, y, theta = _numbers(measured, 3)
         matrix = _floats(information, np.float64, 3)
         if matrix.shape != (3, 3):
             raise ValueError("the information of a constraint is wrong")
-        graph.edges.append(Edge(EdgeKind(kind), first, second, (x, y, theta), matrix))
+        if not {first, second} <= known:
+            raise ValueError(f"a keyframe of the constraint {first}, {second} is missing")
+        if first in wanted and second in wanted:
+            edges.append(Edge(EdgeKind(kind), first, second, (x, y, theta), matrix))
+    return edges
+
+
+def _renewals(connection: sqlite3.Connection, version: int) -> Renewals:
+    tiles = {}
+    for column, row, blob in connection.execute(
+        "SELECT tile_column, tile_row, versions FROM places "
+        "WHERE since <= ? AND coalesce(until, 1e18) > ?",
+        (version, version),
+    ):
+        tile = np.frombuffer(blob, "<i4").reshape(TILE, TILE)
+        if type(column) is not int or type(row) is not int or not (tile >= 0).all():
+            raise ValueError("a renewed place is wrong")
+        tiles[column, row] = tile.astype(np.int32)
+    return Renewals(tiles)
+
+
+def _read(connection: sqlite3.Connection) -> Mapper:
+    """Return a mapper with the newest state, in which keyframes are numbered from 0."""
+    state = read_state(connection)
+    mapper = Mapper(state.farthest)
+    mapper.version, mapper.renewals = state.version, state.renewals
+    graph = mapper.graph
+    graph.poses = state.poses
+    index = {number: k for k, number in enumerate(state.numbers)}
+    submap_of: dict[int, int] = {}
+    for submap, first, last in _rows(connection, "submaps", "number"):
+        if not type(first) is type(last) is int:
+            raise ValueError(f"submap {submap} is wrong")
+        begin, end = bisect_left(state.numbers, first), bisect_right(state.numbers, last)
+        if begin < end:
+            if mapper.submaps and begin <= mapper.submaps[-1].last:
+                raise ValueError(f"submap {submap} overlaps another one")
+            submap_of[submap] = len(mapper.submaps)
+            mapper.submaps.append(Submap(len(mapper.submaps), begin, end - 1))
+    for frame, pose in zip(state.keyframes, state.poses, strict=True):
+        # A keyframe of the submap that was not finished is in none of these.
+        submap = submap_of.get(frame.submap, len(mapper.submaps))
+        mapper.keyframes.append(replace(_valid_part(frame, pose, state.renewals), submap=submap))
+    for edge in read_edges(connection, state.numbers):
+        graph.edges.append(replace(edge, first=index[edge.first], second=index[edge.second]))
+    landmarks = {}
     for landmark, x, y in _rows(connection, "landmarks", "landmark"):
         if not max(abs(x), abs(y)) < _LARGEST:
             raise ValueError(f"landmark {landmark} is not in the map")
-        graph.landmarks[landmark] = (x, y)
+        landmarks[landmark] = (x, y)
     for _, keyframe, landmark, measured in _rows(connection, "sightings", "number"):
-        _check_keyframes(count, keyframe)
-        if landmark not in graph.landmarks:
+        if landmark not in landmarks:
             raise ValueError(f"landmark {landmark} is missing")
-        graph.sightings.append(Sighting(keyframe, landmark, *_numbers(measured, 4)))
+        if keyframe in index:
+            graph.landmarks[landmark] = landmarks[landmark]
+            graph.sightings.append(Sighting(index[keyframe], landmark, *_numbers(measured, 4)))
     return mapper
 
 
+def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:
+    """Return a keyframe without the points that lie where newer keyframes alone count."""
+    if not renewals.tiles or not frame.cloud.count:
+        return frame
+    x, y, theta = pose.tolist()
+    valid = renewals.since(frame.cloud.placed((x, y, theta)).points) <= frame.version
+    cloud = PointCloud(frame.cloud.points[valid], frame.cloud.normals[valid])
+    return replace(frame, cloud=cloud)
+
+
 def _keyframe(
-    stamp_ns: int, submap: int, odometry: bytes, cloud: bytes, geometry: bytes | None, ranges: bytes
+    stamp_ns: int,
+    submap: int,
+    version: int,
+    odometry: bytes,
+    cloud: bytes,
+    geometry: bytes | None,
+    ranges: bytes,
 ) -> Keyframe:
+    if not (type(stamp_ns) is type(submap) is type(version) is int and 0 <= version < _VERSIONS):
+        raise ValueError("numbers of a keyframe are wrong")
     points = _floats(cloud, np.float32, 4)
     x, y, theta = _numbers(odometry, 3)
     rays = None
@@ -230,15 +371,40 @@ def _keyframe(
         beams = np.frombuffer(ranges, "<f4")
         rays = ScanRays((x1, y1, angle1), (x2, y2, angle2), beams, reach)
     surfaces = PointCloud(points[:, :2].copy(), points[:, 2:].copy())
-    return Keyframe(stamp_ns, (x, y, theta), surfaces, rays, submap)
+    return Keyframe(stamp_ns, (x, y, theta), surfaces, rays, submap, version)
 
 
 def _rows(connection: sqlite3.Connection, table: str, order: str) -> Iterator[tuple[Any, ...]]:
     return connection.execute(f"SELECT * FROM {table} ORDER BY {order}")
 
 
-def _keyframe_rows(keyframes: Sequence[Keyframe], first: int) -> Iterable[tuple[object, ...]]:
-    for number, frame in enumerate(keyframes[first:], start=first):
+def insert_keyframes(
+    connection: sqlite3.Connection, numbered: Iterable[tuple[int, Keyframe]]
+) -> None:
+    """Add keyframes with their numbers; each belongs to the map from its version on."""
+    rows = list(_keyframe_rows(numbered))
+    connection.executemany("INSERT INTO keyframes VALUES (?, ?, ?, ?, ?, ?, ?, ?)", rows)
+    connection.executemany("INSERT INTO lives VALUES (?, ?, NULL)", [(r[0], r[3]) for r in rows])
+
+
+def insert_tiles(
+    connection: sqlite3.Connection,
+    renewals: Renewals,
+    tiles: Iterable[tuple[int, int]],
+    version: int,
+) -> None:
+    """Add tiles of renewed places, by column and row; they hold from a version on."""
+    connection.executemany(
+        "INSERT INTO places VALUES (?, ?, ?, NULL, ?)",
+        [
+            (column, row, version, renewals.tiles[column, row].astype("<i4").tobytes())
+            for column, row in tiles
+        ],
+    )
+
+
+def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[object, ...]]:
+    for number, frame in numbered:
         cloud = np.concatenate((frame.cloud.points, frame.cloud.normals), axis=1)
         rays = frame.rays
         geometry = None
@@ -248,6 +414,7 @@ def _keyframe_rows(keyframes: Sequence[Keyframe], first: int) -> Iterable[tuple[
             number,
             frame.stamp_ns,
             frame.submap,
+            frame.version,
             np.array(frame.odometry, "<f8").tobytes(),
             cloud.astype("<f4").tobytes(),
             geometry,
@@ -255,8 +422,9 @@ def _keyframe_rows(keyframes: Sequence[Keyframe], first: int) -> Iterable[tuple[
         )
 
 
-def _edge_rows(edges: Sequence[Edge], first: int) -> Iterable[tuple[object, ...]]:
-    for number, edge in enumerate(edges[first:], start=first):
+def edge_rows(edges: Iterable[Edge], first: int) -> Iterable[tuple[object, ...]]:
+    """Yield the rows of constraints, numbered from `first` on."""
+    for number, edge in enumerate(edges, start=first):
         yield (
             number,
             int(edge.kind),
@@ -265,6 +433,12 @@ def _edge_rows(edges: Sequence[Edge], first: int) -> Iterable[tuple[object, ...]
             np.array(edge.measured, "<f8").tobytes(),
             edge.information.astype("<f8").tobytes(),
         )
+
+
+def _first_change(old: Sequence[Sighting], new: Sequence[Sighting]) -> int:
+    """Return the number of the first sighting that was replaced or added."""
+    pairs = enumerate(zip(old, new, strict=False))
+    return next((number for number, (a, b) in pairs if a is not b), len(old))
 
 
 def _sighting_rows(sightings: Sequence[Sighting], first: int) -> Iterable[tuple[object, ...]]:
@@ -290,12 +464,8 @@ def _numbers(blob: object, count: int) -> list[float]:
     return numbers
 
 
-def _check_keyframes(count: int, *numbers: int) -> None:
-    if not all(type(number) is int and 0 <= number < count for number in numbers):
-        raise ValueError(f"keyframe {max(numbers)} is missing")
-
-
-def _connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
+def open_connection(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
+    """Connect to a graph file; raises `sqlite3.Error` if that fails."""
     if read_only:
         uri = f"file:{quote(str(path.absolute()))}?mode=ro"
         return sqlite3.connect(uri, uri=True, timeout=_LOCK_WAIT_S)
@@ -306,11 +476,17 @@ def _connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     return connection
 
 
-def _check(path: Path, connection: sqlite3.Connection) -> None:
+def check_format(path: Path, connection: sqlite3.Connection) -> None:
+    """Raise `CairnError` unless a file is a graph of this format."""
     ((application,),) = connection.execute("PRAGMA application_id").fetchall()
     ((version,),) = connection.execute("PRAGMA user_version").fetchall()
     if application != APPLICATION:
         raise CairnError(f"{path}: not a graph; give one that `cairn map build` has written")
+    if version < _FORMAT:
+        raise CairnError(
+            f"{path}: its format {version} is older than this Cairn, which reads {_FORMAT}; "
+            "build the map again"
+        )
     if version > _FORMAT:
         raise CairnError(
             f"{path}: its format {version} is newer than this Cairn, which knows {_FORMAT}; "
@@ -319,17 +495,19 @@ def _check(path: Path, connection: sqlite3.Connection) -> None:
     try:
         found = table_columns(connection, _TABLES, ())
     except SchemaError as error:
-        raise _damaged(path, str(error)) from error
+        raise damaged(path, str(error)) from error
     if set(found) != set(_TABLES):
-        raise _damaged(path, "tables are missing")
+        raise damaged(path, "tables are missing")
 
 
-def _damaged(path: Path, fault: str) -> CairnError:
+def damaged(path: Path, fault: str) -> CairnError:
+    """Return the error of a damaged file."""
     return CairnError(f"{path}: damaged graph: {fault}; restore a copy of it, or build it again")
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
+def explained_errors(path: Path) -> Iterator[None]:
+    """Raise errors of SQLite and of the disk as `CairnError`, with a remedy."""
     try:
         yield
     except sqlite3.Error as error:

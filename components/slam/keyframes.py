@@ -84,6 +84,7 @@ class Keyframe:
         cloud: its surfaces, in the frame of the base.
         rays: what it saw; None without a scan.
         submap: number of the submap that it belongs to.
+        version: of the map when it was added; it does not count where the map was renewed later.
 
     """
 
@@ -92,6 +93,7 @@ class Keyframe:
     cloud: PointCloud
     rays: ScanRays | None
     submap: int
+    version: int = 0
 
 
 @dataclass

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cairn.components.slam.keyframes import Keyframe
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, apart
+from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
 
 Array = NDArray[np.float64]
@@ -30,6 +31,10 @@ class MapGrid:
     def counts(self) -> ScanGrid:
         """The ends and passages of rays."""
         return self._counts
+
+    def renew(self, renewals: Renewals) -> None:
+        """Draw in renewed places only keyframes from their version on, see `ScanGrid.renew`."""
+        self._counts.renew(renewals)
 
     def update(
         self,
@@ -53,7 +58,7 @@ class MapGrid:
         left = len(keyframes) if most is None else most
         drew = False
         for number in range(len(keyframes) - 1, -1, -1):
-            rays = keyframes[number].rays
+            rays, version = keyframes[number].rays, keyframes[number].version
             if rays is None or left == 0:
                 continue
             drawn = self._drawn.get(number)
@@ -61,12 +66,12 @@ class MapGrid:
             if drawn is not None:
                 if shown[number] and not apart(drawn, (x, y, theta), _MOVED_M, _MOVED_RAD):
                     continue
-                self._counts.remove(drawn, rays.rays())
+                self._counts.remove(drawn, rays.rays(), version)
                 del self._drawn[number]
             elif not shown[number]:
                 continue
             if shown[number]:
-                self._counts.add((x, y, theta), rays.rays())
+                self._counts.add((x, y, theta), rays.rays(), version)
                 self._drawn[number] = (x, y, theta)
             left -= 1
             drew = True

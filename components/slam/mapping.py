@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +21,21 @@ from cairn.components.slam.keyframes import (
     scan_cloud,
     scan_rays,
 )
+from cairn.components.slam.landmarks import LandmarkBuilder, LandmarkReport
+from cairn.components.slam.odometry_calibration import (
+    CalibrationEstimate,
+    estimate_calibration,
+    odometry_edge,
+)
+from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
+from cairn.planar.motion_model import MotionModel
 from cairn.planar.poses import Pose, apart, compose, distance, relative
+from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
+from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
@@ -54,6 +64,19 @@ _STOOD_M, _FASTEST, _NEAR_S = 0.3, 2.0, 60.0
 # If odometry has restarted as well, the robot is up to so far from the last keyframe [m]. It is
 # where its scan fits by so much [1].
 _NEAR_M, _CONTINUED_FIT = 2.5, 0.6
+# Without scans for this long [ns], odometry continues the trajectory, with poses at least so far
+# apart in time [ns]. A keyframe is made after so much motion [m], [rad]: while objects are
+# observed, and else.
+_SILENT_NS, _TRAJECTORY_NS = 1_000_000_000, 100_000_000
+_LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
+# Observations that contradict the map wait for so many keyframes, and for this share of all (1 in
+# ...), until the map is optimized.
+_LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
+
+MEASURED = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
+"""The uncertainty of odometry that wheels measure, as the localizer assumes it."""
+AS_STATED = OdometryCalibration()
+"""The calibration of odometry that is right."""
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its completed share, from 0 to 1."""
@@ -75,8 +98,23 @@ class Mapper:
     new island of the map; it is joined to the others once a place is recognized.
     """
 
-    def __init__(self, farthest: float) -> None:
-        """Start a map of surfaces up to `farthest` [m] from the scanner."""
+    def __init__(
+        self,
+        farthest: float,
+        model: MotionModel = MEASURED,
+        calibration: OdometryCalibration = AS_STATED,
+    ) -> None:
+        """Start a map.
+
+        Where no scan shows how the robot moved, odometry does.
+
+        Args:
+            farthest: surfaces farther from the scanner are ignored [m].
+            model: the uncertainty of odometry.
+            calibration: how the robot moves when odometry states a motion; an estimate
+                replaces it when the map is finished.
+
+        """
         self.graph = PoseGraph()
         self.keyframes: list[Keyframe] = []
         self.submaps: list[Submap] = []
@@ -84,11 +122,23 @@ class Mapper:
         self.closer = LoopCloser()
         self.tracker = ScanTracker()
         self.farthest = farthest
+        self.renewals = Renewals()
+        """Where only keyframes from a version of the map on count."""
+        self.version = 0
+        """Version of the map, which new keyframes get."""
         self._odometry: Pose | None = None
         self._pose: Pose = (0.0, 0.0, 0.0)
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
         self._way = 0.0
+        self._model = model
+        self._log = OdometryLog()
+        self._scanned_ns: int | None = None
+        self._builder = LandmarkBuilder(self.graph)
+        self._contradicted = False  # by an observation since the last optimization
+        self._optimized = 0  # number of keyframes then
+        self.calibration = CalibrationEstimate(calibration, OdometryCalibration(0.1, 0.1, 0.1))
+        """The calibration of odometry, estimated when the map is finished."""
         self._continues = False  # the next scan is the first since the map was read
 
     @property
@@ -98,7 +148,7 @@ class Mapper:
 
     @property
     def pose(self) -> Pose:
-        """The pose of the base in the map at the last scan."""
+        """The pose of the base in the map at the last scan or, without scans, observation."""
         return self._pose
 
     def add_scan(self, stamp_ns: int, odometry: Pose, rays: Rays) -> Tracked:
@@ -110,6 +160,8 @@ class Mapper:
             rays: in the frame of the base at that time.
 
         """
+        self._log.add(stamp_ns, odometry)
+        self._scanned_ns = stamp_ns
         cloud = scan_cloud(rays, self.farthest)
         if self._continues:
             self._continues = False
@@ -127,11 +179,51 @@ class Mapper:
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self._pose)
         if is_first or apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD):
-            frame = Keyframe(stamp_ns, odometry, cloud, scan_rays(rays), self._open.number)
+            frame = Keyframe(
+                stamp_ns, odometry, cloud, scan_rays(rays), self._open.number, self.version
+            )
             self._add_keyframe(frame, None if is_first else (offset, tracked))
             last, offset = last + 1, (0.0, 0.0, 0.0)
         self.trajectory.append(Step(stamp_ns, last, offset))
         return tracked
+
+    def add_odometry(self, stamp_ns: int, odometry: Pose) -> None:
+        """Add the pose of the base in the odometry frame at a time [ns].
+
+        While there are no scans, odometry and landmarks show the robot's way.
+        """
+        self._log.add(stamp_ns, odometry)
+        if self._has_scans(stamp_ns):
+            return
+        if not self.trajectory or stamp_ns >= self.trajectory[-1].stamp_ns + _TRAJECTORY_NS:
+            self._continue(stamp_ns, odometry, _COAST_M, _COAST_RAD)
+
+    def add_observations(
+        self, stamp_ns: int, odometry: Pose, observations: Sequence[Observation]
+    ) -> None:
+        """Add the objects that were recognized in an image.
+
+        Args:
+            stamp_ns: time of the image [ns].
+            odometry: pose of the base in the odometry frame at that time.
+            observations: in the frame of the base at that time.
+
+        """
+        self._log.add(stamp_ns, odometry)
+        if not observations:
+            return
+        if not self._has_scans(stamp_ns):
+            self._continue(stamp_ns, odometry, _LOOK_M, _LOOK_RAD)
+        last = len(self.keyframes) - 1
+        at_ns = self.keyframes[last].stamp_ns
+        path = self._log.path(self.calibration.calibration, min(at_ns, stamp_ns))
+        for one in observations:
+            if self._builder.add(last, stamp_ns, one, path, at_ns):
+                self._contradicted = True
+        wait = max(_LEAST_BETWEEN, len(self.keyframes) // _SHARE_BETWEEN)
+        if self._contradicted and len(self.keyframes) >= self._optimized + wait:
+            self._optimize()
+            self._contradicted, self._optimized = False, len(self.keyframes)
 
     def resume(self, *, here: bool) -> None:
         """Continue a map that was read from a file.
@@ -142,8 +234,10 @@ class Mapper:
         first = self.submaps[-1].last + 1 if self.submaps else 0
         self._open = Submap(len(self.submaps), first, len(self.keyframes) - 1)
         self._odometry = None
+        self._builder.resume()
         if here and self.keyframes:
             last = len(self.keyframes) - 1
+            self._log.add(self.keyframes[last].stamp_ns, self.keyframes[last].odometry)
             self._odometry, self._pose = self.keyframes[last].odometry, self.graph.pose(last)
             islands = self.graph.islands()
             self._island = int(np.flatnonzero(islands == islands[last])[0])
@@ -173,6 +267,10 @@ class Mapper:
         poses[~known] = np.nan
         return poses
 
+    def landmarks(self) -> LandmarkReport:
+        """Return the landmarks, and what became of the observations, of the finished map."""
+        return self._builder.report(self._stamps())
+
     def finish(self, progress: Progress | None = None) -> None:
         """Close the last loops, and align all keyframes to those that saw the same."""
         report = progress or _ignore
@@ -182,6 +280,11 @@ class Mapper:
         while self.closer.pending:
             self._close_loops(_COMPARED)
             report("loops", 1.0 - self.closer.pending / planned)
+        if self.graph.depends_on_odometry:
+            self.graph.optimize()
+            self._use_landmarks()
+        if self._scanned_ns is None:
+            return
         for number in range(_ROUNDS):
 
             def aligned(share: float, done: int = number) -> None:
@@ -189,6 +292,61 @@ class Mapper:
 
             self._align_neighbors(_REACH_M[number], aligned)
             self.graph.optimize()
+        self._use_landmarks()
+
+    def _use_landmarks(self) -> None:
+        """Estimate the odometry; optimize with it, and with observations that became clear."""
+        stamps = self._stamps()
+        self.calibration = estimate_calibration(
+            self.calibration.calibration, self._log, self._model, stamps, self.graph, self._builder
+        )
+        if not self.graph.depends_on_odometry:
+            return
+        path = self._log.path(self.calibration.calibration)
+        self._builder.resolve(path, stamps)
+        self.graph.optimize()
+        while self._builder.split_moved():
+            self.graph.optimize()
+        if self._builder.join_places():
+            self.graph.optimize()
+        self.trajectory = [
+            step
+            if self.keyframes[step.keyframe].rays is not None
+            else replace(step, offset=self._offset(path, step.keyframe, step.stamp_ns))
+            for step in self.trajectory
+        ]
+
+    def _stamps(self) -> NDArray[np.int64]:
+        return np.array([frame.stamp_ns for frame in self.keyframes], np.int64)
+
+    def _has_scans(self, stamp_ns: int) -> bool:
+        return self._scanned_ns is not None and stamp_ns - self._scanned_ns < _SILENT_NS
+
+    def _continue(self, stamp_ns: int, odometry: Pose, meters: float, radians: float) -> None:
+        """Continue the trajectory by odometry; make a keyframe after so much motion."""
+        last = len(self.keyframes) - 1
+        is_first = last < self._island
+        offset = (0.0, 0.0, 0.0)
+        if not is_first:
+            path = self._log.path(self.calibration.calibration, self.keyframes[last].stamp_ns)
+            offset = self._offset(path, last, stamp_ns)
+            self._pose = compose(self.graph.pose(last), offset)
+        self._odometry = odometry
+        if is_first or apart(offset, (0.0, 0.0, 0.0), meters, radians):
+            nothing = PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+            self._add_keyframe(Keyframe(stamp_ns, odometry, nothing, None, self._open.number), None)
+            last, offset = last + 1, (0.0, 0.0, 0.0)
+        self.trajectory.append(Step(stamp_ns, last, offset))
+
+    def _offset(self, path: OdometryPath, keyframe: int, stamp_ns: int) -> Pose:
+        """Return the pose of the base at a time, by odometry, in the frame of a keyframe."""
+        start, end = path.at(np.array([self.keyframes[keyframe].stamp_ns, stamp_ns])).tolist()
+        return relative(start, end)
+
+    def _optimize(self) -> None:
+        last = self.graph.pose(len(self.keyframes) - 1)
+        self.graph.optimize()
+        self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
 
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""
@@ -213,17 +371,17 @@ class Mapper:
     def _add_keyframe(self, frame: Keyframe, step: tuple[Pose, Tracked] | None) -> None:
         number = self.graph.add_pose(self._pose)
         self.keyframes.append(frame)
-        if step is not None:
-            offset, tracked = step
-            information = turned(tracked.information, self._pose[2])
-            self.graph.edges.append(Edge(EdgeKind.STEP, number - 1, number, offset, information))
-            self._way += math.hypot(offset[0], offset[1])
+        if number > self._island:
+            edge = self._edge_to(number, step)
+            self.graph.edges.append(edge)
+            self._way += math.hypot(edge.measured[0], edge.measured[1])
         self._open.last = number
         length = number - self._open.first + 1
         if self._way > _SUBMAP_M or length > _SUBMAP_KEYFRAMES:
             self._close_submap()
         self._close_loops(_COMPARED)
-        self._set_surroundings()
+        if frame.rays is not None:
+            self._set_surroundings()
 
     def _set_surroundings(self) -> None:
         count = len(self.keyframes)
@@ -231,9 +389,23 @@ class Mapper:
         cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
         self.tracker.set_surroundings(cloud.thinned(DENSE_M))
 
+    def _edge_to(self, number: int, step: tuple[Pose, Tracked] | None) -> Edge:
+        """Return the constraint from the keyframe before: by scans if both have one that fits."""
+        if step is None or step[1].fit is None or self.keyframes[number - 1].rays is None:
+            start_ns = self.keyframes[number - 1].stamp_ns
+            stamps = np.array([start_ns, self.keyframes[number].stamp_ns], np.int64)
+            path = self._log.path(self.calibration.calibration, start_ns)
+            edge = odometry_edge(0, 1, stamps, path, self._model)
+            return replace(edge, first=number - 1, second=number)
+        offset, tracked = step
+        information = turned(tracked.information, self._pose[2])
+        return Edge(EdgeKind.STEP, number - 1, number, offset, information)
+
     def _close_submap(self) -> None:
         self.submaps.append(self._open)
-        self.closer.add(self._open.number, self.submaps, self.graph)
+        members = self.keyframes[self._open.first : self._open.last + 1]
+        if any(frame.rays is not None for frame in members):
+            self.closer.add(self._open.number, self.submaps, self.graph)
         self._open = Submap(len(self.submaps), len(self.keyframes), len(self.keyframes) - 1)
         self._way = 0.0
 
@@ -241,11 +413,7 @@ class Mapper:
         found = self.closer.work(most, self.keyframes, self.submaps, self.graph)
         if found:
             self.graph.edges += found
-            last = self.graph.pose(len(self.keyframes) - 1)
-            self.graph.optimize()
-            self._pose = compose(
-                self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose)
-            )
+            self._optimize()
 
     def _align_neighbors(self, reach: float, report: Callable[[float], None]) -> None:
         """Replace the constraints between neighbors by new alignments."""

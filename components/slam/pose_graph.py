@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from heapq import heappop, heappush
+from itertools import chain, combinations
+from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.compiled import compiled
-from cairn.planar.poses import Pose, wrap_all
+from cairn.planar.poses import Pose, apart, compose, wrap_all
 
 Array = NDArray[np.float64]
 
@@ -28,6 +31,13 @@ _MOST_STAGES = 8
 # The uncertainty of each constraint, beyond what its information says, when the drift along a path
 # is predicted [m], [rad]: the errors of successive alignments have a common sign.
 _DRIFT_M, _DRIFT_RAD = 0.006, math.radians(0.12)
+# Landmarks that two parts of the map have in common: at least this far from each other [m], and
+# equally far up to this [m]. A part is moved to them if it is farther from there [m], [rad].
+_LEAST_APART_M, _SAME_M, _ASIDE_M, _ASIDE_RAD = 1.0, 0.4, 0.5, 0.2
+# Landmarks of which pairs are tried to find that motion.
+_MOST_POINTS = 20
+# Poses that represent the map when covariances relative to it are computed.
+_MOST_REFERENCES = 50
 _ANCHOR_SD = 1e-4  # of the pose that stays [m], [rad]
 
 
@@ -40,6 +50,8 @@ class EdgeKind(IntEnum):
     """The alignment of two scans whose relation was known well."""
     CLOSURE = 2
     """A place that was recognized."""
+    ODOMETRY = 3
+    """Odometry alone, as no scan supports it."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +78,14 @@ class Sighting:
     bearing: float
     range_sd: float
     bearing_sd: float
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of parameters (p,) without measurements: mean and information (p, p)."""
+
+    mean: Array
+    information: Array
 
 
 class PoseGraph:
@@ -100,8 +120,26 @@ class PoseGraph:
                 y + sighting.range_m * math.sin(direction),
             )
 
+    def deviation(self, sighting: Sighting) -> float:
+        """Return how far an observation is from where its landmark is, in standard deviations."""
+        return float(self._sighting_deviations([sighting])[0])
+
+    @property
+    def depends_on_odometry(self) -> bool:
+        """Whether there are observations, or steps that no scan supports."""
+        odometry = (edge.kind is EdgeKind.ODOMETRY for edge in self.edges)
+        return bool(self.sightings) or any(odometry)
+
     def islands(self) -> NDArray[np.int64]:
-        """Return for each pose (n,) the first one to which constraints connect it."""
+        """Return for each pose (n,) the first one to which constraints connect it.
+
+        Two landmarks that both parts have observed connect them, too, if they are equally far from
+        each other in both.
+        """
+        return self._islands()[0]
+
+    def _islands(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the first pose of the island (n,), and of the part without landmarks (n,)."""
         parent = list(range(len(self.poses)))
 
         def root(node: int) -> int:
@@ -110,28 +148,113 @@ class PoseGraph:
                 node = parent[node]
             return node
 
-        seen_by: dict[int, int] = {}
-        pairs = [(edge.first, edge.second) for edge in self.edges]
-        pairs += [(seen_by.setdefault(s.landmark, s.keyframe), s.keyframe) for s in self.sightings]
-        for a, b in pairs:
+        def join(a: int, b: int) -> None:
             low, high = sorted((root(a), root(b)))
             parent[high] = low
-        return np.array([root(node) for node in range(len(parent))], np.int64)
+
+        for edge in self.edges:
+            join(edge.first, edge.second)
+        parts = np.array([root(node) for node in range(len(parent))], np.int64)
+        if len(np.unique(parts)) == 1 or not self.sightings:
+            return parts, parts
+        while True:
+            islands = np.array([root(node) for node in range(len(parent))], np.int64)
+            for first, second in combinations(np.unique(islands).tolist(), 2):
+                if self._alignment(islands, first, second) is not None:
+                    join(first, second)
+                    break
+            else:
+                return islands, parts
+
+    def _alignment(self, parts: NDArray[np.int64], first: int, second: int) -> Pose | None:
+        """Return how to move the poses of one part so that its landmarks are those of another."""
+        places = self._places(parts)
+        of_first, of_second = places.get(first, {}), places.get(second, {})
+        shared = sorted(set(of_first) & set(of_second))
+        if len(shared) < 2:
+            return None
+        return aligned(
+            np.array([of_second[k] for k in shared]), np.array([of_first[k] for k in shared])
+        )
+
+    def _places(self, parts: NDArray[np.int64]) -> dict[int, dict[int, Array]]:
+        """Return for each part where it has seen landmarks (2,), the median of its sightings."""
+        seen: dict[int, dict[int, list[Array]]] = {}
+        points = self.sighted_points()
+        for s, point in zip(self.sightings, points, strict=True):
+            seen.setdefault(int(parts[s.keyframe]), {}).setdefault(s.landmark, []).append(point)
+        return {
+            part: {k: np.median(np.array(found), axis=0) for k, found in landmarks.items()}
+            for part, landmarks in seen.items()
+        }
+
+    def sighted_points(self) -> Array:
+        """Return where each observation (n, 2) puts its landmark [m]."""
+        rows = [(s.keyframe, s.range_m, s.bearing) for s in self.sightings]
+        table = np.array(rows).reshape(-1, 3)
+        poses = self.poses[table[:, 0].astype(int)]
+        direction = poses[:, 2] + table[:, 2]
+        ways = table[:, 1:2] * np.column_stack((np.cos(direction), np.sin(direction)))
+        points: Array = poses[:, :2] + ways
+        return points
+
+    def _joined_rows(self) -> NDArray[np.int64]:
+        """Return the rows of sightings from the islands of their landmarks.
+
+        A landmark belongs to the island that has seen it first. What others see of it says nothing
+        as long as they are not connected.
+        """
+        islands, _ = self._islands()
+        home: dict[int, int] = {}
+        rows = []
+        for row, s in enumerate(self.sightings):
+            island = int(islands[s.keyframe])
+            if home.setdefault(s.landmark, island) == island:
+                rows.append(row)
+        return np.array(rows, np.int64)
+
+    def _align_parts(self) -> None:
+        """Move parts that only landmarks connect to where these landmarks are."""
+        islands, parts = self._islands()
+        waiting = np.unique(parts[parts != islands]).tolist()
+        placed = np.where(parts == islands, islands, -1)
+        while waiting:
+            for part in waiting:
+                members = np.flatnonzero(parts == part)
+                groups = placed.copy()
+                groups[members] = part
+                island = int(islands[part])
+                moved = self._alignment(groups, island, part)
+                if moved is not None:
+                    break
+            else:
+                return
+            if apart(moved, (0.0, 0.0, 0.0), _ASIDE_M, _ASIDE_RAD):
+                for number in members.tolist():
+                    self.poses[number] = compose(moved, self.pose(number))
+            placed[members] = island
+            waiting.remove(part)
 
     def optimize(self) -> None:
         """Move poses and landmarks to where they agree best with the constraints.
 
         The first pose of each island stays. Closures that contradict the others are removed.
         """
-        widest = 0.0
-        if self.edges:
-            closures = np.array([edge.kind is EdgeKind.CLOSURE for edge in self.edges])
-            widest = float(self.deviations()[closures].max(initial=0.0)) / _CLOSURE_KERNEL
-        if self.sightings:
-            widest = max(widest, float(self.sighting_deviations().max()) / _SIGHTING_KERNEL)
-        stages = min(_MOST_STAGES, max(0, math.ceil(math.log2(max(1.0, widest)))))
-        for stage in range(stages, -1, -1):
-            self._optimize(2.0**stage)
+        self._align_parts()
+        closures = [edge.kind is EdgeKind.CLOSURE for edge in self.edges]
+        closure = float(self.deviations()[closures].max(initial=0.0)) / _CLOSURE_KERNEL
+        sightings = self.sighting_deviations()[self._joined_rows()]
+        sighting = float(sightings.max(initial=0.0)) / _SIGHTING_KERNEL
+        stages = math.ceil(math.log2(max(1.0, closure, sighting)))
+        start = self.poses, dict(self.landmarks)
+        for stage in range(min(_MOST_STAGES, stages), -1, -1):
+            error = self._optimize(2.0**stage)
+        if stages and closure <= 1.0:
+            # Many gross errors lead the wide kernels astray: the poses may have been nearly right.
+            far = self.poses, self.landmarks
+            self.poses, self.landmarks = start
+            if self._optimize(1.0) > error:
+                self.poses, self.landmarks = far
         wrong = self.deviations() > _WRONG_CLOSURE
         kept = [
             edge
@@ -143,54 +266,116 @@ class PoseGraph:
             self.edges = kept
             self._optimize(1.0)
 
-    def _optimize(self, widened: float) -> None:
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for number, (x, y, theta) in enumerate(self.poses.tolist()):
-            values.insert(number, gtsam.Pose2(x, y, theta))
-        for landmark, position in self.landmarks.items():
-            values.insert(_landmark_key(landmark), np.array(position))
-        anchor = gtsam.noiseModel.Isotropic.Sigma(3, _ANCHOR_SD)
-        for first in np.unique(self.islands()).tolist():
-            graph.add(gtsam.PriorFactorPose2(first, values.atPose2(first), anchor))
-        estimator, robust = gtsam.noiseModel.mEstimator, gtsam.noiseModel.Robust.Create
-        kernels = {
-            EdgeKind.MATCH: estimator.Cauchy.Create(_MATCH_KERNEL),
-            EdgeKind.CLOSURE: estimator.GemanMcClure.Create(_CLOSURE_KERNEL * widened),
-        }
-        for edge in self.edges:
-            noise = gtsam.noiseModel.Gaussian.Information(edge.information)
-            if edge.kind in kernels:
-                noise = robust(kernels[edge.kind], noise)
-            measured = gtsam.Pose2(*edge.measured)
-            graph.add(gtsam.BetweenFactorPose2(edge.first, edge.second, measured, noise))
-        kernel = estimator.Cauchy.Create(_SIGHTING_KERNEL * widened)
-        for s in self.sightings:
-            deviations = np.array([s.bearing_sd, s.range_sd])
-            noise = robust(kernel, gtsam.noiseModel.Diagonal.Sigmas(deviations))
-            graph.add(
-                gtsam.BearingRangeFactor2D(
-                    s.keyframe, _landmark_key(s.landmark), gtsam.Rot2(s.bearing), s.range_m, noise
-                )
-            )
+    def refine(self) -> None:
+        """Move poses and landmarks a little, after constraints have changed a little."""
+        self._optimize(1.0)
+
+    def _optimize(self, widened: float) -> float:
+        """Minimize the error with wider kernels; return what remains of it."""
+        rows = self._joined_rows()
+        graph, values = self._factors(rows, widened), self._values()
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setMaxIterations(30)
         parameters.setRelativeErrorTol(1e-4)
-        result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+        result = optimizer.optimize()
         self.poses = np.array(
             [(p.x(), p.y(), p.theta()) for p in map(result.atPose2, range(len(self.poses)))]
         ).reshape(-1, 3)
         for landmark in self.landmarks:
             x, y = result.atPoint2(_landmark_key(landmark)).tolist()
             self.landmarks[landmark] = (x, y)
+        remaining: float = optimizer.error()
+        return remaining
+
+    def _values(self) -> gtsam.Values:
+        values = gtsam.Values()
+        for number, (x, y, theta) in enumerate(self.poses.tolist()):
+            values.insert(number, gtsam.Pose2(x, y, theta))
+        for landmark, position in self.landmarks.items():
+            values.insert(_landmark_key(landmark), np.array(position))
+        return values
+
+    def _factors(self, rows: NDArray[np.int64], widened: float) -> gtsam.NonlinearFactorGraph:
+        """Return the constraints, with these rows of sightings, as factors."""
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in self._anchors():
+            graph.add(factor)
+        for edge in self.edges:
+            graph.add(_edge_factor(edge, widened))
+        for row in rows.tolist():
+            graph.add(_sighting_factor(self.sightings[row], widened))
+        return graph
+
+    def _anchors(self) -> Iterator[gtsam.NonlinearFactor]:
+        anchor = gtsam.noiseModel.Isotropic.Sigma(3, _ANCHOR_SD)
+        for first in np.unique(self.islands()).tolist():
+            yield gtsam.PriorFactorPose2(first, gtsam.Pose2(*self.pose(first)), anchor)
+
+    def correction(
+        self, motions: Sequence[Edge], by_motion: Array, by_sighting: Array, prior: Prior
+    ) -> tuple[Array, Array]:
+        """Return the change of parameters of measurements with which they agree best.
+
+        Poses and landmarks adapt to the change: the result is the minimum over all of them, for
+        errors that are linear in the change.
+
+        Args:
+            motions: constraints (n) that depend on the parameters; they replace those of
+                `EdgeKind.ODOMETRY`.
+            by_motion: (n, 3, p) derivatives of the motions, in the frame of `second`.
+            by_sighting: (m, 2, p) derivatives of range and bearing of `sightings`.
+            prior: the change that is expected without measurements.
+
+        Returns:
+            The change (p,) and its covariance (p, p).
+
+        """
+        values = self._values()
+        linear = gtsam.GaussianFactorGraph()
+        kept = (edge for edge in self.edges if edge.kind is not EdgeKind.ODOMETRY)
+        for factor in chain(self._anchors(), (_edge_factor(edge, 1.0) for edge in kept)):
+            linear.add(factor.linearize(values))
+        key, unit = gtsam.symbol("c", 0), gtsam.noiseModel.Unit.Create
+        for edge, derivative in zip(motions, by_motion, strict=True):
+            jacobian, residual = _edge_factor(edge, 1.0).linearize(values).jacobian()
+            by = -np.linalg.cholesky(edge.information).T @ derivative
+            first, second = jacobian[:, :3], jacobian[:, 3:]
+            linear.add(
+                gtsam.JacobianFactor(
+                    edge.first, first, edge.second, second, key, by, residual, unit(3)
+                )
+            )
+        deviations = self.sighting_deviations()
+        for row in self._joined_rows().tolist():
+            s = self.sightings[row]
+            jacobian, residual = _sighting_factor(s, 1.0).linearize(values).jacobian()
+            # The weight of an error by Cauchy's kernel, as it is in the jacobian.
+            weight = 1.0 / math.hypot(1.0, deviations[row] / _SIGHTING_KERNEL)
+            by = -weight / np.array([[s.bearing_sd], [s.range_sd]]) * by_sighting[row][::-1]
+            pose, point = jacobian[:, :3], jacobian[:, 3:]
+            linear.add(
+                gtsam.JacobianFactor(
+                    s.keyframe, pose, _landmark_key(s.landmark), point, key, by, residual, unit(2)
+                )
+            )
+        root = np.linalg.cholesky(prior.information).T
+        linear.add(gtsam.JacobianFactor(key, root, root @ prior.mean, unit(len(root))))
+        change: Array = linear.optimize().at(key)
+        covariance: Array = gtsam.Marginals(linear, values).marginalCovariance(key)
+        return change, covariance
 
     def sighting_deviations(self) -> Array:
         """Return the error of each observation (n,) in standard deviations."""
+        return self._sighting_deviations(self.sightings)
+
+    def _sighting_deviations(self, sightings: list[Sighting]) -> Array:
         rows = [
             (*self.landmarks[s.landmark], s.range_m, s.bearing, s.range_sd, s.bearing_sd)
-            for s in self.sightings
+            for s in sightings
         ]
         x, y, ranges, bearings, range_sd, bearing_sd = np.array(rows).reshape(-1, 6).T
-        poses = self.poses[[s.keyframe for s in self.sightings]].reshape(-1, 3)
+        poses = self.poses[[s.keyframe for s in sightings]].reshape(-1, 3)
         dx, dy = x - poses[:, 0], y - poses[:, 1]
         turn = wrap_all(np.arctan2(dy, dx) - poses[:, 2] - bearings)
         deviations: Array = np.hypot((np.hypot(dx, dy) - ranges) / range_sd, turn / bearing_sd)
@@ -213,6 +398,54 @@ class PoseGraph:
         actual = relative_all(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
         return relative_all(measured, actual)
 
+    def landmark_covariances(self) -> dict[int, Array]:
+        """Return the covariance (2, 2) [m^2] of each landmark relative to the map as a whole.
+
+        Relative to the first pose, all landmarks together are as uncertain as its heading. So the
+        motion of the whole map, of landmarks and of poses that saw them, is taken out.
+        """
+        rows = self._joined_rows()
+        marginals = gtsam.Marginals(self._factors(rows, 1.0), self._values())
+        islands = self.islands()
+        members: dict[int, tuple[set[int], set[int]]] = {}
+        for row in rows.tolist():
+            s = self.sightings[row]
+            landmarks, poses = members.setdefault(int(islands[s.keyframe]), (set(), set()))
+            landmarks.add(s.landmark)
+            poses.add(s.keyframe)
+        found: dict[int, Array] = {}
+        for landmarks, poses in members.values():
+            every = sorted(poses)[:: max(1, len(poses) // _MOST_REFERENCES)]
+            found |= self._relative_covariances(marginals, sorted(landmarks), every)
+        return found
+
+    def _relative_covariances(
+        self, marginals: gtsam.Marginals, landmarks: list[int], poses: list[int]
+    ) -> dict[int, Array]:
+        joint = marginals.jointMarginalCovariance([*poses, *map(_landmark_key, landmarks)])
+        blocks = [(number, self.poses[number, :2], self._turned(number)) for number in poses]
+        blocks += [(_landmark_key(k), np.array(self.landmarks[k]), np.eye(2)) for k in landmarks]
+        covariance = np.block(
+            [[a @ joint.at(i, j) @ b.T for j, _, b in blocks] for i, _, a in blocks]
+        )
+        offset = np.array([point for _, point, _ in blocks])
+        offset -= offset.mean(axis=0)
+        motions = np.zeros((2 * len(blocks), 3))
+        motions[0::2, 0] = motions[1::2, 1] = 1.0
+        motions[0::2, 2], motions[1::2, 2] = -offset[:, 1], offset[:, 0]
+        kept = np.eye(len(motions)) - motions @ np.linalg.pinv(motions)
+        covariance = kept @ covariance @ kept.T
+        start = 2 * len(poses)
+        return {
+            k: covariance[start + 2 * i : start + 2 * i + 2, start + 2 * i : start + 2 * i + 2]
+            for i, k in enumerate(landmarks)
+        }
+
+    def _turned(self, number: int) -> Array:
+        """Return the derivative (2, 3) of a pose's position by its local coordinates."""
+        cosine, sine = math.cos(self.poses[number, 2]), math.sin(self.poses[number, 2])
+        return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0]])
+
     def drift(self, origin: int) -> Array:
         """Return the covariances (n, 3, 3) of all poses as seen from one of them.
 
@@ -224,7 +457,8 @@ class PoseGraph:
         measured = np.array([e.measured for e in self.edges]).reshape(-1, 3)
         information = np.array([e.information for e in self.edges]).reshape(-1, 3, 3)
         floor = np.diag([_DRIFT_M**2, _DRIFT_M**2, _DRIFT_RAD**2])
-        covariances = np.linalg.inv(information + 1e-6 * np.eye(3)) + floor
+        inverses = np.asarray(np.linalg.inv(information + 1e-6 * np.eye(3)), np.float64)
+        covariances = inverses + floor
         both = np.concatenate((ends, ends[:, ::-1]))
         order = np.argsort(both[:, 0], kind="stable")
         first = np.concatenate(
@@ -245,6 +479,60 @@ def relative_all(origins: Array, poses: Array) -> Array:
             turn,
         )
     )
+
+
+def aligned(points: Array, targets: Array) -> Pose | None:
+    """Return the motion that puts points (n, 2) to where most of their targets (n, 2) are.
+
+    It follows from a pair of points that are equally far from each other in both, and at least
+    1 m; None if no pair is.
+    """
+    best: tuple[int, float, list[int]] | None = None
+    chosen = range(0, len(points), 1 + len(points) // _MOST_POINTS)
+    for i, j in combinations(chosen, 2):
+        a, b = points[j] - points[i], targets[j] - targets[i]
+        far = math.hypot(*a)
+        if far < _LEAST_APART_M or abs(far - math.hypot(*b)) > _SAME_M:
+            continue
+        errors = np.hypot(*(_moved(points, _fit(points[[i, j]], targets[[i, j]])) - targets).T)
+        agree = np.flatnonzero(errors < _SAME_M).tolist()
+        found = (-len(agree), float(errors[agree].sum()), agree)
+        if len(agree) >= 2 and (best is None or found < best):
+            best = found
+    return None if best is None else _fit(points[best[2]], targets[best[2]])
+
+
+def _fit(points: Array, targets: Array) -> Pose:
+    """Return the motion that puts points nearest to their targets (Umeyama 1991)."""
+    middle, target = points.mean(axis=0), targets.mean(axis=0)
+    product = (points - middle).T @ (targets - target)
+    turn = math.atan2(product[0, 1] - product[1, 0], product[0, 0] + product[1, 1])
+    x, y = (target - _moved(middle[None], (0.0, 0.0, turn))[0]).tolist()
+    return x, y, turn
+
+
+def _moved(points: Array, motion: Pose) -> Array:
+    cosine, sine = math.cos(motion[2]), math.sin(motion[2])
+    moved: Array = points @ np.array([[cosine, sine], [-sine, cosine]]) + motion[:2]
+    return moved
+
+
+def _edge_factor(edge: Edge, widened: float) -> gtsam.BetweenFactorPose2:
+    noise: Any = gtsam.noiseModel.Gaussian.Information(edge.information)
+    estimator, robust = gtsam.noiseModel.mEstimator, gtsam.noiseModel.Robust.Create
+    if edge.kind is EdgeKind.MATCH:
+        noise = robust(estimator.Cauchy.Create(_MATCH_KERNEL), noise)
+    elif edge.kind is EdgeKind.CLOSURE:
+        noise = robust(estimator.GemanMcClure.Create(_CLOSURE_KERNEL * widened), noise)
+    return gtsam.BetweenFactorPose2(edge.first, edge.second, gtsam.Pose2(*edge.measured), noise)
+
+
+def _sighting_factor(s: Sighting, widened: float) -> gtsam.BearingRangeFactor2D:
+    deviations = gtsam.noiseModel.Diagonal.Sigmas(np.array([s.bearing_sd, s.range_sd]))
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_SIGHTING_KERNEL * widened)
+    noise = gtsam.noiseModel.Robust.Create(kernel, deviations)
+    key, bearing = _landmark_key(s.landmark), gtsam.Rot2(s.bearing)
+    return gtsam.BearingRangeFactor2D(s.keyframe, key, bearing, s.range_m, noise)
 
 
 def _landmark_key(landmark: int) -> int:
@@ -275,7 +563,7 @@ def _drift(
     heap = [(0.0, origin)]
     adjoint = np.zeros((3, 3))
     while len(heap) > 0:
-        cost, a = heappop(heap)
+        _, a = heappop(heap)
         if done[a]:
             continue
         done[a] = True

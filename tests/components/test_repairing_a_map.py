@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import yaml
 
-from cairn.components.map_builder.importing import alter, write_map
+from cairn.components.map_builder.importing import alter
 from cairn.components.replay.mrclam import MrclamDataset, read_landmarks
 from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 from cairn.testing.lockstep import DeploymentHarness
+from cairn.visual_map.new_map import write_map
 
 pytestmark = pytest.mark.slow
 

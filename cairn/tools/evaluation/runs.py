@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cairn import CairnError
 from cairn.cli.runs import log_file
-from cairn.components.map_builder.importing import alter, write_map
+from cairn.components.map_builder.importing import alter
 from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
 from cairn.components.simulation.world_file import Event, read_world
 from cairn.deployment.load import load_deployment
@@ -25,6 +25,7 @@ from cairn.tools.evaluation.map_comparison import (
     placed_map,
 )
 from cairn.tools.evaluation.results import RunResult
+from cairn.visual_map.new_map import write_map
 
 _POSE = ("x", "y", "theta")
 

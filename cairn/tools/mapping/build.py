@@ -1,33 +1,52 @@
-"""Builds a map from a recording: trajectory, grid map, graph, and how good they are."""
+"""Builds a map from a recording: trajectory, grid map, landmarks, graph, and how good they are."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from heapq import merge
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn import CairnError, to_ns
-from cairn.components.replay.recording import OdometryStream, Recording, ScanStream
+from cairn.components.replay.recording import (
+    ObservationStream,
+    OdometryStream,
+    Recording,
+    ScanStream,
+)
+from cairn.components.slam.landmarks import LandmarkReport
 from cairn.components.slam.map_grid import MapGrid
-from cairn.components.slam.mapping import Mapper
+from cairn.components.slam.mapping import MEASURED, Mapper
 from cairn.components.slam.quality import MapQuality, quality_of
 from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import OccupancyCells
+from cairn.planar.motion_model import MotionModel
+from cairn.planar.mount_estimation import estimate_mount_yaw
 from cairn.planar.pose_tracker import sweep_of
-from cairn.planar.poses import Pose, between, compose, relative
+from cairn.planar.poses import Pose, between, compose, relative, wrap
 from cairn.planar.scans import rays_of
+from cairn.visual_map.observations import Observation, observations_of
 
 Array = NDArray[np.float64]
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its completed share, from 0 to 1."""
 
-_REPORTED = 50  # scans between two reports of progress
+COMMANDED = MotionModel(0.025, 0.04)
+"""The uncertainty of odometry that consists of commands, as the localizer assumes it."""
+
+_REPORTED = 200  # records between two reports of progress
 # Without odometry, motion is continued over a gap for so many times the time between two scans.
 _MOST_PREDICTED = 2.0
+_FARTHEST_LANDMARK_M = 50.0  # surfaces are irrelevant for a map without scans
+# A map whose scans fit worse, from 0 to 1, may be of a scanner with a wrong mount.
+_POOR_FIT = 0.6
+# So far from the yaw by motion [rad] the yaw of a mount is wrong, as in `cairn recording info`.
+_OFF_RAD = math.radians(5.0)
 
 
 @dataclass(frozen=True)
@@ -38,6 +57,7 @@ class BuildSettings:
         mount: pose of the scanner on the robot [m, m, rad]; None: as the recording says, else at
             the robot's center.
         scan_only: predict the motion from the scans before, instead of using odometry.
+        model: the uncertainty of odometry.
         resolution: size of the grid map's cells [m].
         reach: longer rays only show free space [m].
 
@@ -45,6 +65,7 @@ class BuildSettings:
 
     mount: Pose | None = None
     scan_only: bool = False
+    model: MotionModel = MEASURED
     resolution: float = 0.05
     reach: float = 20.0
 
@@ -55,18 +76,23 @@ class BuiltMap:
 
     Attributes:
         mapper: the graph.
-        grid: the grid map.
-        stamps: times of the scans with a pose, as in the recording [ns].
+        grid: the grid map; None if the recording has no scans.
+        landmarks: the recognized objects, and what became of their observations.
+        stamps: times of the scans with a pose, as in the recording [ns]; without scans, those of
+            odometry and observations.
         poses: (n, 3) of the base at these times [m, m, rad].
         quality: figures.
+        hint: what may be wrong, "" if nothing.
 
     """
 
     mapper: Mapper
-    grid: OccupancyCells
+    grid: OccupancyCells | None
+    landmarks: LandmarkReport
     stamps: list[int]
     poses: Array
     quality: MapQuality
+    hint: str
 
 
 def build_map(
@@ -76,7 +102,7 @@ def build_map(
     progress: Progress,
     mapper: Mapper | None = None,
 ) -> BuiltMap:
-    """Build a map from the scans and the odometry of a recording.
+    """Build a map from the scans, the observations of objects and the odometry of a recording.
 
     Args:
         recording: what is mapped.
@@ -85,51 +111,140 @@ def build_map(
         progress: is called while the map is built.
         mapper: a map that is continued; None: a new one.
 
-    Raises `CairnError` if the recording has no scans, or no odometry unless `scan_only`.
+    Raises `CairnError` if the recording has neither scans nor observations, or no odometry unless
+    `scan_only`.
 
     """
-    scans = recording.scans()
-    if scans is None or not scans.messages:
+    scans, seen = recording.scans(), recording.observations()
+    if scans is None and seen is None:
         raise CairnError(
-            f"{name}: has no scans, so no map can be built; give a recording with scans"
+            f"{name}: has no scans and no observations of objects, so no map can be built; give a "
+            "recording with one of them"
         )
     odometry = None if settings.scan_only else recording.odometry()
-    if odometry is None and not settings.scan_only:
+    if odometry is None and not (settings.scan_only and scans is not None):
         raise CairnError(
             f"{name}: has no odometry; give --scan-only to build the map from the scans alone, "
             "which succeeds if the robot moved slowly for its scan rate"
         )
     if mapper is None:
-        mapper = Mapper(min(settings.reach, float(scans.messages[0].range_max)))
-    source = _driven(scans, odometry) if odometry is not None else None
+        reach = min(settings.reach, float(scans.messages[0].range_max)) if scans else None
+        mapper = Mapper(reach or _FARTHEST_LANDMARK_M, settings.model)
     mount = settings.mount or _recorded_mount(recording)
-    total = len(scans.messages)
-    pose: Pose = (0.0, 0.0, 0.0)
-    for number, scan in enumerate(scans.messages):
-        if number % _REPORTED == 0:
-            progress("scans", number / total)
-        stamp = to_ns(scan.header.stamp)
-        if source is None:
-            pose, motion = _predicted(mapper, stamp, pose), (0.0, 0.0, 0.0)
-        else:
-            pose, motion = next(source)
-        mapper.add_scan(stamp, pose, rays_of(scan, mount, motion).placed(motion))
-    progress("scans", 1.0)
+    _add_records(mapper, scans, seen, odometry, mount, progress)
     mapper.finish(progress)
     drawing = MapGrid(settings.resolution, settings.reach)
+    drawing.renew(mapper.renewals)
     try:
         drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
-        grid = drawing.grid()
+        grid = drawing.grid() if scans is not None else None
     except ValueError as error:
         raise CairnError(
             f"{name}: {error}, so no map can be drawn; give a coarser --resolution"
         ) from error
-    poses = mapper.poses()[-total:]
-    known = ~np.isnan(poses[:, 0])
-    stamps = [
-        stamp for stamp, is_known in zip(scans.stamps, known.tolist(), strict=True) if is_known
+    recorded = dict(zip(scans.stamps, scans.recorded_stamps, strict=True)) if scans else None
+    poses = mapper.poses()
+    kept = [
+        k
+        for k, step in enumerate(mapper.trajectory)
+        if not np.isnan(poses[k, 0]) and (recorded is None or step.stamp_ns in recorded)
     ]
-    return BuiltMap(mapper, grid, stamps, poses[known], quality_of(mapper, drawing))
+    stamps = [mapper.trajectory[k].stamp_ns for k in kept]
+    if recorded is not None:
+        stamps = [recorded[stamp] for stamp in stamps]
+    quality = quality_of(mapper, drawing)
+    hint = _mount_hint(name, quality, mount, scans, odometry)
+    return BuiltMap(mapper, grid, mapper.landmarks(), stamps, poses[kept], quality, hint)
+
+
+def _add_records(
+    mapper: Mapper,
+    scans: ScanStream | None,
+    seen: ObservationStream | None,
+    odometry: OdometryStream | None,
+    mount: Pose,
+    progress: Progress,
+) -> None:
+    """Add everything to the map, in the order of its times."""
+    at = _interpolated(odometry) if odometry is not None else None
+    streams: list[list[tuple[int, int, int]]] = []
+    total = 0
+    for kind, stamps in enumerate(
+        (
+            # Between scans, odometry is taken from the stream when it is needed.
+            odometry.stamps if odometry is not None and scans is None else (),
+            scans.stamps if scans is not None else (),
+            seen.stamps if seen is not None and at is not None else (),
+        )
+    ):
+        total += len(stamps)
+        streams.append([(stamp, kind, k) for k, stamp in enumerate(stamps)])
+    virtual: Pose = (0.0, 0.0, 0.0)
+    for number, (stamp, kind, k) in enumerate(merge(*streams)):
+        if number % _REPORTED == 0:
+            progress("records", number / total)
+        if kind == _ODOMETRY and odometry is not None:
+            x, y, theta = odometry.poses[k].tolist()
+            mapper.add_odometry(stamp, (x, y, theta))
+        elif kind == _SCAN and scans is not None:
+            scan = scans.messages[k]
+            motion: Pose = (0.0, 0.0, 0.0)
+            if at is None:
+                virtual = pose = _predicted(mapper, stamp, virtual)
+            else:
+                sweep = sweep_of(scan, at)
+                assert sweep is not None  # `at` knows a pose at any time
+                pose, motion = sweep.start, sweep.motion
+            mapper.add_scan(
+                to_ns(scan.header.stamp), pose, rays_of(scan, mount, motion).placed(motion)
+            )
+        elif seen is not None and at is not None:
+            mapper.add_observations(stamp, at(stamp), _observations(seen, k))
+    progress("records", 1.0)
+
+
+_ODOMETRY, _SCAN = 0, 1  # kinds of records, in the order in which those of one time are added
+
+
+def _observations(seen: ObservationStream, number: int) -> list[Observation]:
+    if seen.messages is not None:
+        return observations_of(seen.messages[number])
+    return [
+        Observation(
+            one.object_id, one.range_m, one.bearing, one.range_variance, one.bearing_variance
+        )
+        for one in seen.frames[number]
+        if one.object_id is not None
+    ]
+
+
+def _mount_hint(
+    name: str,
+    quality: MapQuality,
+    mount: Pose,
+    scans: ScanStream | None,
+    odometry: OdometryStream | None,
+) -> str:
+    """Return the hint that the scanner's mount may be wrong; "" if nothing indicates that."""
+    if scans is None:
+        return ""
+    yaw = None
+    if odometry is not None:
+        at = _interpolated(odometry)
+        yaw = estimate_mount_yaw(scans.messages, np.array([at(stamp) for stamp in scans.stamps]))
+    question = f"is the mount of the scanner, ({mount[0]:g}, {mount[1]:g}, {mount[2]:g}), right?"
+    if yaw is not None and abs(wrap(yaw.yaw - mount[2])) > max(_OFF_RAD, 3.0 * yaw.deviation):
+        return (
+            f"{name}: the scanner's yaw by the robot's motion is {yaw.yaw:.2f} +- "
+            f"{yaw.deviation:.2f} rad: {question} Try --scanner "
+            f"{mount[0]:g},{mount[1]:g},{yaw.yaw:.2f}"
+        )
+    if quality.fit < _POOR_FIT:
+        return (
+            f"{name}: scans do not fit the map with any pose (fit {quality.fit:.2f} of 1): "
+            f"{question} Give it by --scanner X,Y,THETA"
+        )
+    return ""
 
 
 def write_trajectory(path: Path, stamps: list[int], poses: Array) -> None:
@@ -155,8 +270,8 @@ def _recorded_mount(recording: Recording) -> Pose:
     return (0.0, 0.0, 0.0) if mount is None else mount.pose
 
 
-def _driven(scans: ScanStream, odometry: OdometryStream) -> Iterator[tuple[Pose, Pose]]:
-    """Yield the odometry's pose at each scan, and the motion during its sweep."""
+def _interpolated(odometry: OdometryStream) -> Callable[[int], Pose]:
+    """Return a function of a time [ns]: the pose of odometry then; the first or last outside."""
     stamps = np.asarray(odometry.stamps, np.int64)
     poses = [(x, y, theta) for x, y, theta in odometry.poses.tolist()]
 
@@ -169,10 +284,7 @@ def _driven(scans: ScanStream, odometry: OdometryStream) -> Iterator[tuple[Pose,
         before_ns, after_ns = int(stamps[after - 1]), int(stamps[after])
         return between(poses[after - 1], poses[after], (stamp - before_ns) / (after_ns - before_ns))
 
-    for scan in scans.messages:
-        sweep = sweep_of(scan, at)
-        assert sweep is not None  # `at` knows a pose at any time
-        yield sweep.start, sweep.motion
+    return at
 
 
 def _predicted(mapper: Mapper, stamp: int, last: Pose) -> Pose:

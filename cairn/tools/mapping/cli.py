@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from datetime import UTC, datetime
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,15 +16,33 @@ import typer
 from cairn import CairnError
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, print_json
+from cairn.cli.output import show as show_rows
 from cairn.client import connect as connect_to
-from cairn.components.map_builder.cli import app, parse_mount, prepare
+from cairn.components.map_builder.cli import (
+    CHANGE_COLUMNS,
+    app,
+    change_row,
+    parse_mount,
+    prepare,
+)
+from cairn.components.map_builder.why import time_text
+from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.replay.open_recording import open_recording
-from cairn.planar.map_file import write_map
+from cairn.planar.map_file import read_map, write_map
+from cairn.visual_map.landmark_store import open_landmarks
 
 if TYPE_CHECKING:
+    from cairn.components.slam.graph_history import GraphLog
     from cairn.tools.mapping.build import BuiltMap, Progress
 
 __all__ = ["app"]
+
+
+class Base(StrEnum):
+    """What odometry holds."""
+
+    MEASURED = "measured"
+    COMMANDED = "commanded"
 
 
 @app.command()
@@ -30,7 +51,7 @@ def build(
         Path,
         typer.Argument(
             metavar="RECORDING",
-            help="CARMEN log, ROS 1 bag, ROS 2 bag's folder, or MCAP file with scans and odometry.",
+            help="CARMEN log, ROS 1 bag, ROS 2 bag's folder, MCAP file or MRCLAM folder.",
         ),
     ],
     out: Annotated[
@@ -48,6 +69,16 @@ def build(
             show_default="as the recording says, else 0,0,0",
         ),
     ] = "",
+    robot: Annotated[
+        int | None, typer.Option(min=1, max=5, help="Robot of an MRCLAM data set.")
+    ] = None,
+    base: Annotated[
+        Base | None,
+        typer.Option(
+            help="What odometry holds: what wheels measured, or the commanded velocities.",
+            show_default="measured; commanded for MRCLAM",
+        ),
+    ] = None,
     scan: Annotated[
         str | None, typer.Option(metavar="TOPIC", help="Topic of scans, if a bag has several.")
     ] = None,
@@ -66,29 +97,35 @@ def build(
     force: Annotated[bool, typer.Option("--force", help="Replace the map's files.")] = False,
     json: Json = False,
 ) -> None:
-    """Build a map from a recording of odometry and scans: SLAM.
+    """Build a map from a recording of odometry with scans, recognized objects, or both: SLAM.
 
-    Writes OUT.yaml and OUT.pgm (grid map), OUT.graph (from which mapping can continue), OUT.tum
-    (pose of the robot's base at each scan) and OUT.png (a picture).
+    Writes OUT.yaml and OUT.pgm (grid map, if there are scans), OUT.cairn (visual map, if there are
+    objects), OUT.graph (from which mapping can continue), OUT.tum (pose of the robot's base at each
+    scan) and OUT.png (a picture).
     """
     from cairn.components.slam.graph_file import read_graph, write_graph
-    from cairn.tools.mapping.build import BuildSettings, build_map, write_trajectory
+    from cairn.components.slam.landmarks import write_landmarks
+    from cairn.components.slam.mapping import MEASURED
+    from cairn.tools.mapping.build import COMMANDED, BuildSettings, build_map, write_trajectory
     from cairn.tools.mapping.picture import draw_built_map
 
-    files = [out.with_name(out.name + ending) for ending in _ENDINGS]
-    existing = [file for file in files if file.exists()]
+    files = {ending: out.with_name(out.name + ending) for ending in _ENDINGS}
+    existing = [file for file in files.values() if file.exists()]
     if existing and not force:
         raise CairnError(
             f"{existing[0]} exists already. Give another name, or --force to replace it."
         )
     named = {"scan": scan, "odom": odom}
     topics = {kind: topic for kind, topic in named.items() if topic is not None}
-    opened = open_recording(recording, topics=topics)
+    opened = open_recording(recording, robot, topics)
     for text in opened.notes():
         note(f"{recording}: {text}")
+    if base is None:
+        base = Base.COMMANDED if isinstance(opened, MrclamRecording) else Base.MEASURED
     settings = BuildSettings(
         mount=parse_mount(scanner) if scanner else None,
         scan_only=scan_only,
+        model=COMMANDED if base is Base.COMMANDED else MEASURED,
         resolution=resolution,
         reach=reach,
     )
@@ -98,13 +135,20 @@ def build(
         mapper.resume(here=False)
     with _shown_progress() as progress:
         built = build_map(opened, str(recording), settings, progress, mapper)
-    yaml, _, graph, tum, png = files
-    prepare(yaml)
-    write_map(yaml, built.grid)
-    write_graph(graph, built.mapper, f"built from {recording.name}")
-    write_trajectory(tum, built.stamps, built.poses)
-    draw_built_map(built, f"{out.name}: map of {recording.name}", png)
-    _print_result(built, files, json)
+    for file in files.values():
+        prepare(file)
+        file.unlink(missing_ok=True)
+    source = f"built from {recording.name}"
+    if built.grid is not None:
+        write_map(files[".yaml"], built.grid)
+    if built.landmarks.landmarks:
+        write_landmarks(files[".cairn"], source, built.landmarks.landmarks)
+    write_graph(files[".graph"], built.mapper, source)
+    write_trajectory(files[".tum"], built.stamps, built.poses)
+    draw_built_map(built, f"{out.name}: map of {recording.name}", files[".png"])
+    _print_result(built, [file for file in files.values() if file.exists()], json)
+    if built.hint:
+        note(built.hint)
 
 
 @app.command()
@@ -129,27 +173,160 @@ def save(
         print_saved(save_map(client, out, force=force), as_json=json)
 
 
-_ENDINGS = (".yaml", ".pgm", ".graph", ".tum", ".png")
+@app.command()
+def history(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="Graph of a map (.graph), or visual map (.cairn)."),
+    ],
+    json: Json = False,
+) -> None:
+    """Show what changed in a map, and when."""
+    if file.suffix == ".cairn":
+        with open_landmarks(file, read_only=True) as store:
+            rows = [change_row(*change) for change in store.history()]
+            version = store.version()
+        if json:
+            print_json({"version": version, "changes": rows})
+            return
+        show_rows(rows, CHANGE_COLUMNS, as_json=False, nothing="the map has no changes")
+        return
+    from cairn.components.slam.graph_history import read_log
+
+    log = read_log(file)
+    rows = [
+        {"version": version, "time": time_text(change.stamp_ns), **vars(change)}
+        for version, change in log.changes
+    ]
+    if json:
+        print_json({"version": log.version, "oldest": log.oldest, "changes": rows})
+        return
+    line(f"{file.name}: version {log.version}; `cairn map rollback` can return to versions from "
+         f"{log.oldest} on")  # fmt: skip
+    show_rows(rows, _GRAPH_COLUMNS, as_json=False, nothing="the map has no changes")
+
+
+@app.command()
+def rollback(
+    file: Annotated[Path, typer.Argument(metavar="GRAPH", help="Graph of a map (.graph).")],
+    when: Annotated[
+        str,
+        typer.Argument(
+            metavar="TIME",
+            help="Time in UTC, such as '2026-05-04 10:00', or the number of a version.",
+        ),
+    ],
+    json: Json = False,
+) -> None:
+    """Return to the map of an earlier time; this is a change, too, so it can be undone.
+
+    Changes GRAPH, and writes the grid map (.yaml, .pgm) of that time beside it.
+    """
+    from cairn.components.slam.graph_history import GraphHistory, draw_state, read_log
+
+    version = _version_at(file, read_log(file), when)
+    grid_file = file.with_suffix(".yaml")
+    with GraphHistory(file) as graph:
+        graph.seal()  # fails while a robot uses the file: it would not see the change
+        then = graph.state(version)
+        resolution = read_map(grid_file).frame.resolution if grid_file.exists() else 0.05
+        try:
+            grid = draw_state(then, resolution).grid()
+        except ValueError as error:
+            raise CairnError(f"{file}: version {version} cannot be drawn: {error}") from error
+        reason = f"returned to version {version}"
+        new = graph.rollback(version, time.time_ns(), reason)
+        write_map(grid_file, grid)
+        graph.seal()
+    written = [str(file), str(grid_file), str(grid_file.with_suffix(".pgm"))]
+    if json:
+        print_json({"version": new, "returned_to": version, "files": written})
+        return
+    line(f"{file}: version {new}, which is the map of version {version}")
+    line(f"also written: {grid_file.name}, {grid_file.with_suffix('.pgm').name}")
+
+
+_GRAPH_COLUMNS = {
+    "version": "version",
+    "time": "time (UTC)",
+    "kind": "kind",
+    "x": "x [m]",
+    "y": "y [m]",
+    "width": "width [m]",
+    "height": "height [m]",
+    "added": "cells added",
+    "removed": "removed",
+    "reason": "reason",
+}
+
+
+def _version_at(file: Path, log: GraphLog, when: str) -> int:
+    """Return the version of the map that an argument names by its number or by a time."""
+    times = {version: time_text(change.stamp_ns) for version, change in log.changes}
+    oldest = f"version {log.oldest}" + (f" of {times[log.oldest]}" if log.oldest in times else "")
+    if when.isdecimal():
+        version = int(when)
+        if not log.oldest <= version <= log.version:
+            raise CairnError(
+                f"{file}: version {when} is not kept; the oldest is {oldest}, the newest "
+                f"{log.version}"
+            )
+        return version
+    try:
+        at = datetime.fromisoformat(when)
+    except ValueError:
+        raise CairnError(
+            f"{when} is not a time; write it as '2026-05-04 10:00' (UTC), or give the number of a "
+            "version that `cairn map history` lists"
+        ) from None
+    if at.tzinfo is None:
+        at = at.replace(tzinfo=UTC)
+    found = log.version_at(round(at.timestamp() * 1e9))
+    if found is None:
+        raise CairnError(f"{file}: the map of {when} is not kept any more; the oldest is {oldest}")
+    return found
+
+
+_ENDINGS = (".yaml", ".pgm", ".cairn", ".graph", ".tum", ".png")
 
 
 def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
-    quality, (width, height) = built.quality, built.grid.size_m
+    quality, landmarks = built.quality, built.landmarks
+    width, height = built.grid.size_m if built.grid is not None else (0.0, 0.0)
     if as_json:
         written: dict[str, Any] = {"files": [str(file) for file in files]}
-        print_json({**written, "width_m": width, "height_m": height, **asdict(quality)})
+        objects = {
+            "landmarks": len(landmarks.landmarks),
+            "moved": [one.object_id for one in landmarks.moved],
+            "uncertain": list(landmarks.uncertain),
+            "sightings": landmarks.sightings,
+            "outliers": landmarks.outliers,
+        }
+        print_json({**written, "width_m": width, "height_m": height, **asdict(quality), **objects})
         return
-    line(f"{files[0]}: {width:.1f} m x {height:.1f} m, cells of {built.grid.frame.resolution:g} m")
-    line(f"  scans      {quality.scans}, of which {quality.keyframes} are in the map; "
-         f"{quality.driven_m:.0f} m driven")  # fmt: skip
-    if quality.left_out:
-        line(f"  left out   {quality.left_out} scans: no place that they show was recognized")
-    line(f"  fit        {quality.fit:.2f} of 1")
-    line(f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected; they differ by "
-         f"{quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg")  # fmt: skip
-    line(f"  entropy    {quality.entropy_bit:.3f} bit per known cell")
-    line(
-        f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for most"
-    )
+    if built.grid is None:
+        line(f"{files[0]}: {quality.driven_m:.0f} m driven, without scans")
+    else:
+        cell = built.grid.frame.resolution
+        line(f"{files[0]}: {width:.1f} m x {height:.1f} m, cells of {cell:g} m")
+        line(f"  scans      {quality.scans}, of which {quality.keyframes} are in the map; "
+             f"{quality.driven_m:.0f} m driven")  # fmt: skip
+        if quality.left_out:
+            line(f"  left out   {quality.left_out} scans: no place that they show was recognized")
+        line(f"  fit        {quality.fit:.2f} of 1")
+        line(f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected; they differ "
+             f"by {quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg")  # fmt: skip
+        line(f"  entropy    {quality.entropy_bit:.3f} bit per known cell")
+        line(f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free "
+             "for most")  # fmt: skip
+    if landmarks.sightings:
+        line(f"  landmarks  {len(landmarks.landmarks)} from {landmarks.sightings} sightings, of "
+             f"which {landmarks.outliers} contradict them")  # fmt: skip
+    for moved in landmarks.moved:
+        line(f"  moved      object {moved.object_id}: from ({moved.old[0]:.2f}, "
+             f"{moved.old[1]:.2f}) m to ({moved.new[0]:.2f}, {moved.new[1]:.2f}) m")  # fmt: skip
+    if landmarks.uncertain:
+        line(f"  uncertain  {', '.join(map(str, landmarks.uncertain))}: seen too rarely")
     line(f"also written: {', '.join(file.name for file in files[1:])}")
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from cairn import CairnError
 from cairn.components.slam.pose_graph import EdgeKind
-from cairn.planar.grid import OCCUPIED_FROM, UNKNOWN
+from cairn.planar.grid import OCCUPIED_FROM, UNKNOWN, OccupancyCells
 from cairn.tools.mapping.build import BuiltMap
 
 _WIDTH = 12.0  # of the picture [in]
@@ -19,17 +20,14 @@ _WAY, _LOOPS = "#1f6fb4", "#d98200"
 
 def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
     """Draw a map to a PNG file; raises `CairnError` if it cannot be written."""
-    cells, frame = built.grid.values, built.grid.frame
-    width, height = built.grid.size_m
-    picture = np.full((*cells.shape, 3), 1.0)
-    picture[cells == UNKNOWN] = 0.85
-    picture[cells >= OCCUPIED_FROM] = 0.1
-    figure = Figure(figsize=(_WIDTH, max(4.0, _WIDTH * height / width + 1.0)), layout="constrained")
+    shape = 0.7
+    if built.grid is not None:
+        width, height = built.grid.size_m
+        shape = height / width
+    figure = Figure(figsize=(_WIDTH, max(4.0, _WIDTH * shape + 1.0)), layout="constrained")
     axes = figure.add_subplot()
-    x, y, _ = frame.origin
-    axes.imshow(
-        picture, origin="lower", extent=(x, x + width, y, y + height), interpolation="nearest"
-    )
+    if built.grid is not None:
+        _draw_grid(axes, built.grid)
     poses, graph = built.poses, built.mapper.graph
     shown = built.mapper.in_map()
     loops = [
@@ -42,9 +40,11 @@ def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
     axes.plot([], [], color=_LOOPS, linewidth=1.0, label=f"{len(loops)} loops closed")
     axes.plot(poses[0, 0], poses[0, 1], "o", color="tab:green", label="start")
     axes.plot(poses[-1, 0], poses[-1, 1], "s", color="tab:red", label="end")
-    for landmark, (lx, ly) in sorted(graph.landmarks.items()):
-        axes.plot(lx, ly, "*", color="tab:purple")
-        axes.annotate(str(landmark), (lx, ly), fontsize=8)
+    for landmark in built.landmarks.landmarks:
+        at = landmark.position
+        axes.plot(at.x, at.y, "*", color="tab:purple")
+        axes.annotate(str(landmark.object_id), (at.x, at.y), fontsize=8)
+    axes.set_aspect("equal", adjustable="box" if built.grid is not None else "datalim")
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_title(title)
@@ -53,3 +53,12 @@ def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
         figure.savefig(file, dpi=110, metadata={"Software": None})
     except OSError as error:
         raise CairnError(f"{file} cannot be written: {error.strerror or error}") from error
+
+
+def _draw_grid(axes: Axes, grid: OccupancyCells) -> None:
+    picture = np.full((*grid.values.shape, 3), 1.0)
+    picture[grid.values == UNKNOWN] = 0.85
+    picture[grid.values >= OCCUPIED_FROM] = 0.1
+    (x, y, _), (width, height) = grid.frame.origin, grid.size_m
+    extent = (x, x + width, y, y + height)
+    axes.imshow(picture, origin="lower", extent=extent, interpolation="nearest")

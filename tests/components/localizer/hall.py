@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.observations import Landmark
 from cairn.planar.poses import Pose
+from cairn.visual_map.observations import Observation
 
 PLACES = {
     1: (3.0, 0.0),

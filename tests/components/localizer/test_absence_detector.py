@@ -10,8 +10,9 @@ from cairn.components.localizer.absence_detector import (
     expected,
     is_visible,
 )
-from cairn.components.localizer.observations import CameraView, Landmark, Observation
+from cairn.components.localizer.observations import CameraView, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.visual_map.observations import Observation
 
 AHEAD = CameraView(-math.radians(30), math.radians(30), 0.4, 5.0)
 SURE = PoseEstimate((0.0, 0.0, 0.0), np.diag([0.0004, 0.0004, 0.0001]))

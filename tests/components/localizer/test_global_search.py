@@ -11,11 +11,12 @@ from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.global_search import RecentMeasurements, search
 from cairn.components.localizer.likelihood_field import ScanMap
 from cairn.components.localizer.localization import Localization
-from cairn.components.localizer.odometry import MeasuredTrack, MotionModel
+from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.recent_observations import RecentObservations
 from cairn.components.localizer.scan_fit import RecentScans
 from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
+from cairn.planar.motion_model import MotionModel
 from cairn.planar.poses import Pose, compose, relative
 from tests.components.localizer.room import Box, Moment, apart, drive, room, scanned
 

@@ -9,10 +9,11 @@ from cairn.components.localizer.landmark_evidence import (
     LandmarkEvaluator,
     SimilarityMode,
 )
-from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import wrap
 from cairn.schemas.cairn_msgs import ObjectEvidence
+from cairn.visual_map.observations import Observation
 
 A, B = Landmark(1, 3.0, 1.0, reliability=0.9), Landmark(2, 3.0, -1.0, reliability=0.9)
 MAP = {1: A, 2: B}

@@ -19,13 +19,13 @@ from cairn.components.localizer.landmark_evidence import (
 )
 from cairn.components.localizer.observations import (
     Landmark,
-    Observation,
     as_certain,
     implied_position,
     innovation,
     object_log_likelihood,
 )
 from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.visual_map.observations import Observation
 
 number = st.floats(-20.0, 20.0)
 

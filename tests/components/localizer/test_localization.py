@@ -10,9 +10,11 @@ import pytest
 
 from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.localization import EvidenceFrame, Localization
-from cairn.components.localizer.observations import Landmark, Observation
-from cairn.components.localizer.odometry import CommandedTrack, MotionModel
+from cairn.components.localizer.observations import Landmark
+from cairn.components.localizer.odometry import CommandedTrack
+from cairn.planar.motion_model import MotionModel
 from cairn.schemas.cairn_msgs import ObjectEvidence
+from cairn.visual_map.observations import Observation
 from tests.components.localizer.hall import Moment, drive, landmarks
 
 pytestmark = pytest.mark.slow

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from cairn.components.localizer.observations import (
     CameraView,
     Landmark,
-    Observation,
     as_observed_from,
     associate,
     view_as_from,
 )
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, compose
+from cairn.visual_map.observations import Observation
 
 AT_ORIGIN = PoseEstimate((0.0, 0.0, 0.0), np.diag([0.0025, 0.0025, 0.0004]))
 NORTH, EAST = Landmark(1, 0.0, 3.0), Landmark(2, 3.0, 0.0)

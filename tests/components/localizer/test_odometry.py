@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.components.localizer.odometry import (
-    CommandedTrack,
-    MeasuredTrack,
-    MotionModel,
-    OdometryStep,
-    move_pose,
-    odometry_step,
-)
+from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack
+from cairn.planar.motion_model import MotionModel, OdometryStep, move_pose, odometry_step
 from cairn.planar.odometry import OUTDATED_IN_A_ROW, OdometryChange
 from cairn.planar.poses import Pose, relative
 

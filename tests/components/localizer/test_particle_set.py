@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cairn.components.localizer.odometry import MotionModel, OdometryStep
 from cairn.components.localizer.particle_set import (
     ParticleSet,
     effective_count,
@@ -19,6 +18,7 @@ from cairn.components.localizer.particle_set import (
     systematic_choice,
     tempered_update,
 )
+from cairn.planar.motion_model import MotionModel, OdometryStep
 
 MODEL = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
 Array = NDArray[np.float64]

@@ -9,10 +9,11 @@ from cairn.components.localizer.landmark_evidence import (
     LandmarkEvaluator,
     SimilarityMode,
 )
-from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.planar.poses import Pose, wrap
 from cairn.schemas.cairn_msgs import ObjectEvidence
+from cairn.visual_map.observations import Observation
 
 MAP = {
     key: Landmark(key, x, y, reliability=0.98)

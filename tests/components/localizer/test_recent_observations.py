@@ -6,10 +6,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from cairn.components.localizer.observations import Landmark, Observation
+from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
 from cairn.planar.poses import wrap
+from cairn.visual_map.observations import Observation
 
 LANDMARKS = {
     number: Landmark(number, 2.0 * math.cos(angle), 2.0 * math.sin(angle), reliability=0.9)

@@ -10,7 +10,6 @@ import pytest
 
 from cairn import CairnError, from_ns
 from cairn.components.map_builder.component import MapBuilder
-from cairn.components.map_builder.importing import write_map
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
     ObjectEvidenceArray,
@@ -21,6 +20,7 @@ from cairn.schemas.cairn_nav_msgs import Relocalization
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from cairn.visual_map.landmark_store import open_landmarks
+from cairn.visual_map.new_map import write_map
 from tests.components.map_builder.evidence import surveyed
 from tests.disk import fill, room_for, small_disk
 from tests.wording import assert_words, words_in_order

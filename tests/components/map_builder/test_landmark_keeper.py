@@ -17,10 +17,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.components.map_builder.importing import write_map
 from cairn.components.map_builder.landmark_map import LandmarkKeeper
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import ChangeKind, LandmarkChange, LandmarkState, MapPosition
+from cairn.visual_map.new_map import write_map
 from cairn.visual_map.object_models import add_views
 from cairn.visual_map.sqlite_file import FORMATS, MapFileError, check_row, copy_map, row_checksum
 from tests.cairn.visual_map.views import view

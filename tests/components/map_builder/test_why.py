@@ -8,9 +8,9 @@ from typer.testing import CliRunner, Result
 
 from cairn import SECOND, CairnError
 from cairn.components.map_builder.cli import app
-from cairn.components.map_builder.importing import write_map
 from cairn.components.map_builder.landmark_map import LandmarkKeeper
 from cairn.visual_map.landmarks import EvidenceVerdict
+from cairn.visual_map.new_map import write_map
 from tests.components.map_builder.evidence import HERE, THERE, observation, surveyed
 from tests.wording import assert_words, words_in_order
 

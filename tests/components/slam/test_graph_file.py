@@ -90,6 +90,22 @@ def test_file_that_is_saved_again_follows_changed_poses_and_edges(
     assert_same(read_graph(path), mapper)
 
 
+def test_file_that_is_saved_again_follows_a_sighting_that_was_replaced(
+    mapper: Mapper, tmp_path: Path
+) -> None:
+    path = tmp_path / "room.graph"
+    file = GraphFile.create(path, mapper.farthest, "a test")
+    with closing(file):
+        for keyframe in (2, 3):
+            mapper.graph.add_sighting(Sighting(keyframe, 7, 1.5, 0.2, 0.1, 0.02))
+        file.save(mapper)
+        mapper.graph.sightings[1] = Sighting(3, 7, 1.4, 0.2, 0.1, 0.02)
+        mapper.graph.add_sighting(Sighting(4, 7, 1.5, 0.2, 0.1, 0.02))
+        file.save(mapper)
+
+    assert_same(read_graph(path), mapper)
+
+
 def test_robot_continues_where_it_was_after_a_restart(mapper: Mapper, tmp_path: Path) -> None:
     path = tmp_path / "room.graph"
     file = GraphFile.create(path, mapper.farthest, "a test")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,14 @@ import pytest
 from cairn.components.slam.graph_file import read_graph
 from cairn.planar.grid import FREE, OCCUPIED
 from cairn.planar.map_file import read_map
+from cairn.visual_map.landmark_store import open_landmarks
 from tests.cairn.tools.mapping.relations import relation_errors
 from tests.commands import cairn
 
 pytestmark = pytest.mark.slow
 
 DATA = Path(__file__).parents[3] / "data" / "slam"
+MRCLAM = DATA.parent / "mrclam" / "MRCLAM_Dataset6"
 LOG, RELATIONS = DATA / "fr079_start.clf.gz", DATA / "fr079_start.relations"
 
 
@@ -187,7 +190,7 @@ def test_recording_without_scans_is_refused(tmp_path: Path) -> None:
     answer = cairn("map", "build", str(path), str(tmp_path / "map"))
 
     assert answer.code == 1
-    assert f"{path}: has no scans" in answer.err
+    assert f"{path}: has no scans and no observations of objects" in answer.err
 
 
 def test_result_is_printed_as_json(logs: tuple[Path, Path], tmp_path: Path) -> None:
@@ -197,3 +200,30 @@ def test_result_is_printed_as_json(logs: tuple[Path, Path], tmp_path: Path) -> N
     assert result["loops"] > 5
     assert 0.0 < result["entropy_bit"] < 0.06
     assert result["fit"] > 0.8
+
+
+def test_objects_alone_give_a_visual_map(tmp_path: Path) -> None:
+    out = tmp_path / "mrclam"
+
+    answer = cairn("map", "build", str(MRCLAM), str(out), "--robot", "2", "--json")
+
+    assert answer.code == 0, answer.err
+    assert answer.json["landmarks"] == 15
+    assert not file(out, ".yaml").exists()
+    with open_landmarks(file(out, ".cairn"), read_only=True) as store:
+        landmarks = list(store.landmarks())
+    assert {one.reliability for one in landmarks} == {0.5}
+    for one in landmarks:
+        assert one.position is not None
+        assert 0.0 < one.position.xx < 0.05
+
+
+def test_wrong_mount_is_named_with_the_yaw_that_motion_shows(
+    logs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "map"
+
+    answer = cairn("map", "build", str(logs[0]), str(out), "--scanner", "0,0,1.57")
+
+    assert "is the mount of the scanner, (0, 0, 1.57), right?" in answer.err
+    assert re.search(r"Try --scanner 0,0,-?0\.0\d$", answer.err, re.MULTILINE)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import logging
+from logging import Logger
 from pathlib import Path
 
-LOG = logging.getLogger("cairn.map_builder")
 
-
-def is_reusable(copy: Path, *, same: bool, ahead: bool) -> bool:
+def is_reusable(copy: Path, log: Logger, *, same: bool, ahead: bool) -> bool:
     """Return whether a copy is of the `same` map and not of a time `ahead` (another replay).
 
-    Logs the decision and its reason.
+    Logs the decision and its reason to `log`.
     """
     if same and not ahead:
-        LOG.info("reusing the working copy %s", copy)
+        log.info("reusing the working copy %s", copy)
         return True
     why = "it has data of a later time" if same else "it is a copy of another map"
-    LOG.info("replacing the working copy %s: %s", copy, why)
+    log.info("replacing the working copy %s: %s", copy, why)
     return False

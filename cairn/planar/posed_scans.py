@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from cairn import SECOND, to_ns
+from cairn.clock import SECOND, to_ns
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
 from cairn.planar.pose_tracker import sweep_of
@@ -19,8 +19,8 @@ _HISTORY_S = 5  # of odometry, longer than scans wait
 # A faster step of odometry is a jump: motion control accepts limits of up to 3 m/s and 6 rad/s.
 _WHEELS = WheelLimits(3.0, 7.0)
 # Scans of a pose with a less certain heading [rad] are not used: a beam of 3 m would end 0.18 m
-# beside its obstacle, about four cells of 0.05 m. Chosen by hand; `benchmarks/constants.yaml` has
-# the effect of half and double.
+# beside its obstacle, about four cells of 0.05 m. Chosen by hand; half and double make no
+# difference in the demo's tour.
 _MOST_HEADING_SD = 0.06
 
 

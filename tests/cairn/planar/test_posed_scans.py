@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cairn import SECOND, from_ns
-from cairn.components.map_builder.posed_scans import PosedScans
 from cairn.planar.messages import with_covariance
 from cairn.planar.odometry import OdometryChange
+from cairn.planar.posed_scans import PosedScans
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.sensor_msgs import LaserScan

@@ -1,0 +1,117 @@
+"""The calibration of odometry: its lag and gains, estimated together with the map."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cairn.components.slam.landmarks import LandmarkBuilder
+from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
+from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Prior, relative_all
+from cairn.planar.motion_model import MotionModel
+
+Array = NDArray[np.float64]
+
+# Bounds of the calibration: gains, lag [s].
+_LOW, _HIGH = (0.5, 0.5, -0.3), (1.5, 1.5, 0.5)
+# How far a calibration usually is from the one that is configured: gains, lag [s].
+_USUAL = (0.1, 0.1, 0.1)
+# Steps of the numeric derivatives: gains, lag [s].
+_STEPS = (0.02, 0.02, 0.05)
+# The estimate is complete after a change below this, or after so many.
+_ENOUGH, _MOST_CHANGES = (0.001, 0.001, 0.003), 8
+
+
+@dataclass(frozen=True)
+class CalibrationEstimate:
+    """A calibration with the standard deviations of its attributes, in the same units.
+
+    A deviation near that of the prior, 0.1, means that the recording does not show the value.
+    """
+
+    calibration: OdometryCalibration
+    deviations: OdometryCalibration
+
+
+def odometry_edge(
+    first: int, second: int, stamps: NDArray[np.int64], path: OdometryPath, model: MotionModel
+) -> Edge:
+    """Return the constraint by odometry between two keyframes, from the `stamps` [ns] of all."""
+    motion = path.motion(int(stamps[first]), int(stamps[second]), model)
+    return Edge(EdgeKind.ODOMETRY, first, second, *motion)
+
+
+def use_path(
+    path: OdometryPath,
+    model: MotionModel,
+    stamps: NDArray[np.int64],
+    graph: PoseGraph,
+    builder: LandmarkBuilder,
+) -> None:
+    """Replace what follows from odometry in the graph: steps without scans, and sightings."""
+    graph.edges = [
+        odometry_edge(edge.first, edge.second, stamps, path, model)
+        if edge.kind is EdgeKind.ODOMETRY and path.covers(stamps[edge.first])
+        else edge
+        for edge in graph.edges
+    ]
+    builder.rebuild(path, stamps)
+
+
+def estimate_calibration(
+    start: OdometryCalibration,
+    log: OdometryLog,
+    model: MotionModel,
+    stamps: NDArray[np.int64],
+    graph: PoseGraph,
+    builder: LandmarkBuilder,
+) -> CalibrationEstimate:
+    """Estimate the calibration, and use it in the graph, which has been optimized.
+
+    All steps between successive keyframes count, those that scans show and those that landmarks
+    show. Without either the result is `start`, the calibration that is configured.
+    """
+    now, origin = np.array(astuple(start)), np.array(astuple(start))
+    information = np.diag(np.array(_USUAL) ** -2.0)
+    covariance = np.linalg.inv(information)
+    covered = log.path(start).covers(stamps)
+    pairs = [
+        (edge.first, edge.second)
+        for edge in graph.edges
+        if edge.kind in (EdgeKind.STEP, EdgeKind.ODOMETRY) and covered[edge.first]
+    ]
+    ends = np.array(pairs, np.int64).reshape(-1, 2)
+
+    def motions(path: OdometryPath) -> Array:
+        poses = path.at(stamps)
+        return relative_all(poses[ends[:, 0]], poses[ends[:, 1]])
+
+    for _ in range(_MOST_CHANGES if pairs else 0):
+        path = log.path(OdometryCalibration(*now))
+        by_motion, by_sighting = [], []
+        for k, step in enumerate(_STEPS):
+            low, high = now.copy(), now.copy()
+            low[k] -= step
+            high[k] += step
+            before, after = (log.path(OdometryCalibration(*one)) for one in (low, high))
+            by_motion.append(relative_all(motions(before), motions(after)) / (2 * step))
+            change = builder.measured(after, stamps) - builder.measured(before, stamps)
+            by_sighting.append(change / (2 * step))
+        edges = [odometry_edge(first, second, stamps, path, model) for first, second in pairs]
+        change, covariance = graph.correction(
+            edges,
+            np.stack(by_motion, axis=2),
+            np.stack(by_sighting, axis=2),
+            Prior(origin - now, information),
+        )
+        before_change = now
+        now = np.clip(now + change, _LOW, _HIGH)
+        if graph.depends_on_odometry:
+            use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
+            graph.refine()
+        if (np.abs(now - before_change) < _ENOUGH).all():
+            break
+    deviations = np.sqrt(np.diag(covariance)).tolist()
+    return CalibrationEstimate(OdometryCalibration(*now.tolist()), OdometryCalibration(*deviations))

@@ -1,0 +1,117 @@
+"""`cairn map history` and `cairn map rollback`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cairn.clock import SECOND
+from cairn.components.slam.graph_history import GraphHistory, HistoryBudget, draw_state
+from cairn.components.slam.lifelong import LifelongMap
+from cairn.planar.map_file import read_map
+from cairn.visual_map.new_map import write_map as write_visual_map
+from tests.commands import cairn
+from tests.components.localizer.room import RESOLUTION
+from tests.components.slam.changing_room import (
+    MOVED,
+    PERMANENT_S,
+    TABLE,
+    RepairedRoom,
+    write_room_graph,
+)
+from tests.wording import assert_words
+
+MORNING_S = 1_777_888_800.0  # 2026-05-04 10:00 UTC
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Path:
+    """The graph of a room in which a table was moved at 10 o'clock."""
+    path = tmp_path / "room.graph"
+    write_room_graph(path, [TABLE])
+    with GraphHistory(path) as history:
+        graph = LifelongMap(history, PERMANENT_S, 4.0)
+        there = RepairedRoom([TABLE], draw_state(history.state(), RESOLUTION).grid())
+        there.now_s = MORNING_S
+        there.furnish([MOVED])
+        there.drive(graph, PERMANENT_S)
+        there.drive(graph, PERMANENT_S)
+        assert graph.version > 0
+        history.seal()
+    return path
+
+
+def test_history_lists_what_changed_when(changed: Path) -> None:
+    shown = cairn("map", "history", str(changed))
+    assert shown.code == 0
+    assert_words(shown.out, "cells added", "2026-05-04 10:", "changed", "scans show it")
+
+    rows = cairn("map", "history", str(changed), "--json").json
+    assert rows["oldest"] == 0
+    assert [row["version"] for row in rows["changes"]] == list(range(1, rows["version"] + 1))
+    assert rows["changes"][0]["stamp_ns"] > MORNING_S * SECOND
+
+
+def test_history_of_a_map_without_changes_is_empty(tmp_path: Path) -> None:
+    path = tmp_path / "room.graph"
+    write_room_graph(path, [TABLE])
+
+    shown = cairn("map", "history", str(path))
+
+    assert shown.code == 0
+    assert "the map has no changes" in shown.out + shown.err
+
+
+def test_history_of_a_visual_map_is_that_of_show(tmp_path: Path) -> None:
+    file = tmp_path / "map.cairn"
+    write_visual_map(file, "a test", [])
+
+    rows = cairn("map", "history", str(file), "--json").json
+
+    assert rows == {"version": 0, "changes": []}
+
+
+def test_rollback_to_a_time_writes_the_map_of_then(changed: Path) -> None:
+    answer = cairn("map", "rollback", str(changed), "2026-05-04 10:05")
+
+    assert answer.code == 0, answer.err
+    with GraphHistory(changed) as history:
+        drawn = draw_state(history.state(0), RESOLUTION).grid()
+    assert np.array_equal(read_map(changed.with_suffix(".yaml")).values, drawn.values)
+    assert not changed.with_name("room.graph-wal").exists()
+    rows = cairn("map", "history", str(changed), "--json").json["changes"]
+    assert rows[-1]["kind"] == "rollback"
+    assert rows[-1]["added"] > 0 < rows[-1]["removed"]
+
+    back = cairn("map", "rollback", str(changed), str(rows[-2]["version"]), "--json")
+    assert back.json["returned_to"] == rows[-2]["version"]
+
+
+def test_rollback_beyond_the_history_names_the_oldest_time(changed: Path) -> None:
+    with GraphHistory(changed) as history:
+        history.prune(HistoryBudget(0, 0, 100))
+        oldest, newest = history.versions()
+    assert oldest == newest
+
+    answer = cairn("map", "rollback", str(changed), "2026-05-04 09:00")
+    assert answer.code != 0
+    assert_words(answer.err, "not kept", f"version {oldest}", "2026-05-04 10:")
+    answer = cairn("map", "rollback", str(changed), "0")
+    assert_words(answer.err, "version 0 is not kept", f"version {oldest}")
+    assert not changed.with_suffix(".yaml").exists()
+
+
+def test_rollback_refuses_what_is_no_time(changed: Path) -> None:
+    answer = cairn("map", "rollback", str(changed), "yesterday")
+
+    assert answer.code != 0
+    assert_words(answer.err, "yesterday is not a time", "cairn map history")
+
+
+def test_rollback_of_a_graph_in_use_is_refused(changed: Path) -> None:
+    with GraphHistory(changed) as history:
+        history.versions()
+        answer = cairn("map", "rollback", str(changed), "0")
+
+    assert answer.code != 0
+    assert_words(answer.err, "locked", "close the other program")
