@@ -126,14 +126,14 @@ def test_robot_continues_where_it_was_after_a_restart(mapper: Mapper, tmp_path: 
 @pytest.mark.parametrize(
     ("damage", "fault"),
     [
-        ("DELETE FROM keyframes WHERE number = 1", "keyframe 1 is missing"),
+        ("DELETE FROM keyframes WHERE number = 1", "keyframes are missing"),
         ("DELETE FROM poses WHERE number = 1", "poses are missing"),
         ("UPDATE poses SET x = 1e300 WHERE number = 1", "poses are missing or not finite"),
-        ("UPDATE edges SET second = 4000 WHERE number = 0", "keyframe 4000 is missing"),
+        ("UPDATE edges SET second = 4000 WHERE number = 0", "constraint 0, 4000 is missing"),
         ("UPDATE edges SET kind = 9 WHERE number = 0", "9 is not a valid EdgeKind"),
         ("UPDATE edges SET measured = x'00' WHERE number = 0", "damaged graph"),
         ("UPDATE keyframes SET cloud = x'0000c07f' WHERE number = 0", "damaged graph"),
-        ("UPDATE submaps SET last = 4000", "is wrong"),
+        ("UPDATE submaps SET last = 'end'", "is wrong"),
         ("DROP TABLE edges", "tables are missing"),
         ("CREATE TRIGGER t AFTER INSERT ON edges BEGIN DELETE FROM poses; END", "trigger"),
     ],
