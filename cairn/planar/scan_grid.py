@@ -148,12 +148,13 @@ class ScanGrid:
         A cell is seen free if at least `passes` rays passed it, and no ray ended in it or beside
         it.
         """
+        if not self._ended.size:
+            return Grid(np.zeros((0, 0), np.uint8), self.frame)
         beside = cv2.dilate((self._ended > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
         values = np.full(self._ended.shape, NOT_SEEN, np.uint8)
         values[(self._passed > 0) | (beside > 0)] = SEEN
         values[(self._passed >= passes) & (beside == 0)] = SEEN_FREE
-        origin = (self._column * self._resolution, self._row * self._resolution, 0.0)
-        return Grid(values, Frame(self._resolution, origin))
+        return Grid(values, self.frame)
 
     def ended_share(self, points: Array) -> Array:
         """Return for each point (n, 2) [m] the share of rays that ended around it.

@@ -114,8 +114,9 @@ class LoopCloser:
     def add(self, submaps: list[Submap], keyframes: list[Keyframe], graph: PoseGraph) -> None:
         """Plan the comparisons of the last submap, which is complete, with those before it."""
         new = submaps[-1]
-        self._firsts.append(new.first)
-        self._views.append(view_of(new, keyframes, graph.poses))
+        for submap in submaps[len(self._views) :]:  # several, if the map was read from a file
+            self._firsts.append(submap.first)
+            self._views.append(view_of(submap, keyframes, graph.poses))
         islands = graph.islands()
         here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
         elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -31,6 +32,7 @@ from cairn import (
 )
 from cairn.components.slam.config import SlamConfig
 from cairn.components.slam.graph_file import GraphFile, read_graph
+from cairn.components.slam.landmarks import write_landmarks
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.quality import quality_of
@@ -42,6 +44,7 @@ from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
 from cairn.planar.pose_tracker import WaitingScans, sweep_of
 from cairn.planar.poses import Pose, compose, inverse
 from cairn.planar.scans import rays_of
+from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.schemas.cairn_nav_msgs import NO_REASON, LocalizationEstimate, Reason, ReasonCode
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -49,6 +52,7 @@ from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.visual_map.observations import observations_of
 
 # The graph is saved this often [s]: what a kill loses.
 _SAVE_S = 3.0
@@ -62,6 +66,8 @@ _HISTORY_S = 10
 _FITS, _MISFITS = 0.6, 0.25
 # The most health while scans have too few points, as in the localizer.
 _MOST_WITHOUT_POINTS = 0.5
+# Recognized objects wait for odometry for so long [s], and at most so many images.
+_LATEST_ODOMETRY_S, _MOST_IMAGES = 0.5, 20
 # A faster step of odometry is a jump, as of a base that is restarted: no robot here is as fast.
 _FASTEST = WheelLimits(3.0, 6.0)
 
@@ -77,6 +83,7 @@ class Slam(Component):
 
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000))
     scan: In[LaserScan] = In(qos=SENSOR.with_depth(20))
+    objects: In[RecognizedObjectArray] = In(optional=True)
     map: Out[OccupancyGrid] = Out(qos=LATCHED)
     map_updates: Out[OccupancyGridUpdate] = Out(qos=RELIABLE.with_depth(50))
     localization: Out[LocalizationEstimate] = Out(qos=RELIABLE.with_depth(50))
@@ -97,9 +104,11 @@ class Slam(Component):
             read_graph(config.extend)
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "map")
-        self._saved_grid = RetriedSave(self, "grid map")
+        self._saved_maps = RetriedSave(self, "grid map and visual map")
+        self._has_landmarks = False
         self._history: OdometryHistory[int] = OdometryHistory(_HISTORY_S * SECOND, _FASTEST)
         self._waiting = WaitingScans(0.0)
+        self._objects: deque[RecognizedObjectArray] = deque(maxlen=_MOST_IMAGES)
         self._mapper: Mapper | None = None
         self._drawing = MapGrid(config.resolution, config.reach)
         self._published_frame: tuple[object, ...] | None = None
@@ -111,7 +120,7 @@ class Slam(Component):
         """Save the map."""
         if self._mapper is not None and self._mapper.keyframes:
             self._save_graph(now=True)
-            self._save_grid()
+            self._save_maps()
         self._close()
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
@@ -135,12 +144,13 @@ class Slam(Component):
             )
         if verb == "save":
             self._save_graph(now=True)
-            self._save_grid()
-            if self._saved.has_failed or self._saved_grid.has_failed:
+            self._save_maps()
+            if self._saved.has_failed or self._saved_maps.has_failed:
                 raise CairnError(f"{self.name}: the map is not saved; `cairn ps` has the reason")
             file = self.config.map_file.absolute()
+            written = [".yaml", ".pgm", ".graph", *([".cairn"] if self._has_landmarks else [])]
             return {
-                "files": [str(file.with_suffix(end)) for end in (".yaml", ".pgm", ".graph")],
+                "files": [str(file.with_suffix(end)) for end in written],
                 "keyframes": len(mapper.keyframes),
                 "quality": asdict(quality_of(mapper, self._drawing)),
             }
@@ -165,6 +175,12 @@ class Slam(Component):
     def on_scan(self, scan: LaserScan) -> None:
         """Keep a scan until odometry has reached its last beam."""
         self._waiting.add(scan)
+        self._process()
+
+    @on("objects")
+    def on_objects(self, message: RecognizedObjectArray) -> None:
+        """Keep recognized objects until odometry has reached their time."""
+        self._objects.append(message)
         self._process()
 
     @every(hz=1)
@@ -200,8 +216,14 @@ class Slam(Component):
 
     def _process(self) -> None:
         """Map the scans whose odometry has arrived, or will not arrive any more."""
-        for scan in self._waiting.release(self._history.newest, self.clock.now()):
+        newest, now = self._history.newest, self.clock.now()
+        for scan in self._waiting.release(newest, now):
             self._map_scan(scan)
+        while self._objects and newest is not None:
+            stamp = to_ns(self._objects[0].header.stamp)
+            if stamp > newest and now - stamp < _LATEST_ODOMETRY_S * SECOND:
+                return
+            self._map_objects(stamp, self._objects.popleft())
 
     def _map_scan(self, scan: LaserScan) -> None:
         sweep = sweep_of(scan, self._odometry_at)
@@ -231,6 +253,11 @@ class Slam(Component):
             self.log.info("found the robot in the map at (%.2f m, %.2f m, %.2f rad)", *mapper.pose)
         self._was_located = located
         self._publish_pose(Header(stamp=scan.header.stamp, frame_id="map"), sweep.start, tracked)
+
+    def _map_objects(self, stamp: int, message: RecognizedObjectArray) -> None:
+        odometry = self._odometry_at(stamp)
+        if self._mapper is not None and odometry is not None:
+            self._mapper.add_observations(stamp, odometry, observations_of(message))
 
     def _odometry_at(self, stamp: int) -> Pose | None:
         """Return the pose in a frame of odometry that has no jumps; None before the oldest."""
@@ -306,11 +333,20 @@ class Slam(Component):
         if self._saved.attempt(lambda: file.save(mapper), lambda: lost, now=now):
             self._saved_at = self.clock.now()
 
-    def _save_grid(self) -> None:
+    def _save_maps(self) -> None:
+        mapper, file = self._mapper, self.config.map_file
+        assert mapper is not None
         self._draw(None)
-        grid, file = self._drawing.grid(), self.config.map_file
-        lost = "the grid map is not written; the graph has all of it"
-        self._saved_grid.attempt(lambda: write_map(file, grid), lambda: lost, now=True)
+        grid, landmarks = self._drawing.grid(), mapper.landmarks().landmarks
+        self._has_landmarks = bool(landmarks)
+
+        def write() -> None:
+            write_map(file, grid)
+            if landmarks:
+                write_landmarks(file.with_suffix(".cairn"), f"mapped by {self.name}", landmarks)
+
+        lost = "the grid map and the visual map are not written; the graph has all of them"
+        self._saved_maps.attempt(write, lambda: lost, now=True)
 
     def _close(self) -> None:
         if self._file is not None:

@@ -291,6 +291,8 @@ _ENDINGS = (".yaml", ".pgm", ".cairn", ".graph", ".tum", ".png")
 
 
 def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
+    from cairn.tools.mapping.live import quality_lines
+
     quality, landmarks = built.quality, built.landmarks
     width, height = built.grid.size_m if built.grid is not None else (0.0, 0.0)
     if as_json:
@@ -314,11 +316,8 @@ def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
         if quality.left_out:
             line(f"  left out   {quality.left_out} scans: no place that they show was recognized")
         line(f"  fit        {quality.fit:.2f} of 1")
-        line(f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected; they differ "
-             f"by {quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg")  # fmt: skip
-        line(f"  entropy    {quality.entropy_bit:.3f} bit per known cell")
-        line(f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free "
-             "for most")  # fmt: skip
+        for text in quality_lines(quality):
+            line(text)
     if landmarks.sightings:
         line(f"  landmarks  {len(landmarks.landmarks)} from {landmarks.sightings} sightings, of "
              f"which {landmarks.outliers} contradict them")  # fmt: skip

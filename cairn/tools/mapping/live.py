@@ -11,12 +11,14 @@ from cairn.cli.output import line, print_json
 from cairn.client import Robot
 from cairn.components.map_builder.cli import prepare
 from cairn.components.slam.graph_file import read_graph, write_graph
+from cairn.components.slam.quality import MapQuality
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
+from cairn.visual_map.sqlite_file import copy_map
 
 # Drawing a large map takes some seconds.
 _SAVE_S = 60.0
-_ENDINGS = (".yaml", ".pgm", ".graph")
+_ENDINGS = (".yaml", ".pgm", ".graph", ".cairn")
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ def check_target(out: Path, *, force: bool) -> None:
 def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     """Have `slam` save its map, and copy it to OUT.yaml, OUT.pgm and OUT.graph.
 
+    With recognized objects, also to the visual map OUT.cairn.
+
     Raises `CairnError` if nothing maps, if `slam` cannot save, if it runs on another computer, or
     as `check_target`.
     """
@@ -62,11 +66,17 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     grid, mapper = read_map(grid_file), read_graph(graph_file)
     if len(mapper.keyframes) < reply["keyframes"]:
         raise elsewhere
-    yaml, image, graph = _files(out)
-    prepare(yaml)
+    yaml, image, graph, visual_map = files = _files(out)
+    for file in files:
+        prepare(file)
+        file.unlink(missing_ok=True)
     write_map(yaml, grid)
     write_graph(graph, mapper, f"saved from {slam}")
-    return SavedMap((yaml, image, graph), grid, dict(reply["quality"]))
+    written = [yaml, image, graph]
+    if ".cairn" in sources:
+        copy_map(sources[".cairn"], visual_map)
+        written.append(visual_map)
+    return SavedMap(tuple(written), grid, dict(reply["quality"]))
 
 
 def print_saved(saved: SavedMap, *, as_json: bool) -> None:
@@ -81,18 +91,21 @@ def print_saved(saved: SavedMap, *, as_json: bool) -> None:
         f"{saved.grid.frame.resolution:g} m"
     )
     line(f"  scans      {quality['keyframes']} in the map")
-    line(
-        f"  loops      {quality['loops']} closed, {quality['loops_rejected']} rejected; they "
-        f"differ by {quality['loop_error_m']:.3f} m, {quality['loop_error_deg']:.2f} deg"
-    )
-    line(f"  entropy    {quality['entropy_bit']:.3f} bit per known cell")
-    line(
-        f"  conflicts  {100 * quality['conflicts']:.1f} % of the obstacles were mostly passed by "
-        "rays"
-    )
+    for text in quality_lines(MapQuality(**quality)):
+        line(text)
     line(f"also written: {', '.join(file.name for file in saved.files[1:])}")
 
 
-def _files(out: Path) -> tuple[Path, Path, Path]:
-    yaml, image, graph = (out.with_name(out.name + ending) for ending in _ENDINGS)
-    return yaml, image, graph
+def quality_lines(quality: MapQuality) -> list[str]:
+    """Return the figures of a grid map as lines to print."""
+    return [
+        f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected; they differ by "
+        f"{quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg",
+        f"  entropy    {quality.entropy_bit:.3f} bit per known cell",
+        f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for "
+        "most",
+    ]
+
+
+def _files(out: Path) -> tuple[Path, ...]:
+    return tuple(out.with_name(out.name + ending) for ending in _ENDINGS)
