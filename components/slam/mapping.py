@@ -154,6 +154,7 @@ class Mapper:
         # Closures since the last optimization, and the number of keyframes then.
         self._unsolved, self._solved_at = 0, 0
         self._misfits = 0  # scans in a row that fitted nowhere
+        self._in_map_of: tuple[object, NDArray[np.bool_], object] = (None, np.zeros(0, bool), None)
 
     @property
     def is_located(self) -> bool:
@@ -270,12 +271,17 @@ class Mapper:
 
         An island that no recognized place joins to the others has no position in the map.
         """
-        islands = self.graph.islands()
-        if not islands.size:
-            return np.zeros(0, bool)
-        numbers, sizes = np.unique(islands, return_counts=True)
-        largest: NDArray[np.bool_] = islands == numbers[np.argmax(sizes)]
-        return largest
+        graph = self.graph
+        # Each optimization makes new arrays; what else connects poses is only added in between.
+        state = (id(graph.poses), id(graph.edges), len(graph.edges), len(graph.sightings))
+        if state != self._in_map_of[0]:
+            islands = graph.islands()
+            numbers, sizes = np.unique(islands, return_counts=True)
+            largest = islands == numbers[np.argmax(sizes)] if numbers.size else islands == 0
+            largest.flags.writeable = False
+            # The arrays are kept, so that no other ones get their identities.
+            self._in_map_of = state, largest, (graph.poses, graph.edges)
+        return self._in_map_of[1]
 
     @property
     def islands(self) -> list[Island]:

@@ -48,7 +48,7 @@ def test_bounded_calls_reach_the_same_map(mapper: Mapper) -> None:
 
 def test_keyframes_outside_of_the_map_are_not_drawn(mapper: Mapper) -> None:
     drawing = fresh(mapper, mapper.in_map())
-    shown = mapper.in_map()
+    shown = mapper.in_map().copy()
     shown[6:] = False
 
     drawing.update(mapper.keyframes, mapper.graph.poses, shown)
