@@ -1,6 +1,6 @@
 // The map: canvas, tools, layers, and what explains a clicked thing.
 
-import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact-htm.js";
+import { html, useEffect, useLayoutEffect, useMemo, useRef, useState } from "../vendor/preact-htm.js";
 import { toast, useApp, useEvent, useInterval, usePageVisible, useRobot, useTopic } from "../hooks.js";
 import { useSteer } from "../steering.js";
 import { SavedStore, useStore } from "../store.js";
@@ -102,7 +102,8 @@ export function MapView({ robots }) {
   };
   const callbacks = useRef(null);
   callbacks.current = { send, locate, change, addZone };
-  useEffect(() => {
+  // Before the next event: a later effect would undo what is pressed on the map meanwhile.
+  useLayoutEffect(() => {
     const make = {
       goal: () => goalTool(controller, (poses) => callbacks.current.send(poses)),
       waypoints: () => waypointTool(controller),
