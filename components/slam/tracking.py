@@ -26,6 +26,9 @@ _SLIP: Noise = ((0.1, 0.2, 0.02), (0.1, 0.2, 0.05))
 # A scan is aligned with so many times the noise first, as the noise of successive steps has a
 # common sign.
 _TRUSTED = 2.5
+# Beyond that, the heading may be off by this [rad]: a scan that is stamped 0.1 s late shows a robot
+# that turns by 0.5 rad/s. With it, the relations of fr079 are 0.43 deg off, without 0.48.
+_STAMPED_LATE_RAD = 0.05
 # Points are paired up to this distance at first [m]; less after a search.
 _REACH_M, _REACH_AFTER_SEARCH_M = 0.4, 0.2
 # A scan is searched for if it fits worse than this share of the usual fit, or if its pose is so far
@@ -104,7 +107,7 @@ class ScanTracker:
         if reference is None or min(cloud.count, reference.cloud.count) < _LEAST_POINTS:
             self._misfits = 0
             return self._at(guess, noise, None, None)
-        trusted = _inverse(_TRUSTED**2 * noise)
+        trusted = _inverse(_TRUSTED**2 * noise + np.diag([0.0, 0.0, _STAMPED_LATE_RAD**2]))
         found = reference.align(cloud, guess, trusted, _REACH_M)
         if found.fit < _POOR_FIT * self._usual_fit or apart(
             found.pose, guess, _SURPRISE_M, _SURPRISE_RAD
