@@ -111,7 +111,7 @@ def _progress(status: ExplorationStatus) -> str:
     reason = f": {status.reason}" if status.reason else ""
     return (
         f"{status.elapsed:6.1f} s  {status.known_area:.0f} m² are free, {status.frontiers} "
-        f"frontiers{goal}{reason}"
+        f"{'frontier' if status.frontiers == 1 else 'frontiers'}{goal}{reason}"
     )
 
 
