@@ -137,14 +137,6 @@ class PlaceIndex:
         for key in self._keys(number, pose):
             self._cells[key].append(number)
 
-    def move(self, poses: Array) -> None:
-        """Replace the poses (n, 3) of all keyframes."""
-        self._cells.clear()
-        for number, (x, y, theta) in enumerate(poses.tolist()):
-            self._poses[number] = (x, y, theta)
-            for key in self._keys(number, (x, y, theta)):
-                self._cells[key].append(number)
-
     def overlaps(self, number: int) -> list[tuple[float, int]]:
         """Return the keyframes that share surfaces with one, and which share of its, best first."""
         votes: dict[int, int] = defaultdict(int)

@@ -107,6 +107,7 @@ def build(
     from cairn.components.slam.landmarks import write_landmarks
     from cairn.components.slam.mapping import MEASURED
     from cairn.tools.mapping.build import COMMANDED, BuildSettings, build_map, write_trajectory
+    from cairn.tools.mapping.live import remove
     from cairn.tools.mapping.picture import draw_built_map
 
     files = {ending: out.with_name(out.name + ending) for ending in _ENDINGS}
@@ -137,12 +138,16 @@ def build(
         built = build_map(opened, str(recording), settings, progress, mapper)
     for file in files.values():
         prepare(file)
-        file.unlink(missing_ok=True)
     source = f"built from {recording.name}"
+    # Each file is replaced when the new one is complete: a full disk leaves the map before.
     if built.grid is not None:
         write_map(files[".yaml"], built.grid)
+    else:
+        remove(files[".yaml"], files[".pgm"])
     if built.landmarks.landmarks:
         write_landmarks(files[".cairn"], source, built.landmarks.landmarks)
+    else:
+        remove(files[".cairn"])
     write_graph(files[".graph"], built.mapper, source)
     write_trajectory(files[".tum"], built.stamps, built.poses)
     draw_built_map(built, f"{out.name}: map of {recording.name}", files[".png"])

@@ -12,6 +12,7 @@ from cairn.client import Robot
 from cairn.components.map_builder.cli import prepare
 from cairn.components.slam.graph_file import read_graph, write_graph
 from cairn.components.slam.quality import MapQuality
+from cairn.files import explain_os_error
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
 from cairn.visual_map.sqlite_file import copy_map
@@ -69,14 +70,24 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     yaml, image, graph, visual_map = files = _files(out)
     for file in files:
         prepare(file)
-        file.unlink(missing_ok=True)
     write_map(yaml, grid)
     write_graph(graph, mapper, f"saved from {slam}")
     written = [yaml, image, graph]
     if ".cairn" in sources:
         copy_map(sources[".cairn"], visual_map)
         written.append(visual_map)
+    else:
+        remove(visual_map)
     return SavedMap(tuple(written), grid, dict(reply["quality"]))
+
+
+def remove(*files: Path) -> None:
+    """Remove files of an earlier map of the same name, which the new one does not have."""
+    for file in files:
+        try:
+            file.unlink(missing_ok=True)
+        except OSError as error:
+            raise CairnError(f"{file} cannot be removed: {explain_os_error(error)}") from error
 
 
 def print_saved(saved: SavedMap, *, as_json: bool) -> None:

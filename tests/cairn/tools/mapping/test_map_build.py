@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cairn import CairnError
 from cairn.components.slam.graph_file import read_graph
 from cairn.planar.grid import FREE, OCCUPIED
 from cairn.planar.map_file import read_map
@@ -139,6 +140,26 @@ def test_existing_map_is_kept_without_force(built: Path) -> None:
     assert answer.code == 1
     assert f"{file(built, '.yaml')} exists already" in answer.err
     assert file(built, ".pgm").read_bytes() == before
+
+
+def test_map_before_is_kept_if_the_new_one_cannot_be_written(
+    logs: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "map"
+    for ending in (".yaml", ".pgm", ".graph"):
+        file(out, ending).write_text("the map before")
+
+    def full(*_arguments: object) -> None:
+        raise CairnError("no space left on device")
+
+    monkeypatch.setattr("cairn.tools.mapping.cli.write_map", full)
+
+    answer = cairn("map", "build", str(logs[1]), str(out), "--force")
+
+    assert answer.code == 1
+    assert "no space left" in answer.err
+    for ending in (".yaml", ".pgm", ".graph"):
+        assert file(out, ending).read_text() == "the map before"
 
 
 @pytest.fixture(scope="module")
