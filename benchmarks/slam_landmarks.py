@@ -25,15 +25,13 @@ from benchmarks.result import Metric
 from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.odometry_calibration import CalibrationEstimate
-from cairn.planar.motion_model import MotionModel
+from cairn.planar.motion_model import COMMANDED
 from cairn.planar.poses import Pose
 from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
 ROBOTS = (2, 5)
-# The noise of a base whose odometry is its commands, as the localizer assumes it.
-COMMANDED = MotionModel(0.025, 0.04)
 MOST_LANDMARK_M, MOST_TRAJECTORY_M = 0.15, 0.30
 SECOND = 1_000_000_000
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from cairn.planar.poses import Pose, compose
 
@@ -35,6 +36,13 @@ class MotionModel:
         )
         aside = self.forward_slip**2 * far if step.measured else 0.0
         return math.sqrt(ahead), math.sqrt(aside), math.sqrt(turn)
+
+
+MEASURED: Final = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
+"""The uncertainty of odometry that wheels measure: the defaults of the localizer's parameters."""
+
+COMMANDED: Final = MotionModel(0.025, 0.04)
+"""The uncertainty of odometry that consists of commands: the defaults of the localizer as well."""
 
 
 @dataclass(frozen=True)

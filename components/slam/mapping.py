@@ -32,7 +32,7 @@ from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog,
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
-from cairn.planar.motion_model import MotionModel
+from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.poses import Pose, apart, compose, distance, relative
 from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
@@ -76,8 +76,6 @@ _LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
 # ...), until the map is optimized.
 _LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
 
-MEASURED = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
-"""The uncertainty of odometry that wheels measure, as the localizer assumes it."""
 AS_STATED = OdometryCalibration()
 """The calibration of odometry that is right."""
 

@@ -20,11 +20,11 @@ from cairn.components.replay.recording import (
 )
 from cairn.components.slam.landmarks import LandmarkReport
 from cairn.components.slam.map_grid import MapGrid
-from cairn.components.slam.mapping import MEASURED, Mapper
+from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.quality import MapQuality, quality_of
 from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import OccupancyCells
-from cairn.planar.motion_model import MotionModel
+from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.mount_estimation import estimate_mount_yaw
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, between, compose, relative, wrap
@@ -35,9 +35,6 @@ Array = NDArray[np.float64]
 
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its completed share, from 0 to 1."""
-
-COMMANDED = MotionModel(0.025, 0.04)
-"""The uncertainty of odometry that consists of commands, as the localizer assumes it."""
 
 _REPORTED = 200  # records between two reports of progress
 # Without odometry, motion is continued over a gap for so many times the time between two scans.

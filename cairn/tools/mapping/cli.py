@@ -105,8 +105,8 @@ def build(
     """
     from cairn.components.slam.graph_file import read_graph, write_graph
     from cairn.components.slam.landmarks import write_landmarks
-    from cairn.components.slam.mapping import MEASURED
-    from cairn.tools.mapping.build import COMMANDED, BuildSettings, build_map, write_trajectory
+    from cairn.planar.motion_model import COMMANDED, MEASURED
+    from cairn.tools.mapping.build import BuildSettings, build_map, write_trajectory
     from cairn.tools.mapping.live import remove
     from cairn.tools.mapping.picture import draw_built_map
 

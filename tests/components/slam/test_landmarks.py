@@ -12,7 +12,7 @@ import pytest
 from cairn.components.slam.graph_file import read_graph, write_graph
 from cairn.components.slam.landmarks import LandmarkReport, write_landmarks
 from cairn.components.slam.mapping import Mapper
-from cairn.planar.motion_model import MotionModel
+from cairn.planar.motion_model import COMMANDED, MotionModel
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
 from cairn.visual_map.landmark_store import open_landmarks
@@ -26,8 +26,6 @@ from tests.components.slam.object_drive import (
     look,
     map_errors,
 )
-
-COMMANDED = MotionModel(0.025, 0.04)
 
 
 def mapped(
