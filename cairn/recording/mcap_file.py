@@ -444,9 +444,10 @@ class McapFile:
 
     def _block(self, record: _Record) -> Iterator[tuple[_Record, bytes, Iterator[_Entry]]]:
         with self._noted(record.at):
-            data = self._bytes_of(Block(record.at, record.end, 0, 0, ALL_CHANNELS))
+            data = self._bytes_of(
+                Block(record.at, record.end, 0, 0, ALL_CHANNELS), unpacked=self._unpacked
+            )
             self._unpacked += len(data)
-            self._check_unpacked(self._unpacked)
             yield record, data, self._entries(data, record.at)
 
     def _check_unpacked(self, size: int) -> None:
@@ -458,8 +459,11 @@ class McapFile:
                 "it is genuine, decompress it with `mcap compress --compression none`"
             )
 
-    def _bytes_of(self, block: Block) -> bytes:
-        """Return the records of a block, decompressed."""
+    def _bytes_of(self, block: Block, *, unpacked: int = 0) -> bytes:
+        """Return the records of a block, decompressed.
+
+        `unpacked` bytes came before it: what is too much with them is not decompressed.
+        """
         record = self._record(block.at)
         if record.kind != Opcode.CHUNK:
             size = block.end - block.at
@@ -469,6 +473,7 @@ class McapFile:
         chunk: records.Chunk = _parse(records.Chunk.read, self._content(record))
         if block.size not in (-1, chunk.uncompressed_size):
             raise ValueError(f"it unpacks to {chunk.uncompressed_size:,} bytes, not {block.size:,}")
+        self._check_unpacked(unpacked + chunk.uncompressed_size)
         data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size)
         if chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
             raise ValueError("its checksum differs")
