@@ -41,6 +41,7 @@ from cairn.files import replace_file
 from cairn.planar.grid import Grid, OccupancyCells, grid_of
 from cairn.planar.messages import packed_poses, planar_pose, planar_poses
 from cairn.planar.poses import Pose, apart
+from cairn.planar.zone_cells import keepout_cells
 from cairn.schemas.cairn_nav_msgs import (
     EXPLORATION_STATES,
     NAVIGATION_END_STATES,
@@ -48,6 +49,8 @@ from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
     NavigateGoal,
     NavigationStatus,
+    Zone,
+    Zones,
 )
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid
@@ -94,6 +97,7 @@ class Explorer(Component):
 
     map: In[OccupancyGrid] = In(qos=LATCHED)
     map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50))
+    zones: In[Zones] = In(qos=LATCHED, optional=True)
     localization: In[LocalizationEstimate]
     navigate_goal: In[NavigateGoal] = In(qos=LATCHED)
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20))
@@ -114,6 +118,7 @@ class Explorer(Component):
         self._saved = RetriedSave(self, "exploration")
         self._search = FrontierSearch()
         self._grid: OccupancyCells | None = None
+        self._zones: tuple[Zone, ...] = ()
         self._map_changed = False
         self._state = int(ExplorationStatus.IDLE)
         self._reason = ""
@@ -183,6 +188,12 @@ class Explorer(Component):
             cells[:] = update.data.reshape(cells.shape)
             self._map_changed = True
 
+    @on("zones")
+    def on_zones(self, message: Zones) -> None:
+        """Take the zones of the map: frontiers in and behind keepout zones cannot be reached."""
+        self._zones = message.zones
+        self._map_changed = True
+
     @on("navigate_goal")
     def on_navigate_goal(self, mission: NavigateGoal) -> None:
         """Learn the number of the goal's mission; end if it is a mission of anyone else."""
@@ -242,10 +253,11 @@ class Explorer(Component):
     def _explore(self, grid: OccupancyCells, here: Pose, now: int) -> None:
         if self._map_changed or self._goal is None:
             self._map_changed = False
-            found = self._search.find(grid, here, self._needs())
+            keepout = keepout_cells(self._zones, grid.frame, grid.values.shape)
+            found = self._search.find(grid, here, self._needs(), keepout)
             self._area = free_area(grid)
             if found is None:
-                self._reason = "the robot is enclosed by obstacles of the map"
+                self._reason = "the robot is enclosed by obstacles and keepout zones of the map"
                 if now - self._complete_ns > _MISSING_S * SECOND:
                     self._end(ExplorationStatus.FAILED, self._reason)
                 return

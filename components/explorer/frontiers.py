@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.planar.grid import FREE_TO, OCCUPIED_FROM, Frame, OccupancyCells, distance_field
+from cairn.planar.polygons import Cells
 from cairn.planar.poses import Pose
 from cairn.planar.shortest_path import CLOSED, MARGIN, MIN_COST, Cell, PathSearch, open_costs
 
@@ -100,11 +101,15 @@ class FrontierSearch:
     def __init__(self) -> None:
         self._search: PathSearch | None = None
 
-    def find(self, grid: OccupancyCells, here: Pose, needs: Clearance) -> Reach | None:
+    def find(
+        self, grid: OccupancyCells, here: Pose, needs: Clearance, keepout: Cells | None = None
+    ) -> Reach | None:
         """Return what a robot at `here` can reach; None if it cannot move at all.
 
-        The robot reaches free cells far enough from mapped obstacles. An unknown area that is
-        smaller than the robot, such as one between distant beams, has no frontier.
+        The robot reaches free cells far enough from mapped obstacles and from cells of keepout
+        zones. If it is in such a zone, it starts where it has left the zone by the shortest way. An
+        unknown area that is smaller than the robot, such as one between distant beams, has no
+        frontier.
         """
         values, resolution = grid.values, grid.frame.resolution
         mapped = (values >= 0) & (values <= FREE_TO)
@@ -115,6 +120,12 @@ class FrontierSearch:
         obstacles = values >= OCCUPIED_FROM
         roomy = free & (distance_field(obstacles, resolution) > needs.fits_m)
         start = _nearest(roomy, grid.frame, here)
+        if keepout is not None and start is not None:
+            obstacles |= keepout
+            allowed = roomy & (distance_field(keepout, resolution) > needs.fits_m)
+            if not allowed[start]:
+                start = self._way_out(roomy, allowed, start)
+            roomy = allowed
         if start is None:
             return None
         lengths = self._lengths(roomy, start) * resolution
@@ -136,6 +147,14 @@ class FrontierSearch:
             if width_m >= needs.width_m:
                 found.append(area.frontier(cells, width_m))
         return Reach(tuple(found), lengths, grid.frame)
+
+    def _way_out(
+        self, roomy: NDArray[np.bool_], allowed: NDArray[np.bool_], start: Cell
+    ) -> Cell | None:
+        """Return the allowed cell that is the nearest on the ways from the start."""
+        lengths = np.where(allowed, self._lengths(roomy, start), np.inf)
+        row, column = divmod(int(np.argmin(lengths)), lengths.shape[1])
+        return (row, column) if np.isfinite(lengths[row, column]) else None
 
     def _lengths(self, roomy: NDArray[np.bool_], start: Cell) -> NDArray[np.float32]:
         rows, columns = roomy.shape

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.path_planner.zone_cells import (
-    Window,
     ZoneCells,
     multiply_costs,
     nearest_keepout,
@@ -34,6 +33,7 @@ from cairn.planar.shortest_path import (
     CellCosts,
     open_costs,
 )
+from cairn.planar.zone_cells import Window
 from cairn.schemas.cairn_nav_msgs import Zone
 
 BLOCKED = 255

@@ -20,12 +20,11 @@ from cairn.planar.polygons import (
     is_inside,
 )
 from cairn.planar.shortest_path import CLOSED, MARGIN, MAX_COST, Cell, CellCosts
-from cairn.planar.zones import points_of, zone_edges
+from cairn.planar.zone_cells import Window, part_of, window_of
+from cairn.planar.zones import zone_edges
 from cairn.schemas.cairn_nav_msgs import Zone
 
 Factors = NDArray[np.float32]
-Window = tuple[slice, slice]
-"""Rows and columns of a part of a map."""
 
 
 class ZoneCells:
@@ -52,7 +51,7 @@ class ZoneCells:
         if _has_lanes(before) != _has_lanes(self.zones):
             window: Window | None = (slice(0, self._shape[0]), slice(0, self._shape[1]))
         else:
-            window = self._window_of(changed)
+            window = window_of(changed, self._frame, self._shape)
         if not any(zone.kind == Zone.KEEPOUT for zone in zones):
             self.keepout = None
         elif self.keepout is None:
@@ -67,26 +66,30 @@ class ZoneCells:
 
     def _fill(self, window: Window) -> None:
         """Compute the cells of a window; each zone is drawn where it overlaps with the window."""
-        parts = [(zone, self._window_of([zone])) for zone in self.zones]
+        parts = [(zone, window_of([zone], self._frame, self._shape)) for zone in self.zones]
         drawn = [(zone, _common(part, window)) for zone, part in parts]
         near = [(zone, part) for zone, part in drawn if part is not None]
         if self.keepout is not None:
             self.keepout[window] = False
             for zone, part in near:
                 if zone.kind == Zone.KEEPOUT:
-                    self.keepout[part] |= covered_cells(zone_edges(zone), *self._part(part))
+                    self.keepout[part] |= covered_cells(
+                        zone_edges(zone), *part_of(self._frame, part)
+                    )
         if self.factors is None:
             return
         self.factors[window] = self._off_lane if _has_lanes(self.zones) else 1.0
         for zone, part in near:
             if zone.kind == Zone.LANE:
                 edges, half = zone_edges(zone), 0.5 * zone.width
-                self.factors[part][cells_along(edges, half, *self._part(part))] = 1.0
+                self.factors[part][cells_along(edges, half, *part_of(self._frame, part))] = 1.0
         slowest = np.ones_like(self.factors[window])
         rows, columns = window
         for zone, (part_rows, part_columns) in near:
             if zone.kind == Zone.SLOW:
-                inside = inside_cells(zone_edges(zone), *self._part((part_rows, part_columns)))
+                inside = inside_cells(
+                    zone_edges(zone), *part_of(self._frame, (part_rows, part_columns))
+                )
                 ratio = np.float32(max(1.0, self._speed / zone.speed))
                 there = slowest[
                     part_rows.start - rows.start : part_rows.stop - rows.start,
@@ -94,26 +97,6 @@ class ZoneCells:
                 ]
                 np.maximum(there, ratio, out=there, where=inside)
         self.factors[window] *= slowest
-
-    def _part(self, window: Window) -> tuple[Frame, tuple[int, int]]:
-        """Return the frame and the shape of a part of the map."""
-        rows, columns = window
-        corner = self._frame.point(rows.start - 0.5, columns.start - 0.5)
-        frame = Frame(self._frame.resolution, (*corner, self._frame.origin[2]))
-        return frame, (rows.stop - rows.start, columns.stop - columns.start)
-
-    def _window_of(self, zones: Iterable[Zone]) -> Window | None:
-        """Return the window with all cells of zones, None if it is empty."""
-        areas = [zone for zone in zones if zone.kind != Zone.PLACE]
-        if not areas:
-            return None
-        corners = [self._frame.cells(x, y) for zone in areas for x, y in points_of(zone).tolist()]
-        wide = max(0.5 * zone.width for zone in areas) / self._frame.resolution + 1.0
-        low, high = np.min(corners, axis=0) - wide, np.max(corners, axis=0) + wide
-        last_row, last_column = self._shape
-        top, bottom = max(0, math.floor(low[1])), min(last_row, math.ceil(high[1]))
-        left, right = max(0, math.floor(low[0])), min(last_column, math.ceil(high[0]))
-        return (slice(top, bottom), slice(left, right)) if top < bottom and left < right else None
 
 
 def _has_lanes(zones: Iterable[Zone]) -> bool:

@@ -12,12 +12,15 @@ from cairn.components.explorer.component import Explorer
 from cairn.planar.grid import OccupancyCells, map_message
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
 from cairn.planar.poses import Pose
+from cairn.planar.zones import zone_of
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_nav_msgs import (
     ExplorationStatus,
     LocalizationEstimate,
     NavigateGoal,
     NavigationStatus,
+    Zone,
+    Zones,
 )
 from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -187,6 +190,36 @@ def test_frontier_that_stays_unknown_after_arrival_counts_as_a_try(
     assert explorer.take("exploration_goal") == []  # the map follows
     explorer.run_for(2.0)
     assert explorer.goal()[0] > first[0]
+
+
+def test_exploration_ends_if_what_is_unknown_is_behind_a_keepout_zone(
+    explorer: ExplorerHarness,
+) -> None:
+    explorer.start()
+    corners = [[4.0, 0.0], [4.5, 0.0], [4.5, 7.0], [4.0, 7.0], [4.0, 0.0]]
+    explorer.publish("zones", Zones(version=1, zones=(keepout("stairs", corners),)))
+    explorer.run_for(4.0)
+    status = explorer.status
+    assert (status.state, status.frontiers) == (ExplorationStatus.FINISHED, 0)
+    assert status.reason == "nothing that the robot can reach is unknown"
+    (cancel,) = explorer.take("exploration_goal")
+    assert len(cancel.goals) == 0
+
+    explorer.publish("zones", Zones(version=2))
+    explorer.accept()
+    explorer.request("explore")
+    explorer.run_for(1.0)
+    assert 4.0 < explorer.goal()[0] < 4.8
+
+
+def keepout(name: str, corners: list[list[float]]) -> Zone:
+    return zone_of(
+        {
+            "type": "Feature",
+            "properties": {"zone": "keepout", "name": name},
+            "geometry": {"type": "Polygon", "coordinates": [corners]},
+        }
+    )
 
 
 def test_goal_that_nobody_accepts_is_sent_again_and_fails_in_the_end(

@@ -8,6 +8,7 @@ import pytest
 from cairn.components.explorer.choice import FrontierChoice
 from cairn.components.explorer.frontiers import Clearance, Frontier, FrontierSearch, Reach
 from cairn.planar.grid import Frame, Grid, OccupancyCells
+from cairn.planar.polygons import Cells
 from cairn.planar.poses import Pose, compose
 from tests.components.path_planner.rooms import Box, room
 
@@ -15,8 +16,8 @@ NEEDS = Clearance(fits_m=0.295, body_m=0.27, width_m=0.44)
 HERE = (2.0, 3.5, 0.0)
 
 
-def reach(grid: OccupancyCells, here: Pose = HERE) -> Reach:
-    found = FrontierSearch().find(grid, here, NEEDS)
+def reach(grid: OccupancyCells, here: Pose = HERE, keepout: Cells | None = None) -> Reach:
+    found = FrontierSearch().find(grid, here, NEEDS, keepout)
     assert found is not None
     return found
 
@@ -95,6 +96,31 @@ def test_frontier_in_the_map_is_the_same_in_any_frame() -> None:
 def test_enclosed_robot_reaches_nothing() -> None:
     grid = room(boxes=[(1.7, 3.2, 2.3, 3.8)])
     assert FrontierSearch().find(grid, HERE, NEEDS) is None
+
+
+def test_frontiers_in_and_behind_keepout_zones_cannot_be_reached() -> None:
+    grid = behind_a_wall((1.0, 1.8), (5.0, 5.8))
+    cells = np.zeros(grid.values.shape, np.bool_)
+    cells[90:130, 90:110] = True  # over the door at y = 5.4 m
+    found = reach(grid, keepout=cells)
+    assert [round(one.pose[1], 1) for one in found.frontiers] == [1.4]
+    assert not found.has(4.3, 5.4)  # too near to the zone
+
+    cells[:, 80:82] = True
+    assert reach(grid, keepout=cells).frontiers == ()
+
+
+def test_robot_in_a_keepout_zone_leaves_it_to_its_own_side_of_a_wall() -> None:
+    grid = room(boxes=[(2.2, 0.0, 2.3, 7.0)], unknown=[(0.1, 0.1, 0.6, 6.9)])
+    cells = np.zeros(grid.values.shape, np.bool_)
+    cells[:, 28:46] = True
+    found = reach(grid, (1.8, 3.5, 0.0), keepout=cells)
+    assert len(found.frontiers) == 1
+    assert found.has(1.0, 3.5)
+    assert not found.has(3.0, 3.5)  # nearer, but behind the wall
+
+    cells[:] = True
+    assert FrontierSearch().find(grid, HERE, NEEDS, cells) is None
 
 
 def frontier(x: float, path_m: float, width_m: float = 1.0) -> Frontier:
