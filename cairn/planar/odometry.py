@@ -152,6 +152,11 @@ class OdometryHistory(Generic[Stamp]):
         self._restarted = stamp
         return OdometryChange.RESET
 
+    def has(self, stamp: Stamp) -> bool:
+        """Return whether there is a pose of exactly this time."""
+        index = bisect_right(self._stamps, stamp)
+        return index > 0 and self._stamps[index - 1] == stamp
+
     def at(self, stamp: Stamp) -> Pose | None:
         """Return the pose at a time, interpolated; None before the oldest since the last jump.
 

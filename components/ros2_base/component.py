@@ -77,7 +77,6 @@ class Ros2Base(Component):
         )
         self._rate = RateWindow()
         self._last_arrival: int | None = None
-        self._last_stamp: int | None = None
         self._rejected = 0
         self._rejection, self._rejected_at = "", 0
 
@@ -116,17 +115,24 @@ class Ros2Base(Component):
         stamp = now if self.config.stamp_on_arrival else to_ns(message.header.stamp)
         reason = rejection(message, self._limits) or self._untimely(now, stamp)
         if reason is not None:
-            self._rejected += 1
-            self._rejection, self._rejected_at = reason, now
-            self._warnings.warn("odometry", reason)
+            self._reject(now, reason)
+            return
+        jumps, newest = self._continuity.jumps, self._continuity.newest
+        continued = self._continuity.add(stamp, planar_pose(message.pose.pose))
+        if continued is None:
+            assert newest is not None
+            self._reject(
+                now,
+                f"odometry of the base arrived {(newest - stamp) / SECOND:.2f} s out of order, and "
+                "is too late or does not fit the poses of that time; check that only one node "
+                f"publishes {self.base_odom.topic}",
+            )
             return
         pause = not self._is_usable()
         if pause:
             self._rate.restart()  # the pause was reported already
-        self._last_arrival, self._last_stamp = now, stamp
+        self._last_arrival = now
         self._rate.note(now / SECOND)
-        jumps = self._continuity.jumps
-        pose = self._continuity.pose(stamp / SECOND, planar_pose(message.pose.pose))
         if self._continuity.jumps > jumps:
             if pause:
                 self._relay.base_restarted(now / SECOND)
@@ -134,10 +140,10 @@ class Ros2Base(Component):
                 "odometry of the base jumped, as if the base was restarted; it is continued from "
                 "its last pose"
             )
-        published = odometry_message(message, stamp, pose, self._continuity.rotation)
+        published = odometry_message(message, stamp, continued)
         self.odom.publish(published)
         if self.config.send_tf:
-            self.tf.publish(TFMessage(transforms=(odometry_transform(published, pose),)))
+            self.tf.publish(TFMessage(transforms=(odometry_transform(published, continued.pose),)))
 
     @every(hz=1)
     def publish_health(self) -> None:
@@ -192,13 +198,20 @@ class Ros2Base(Component):
         """Return how long the base is driven without usable odometry [ns]."""
         return self.config.odom_timeout_s * SECOND
 
+    def _reject(self, now: int, reason: str) -> None:
+        self._rejected += 1
+        self._rejection, self._rejected_at = reason, now
+        self._warnings.warn("odometry", reason)
+
     def _untimely(self, now: int, stamp: int) -> str | None:
         """Return why a stamp cannot be used, as a sentence; None if it can."""
-        last = self._last_stamp
-        if last is not None and stamp <= last <= now + _FUTURE_S * SECOND:  # else now was set back
+        newest = self._continuity.newest
+        if newest is not None and newest > now + _FUTURE_S * SECOND:
+            self._continuity.set_time_back()
+        if self._continuity.has(stamp):
             return (
-                "odometry of the base arrived twice, or out of order; check that only one node "
-                f"publishes {self.base_odom.topic}"
+                "odometry of the base arrived twice; check that only one node publishes "
+                f"{self.base_odom.topic}"
             )
         age = (now - stamp) / SECOND
         if -_FUTURE_S <= age <= self.config.odom_age_s:

@@ -9,8 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn import from_ns
+from cairn import SECOND, from_ns
 from cairn.planar.messages import pose_message, transform_message
+from cairn.planar.odometry import (
+    ODOMETRY_DISORDER_S,
+    OUTDATED_IN_A_ROW,
+    OdometryChange,
+    OdometryHistory,
+    WheelLimits,
+)
 from cairn.planar.poses import Pose, apart, compose, inverse
 from cairn.schemas.geometry_msgs import PoseWithCovariance, TransformStamped
 from cairn.schemas.nav_msgs import Odometry
@@ -56,32 +63,77 @@ def rejection(message: Odometry, limits: OdometryLimits) -> str | None:
     return None
 
 
+@dataclass(frozen=True)
+class ContinuedPose:
+    """A pose of the base in frame `odom`, which has no jumps.
+
+    `rotation`: how far the pose is rotated against the base's own one [rad].
+    """
+
+    pose: Pose
+    rotation: float
+
+
 class OdometryContinuity:
     """Continues the base's poses where they jump, as when the base was restarted.
 
     Frame `odom` is continuous by definition (REP 105), and localization relies on it. After a long
-    silence nearly any motion is possible; but a base that is at its origin then was restarted.
+    silence nearly any motion is possible; but a base that is at its origin then was restarted. A
+    pose that arrives late is continued as those of its time, and does not count as a jump.
     """
 
     def __init__(self, limits: OdometryLimits) -> None:
         self._limits = limits
-        self._offset = _ORIGIN
-        self._last: tuple[float, Pose] | None = None
+        self._history = OdometryHistory[int](
+            round(ODOMETRY_DISORDER_S * SECOND),
+            WheelLimits(limits.speed, limits.turn),
+            resets_after=OUTDATED_IN_A_ROW,
+        )
+        self._offset = self._offset_before = _ORIGIN
+        self._jumped_ns: int | None = None
+        self._last: tuple[int, Pose] | None = None
         self.jumps = 0
 
     @property
-    def rotation(self) -> float:
-        """How far the continued poses are rotated against the base's own [rad]."""
-        return self._offset[2]
+    def newest(self) -> int | None:
+        """Time of the newest pose [ns]; None before the first, and after time was set back."""
+        return self._history.newest
 
-    def pose(self, time_s: float, reported: Pose) -> Pose:
-        """Return the continued pose for the one that the base reports at time `time_s` [s]."""
-        if self._last is not None and self._jumped(time_s - self._last[0], self._last[1], reported):
+    def has(self, stamp: int) -> bool:
+        """Return whether a recent pose has this time [ns]."""
+        return self._history.has(stamp)
+
+    def set_time_back(self) -> None:
+        """Let the next pose be the newest one."""
+        self._history.clear()
+        self._jumped_ns = None
+
+    def add(self, stamp: int, reported: Pose) -> ContinuedPose | None:
+        """Return the continued pose for the one that the base reports at a time [ns].
+
+        None if it is too late, or contradicts the poses before and after it.
+        """
+        newest = self._history.newest
+        if newest is not None and stamp < newest:
+            is_before_jump = self._jumped_ns is not None and stamp < self._jumped_ns
+            late = _continued(self._offset_before if is_before_jump else self._offset, reported)
+            change = self._history.add(stamp, late.pose)
+            if change is OdometryChange.LATE:
+                return late
+            if change is OdometryChange.OUTDATED:
+                return None
+            self.set_time_back()
+        if self._last is not None and self._jumped(
+            (stamp - self._last[0]) / SECOND, self._last[1], reported
+        ):
             self.jumps += 1
+            self._jumped_ns, self._offset_before = stamp, self._offset
             before = compose(self._offset, self._last[1])
             self._offset = compose(before, inverse(reported))
-        self._last = (time_s, reported)
-        return compose(self._offset, reported)
+        self._last = (stamp, reported)
+        continued = _continued(self._offset, reported)
+        self._history.add(stamp, continued.pose)
+        return continued
 
     def _jumped(self, seconds: float, before: Pose, after: Pose) -> bool:
         limits, possible_s = self._limits, max(0.0, seconds) + _SLACK_S
@@ -96,18 +148,14 @@ class OdometryContinuity:
         )
 
 
-def odometry_message(message: Odometry, stamp: int, pose: Pose, rotation: float) -> Odometry:
-    """Return the base's odometry in the robot's frames, and in the plane.
-
-    `rotation`: how far `pose`, and so the axes of its covariance, are rotated against the base's
-    own [rad].
-    """
-    covariance = rotate_covariance(message.pose.covariance, rotation)
+def odometry_message(message: Odometry, stamp: int, continued: ContinuedPose) -> Odometry:
+    """Return the base's odometry in the robot's frames, and in the plane."""
+    covariance = rotate_covariance(message.pose.covariance, continued.rotation)
     return dataclasses.replace(
         message,
         header=Header(stamp=from_ns(stamp), frame_id=_ODOM),
         child_frame_id=_BASE,
-        pose=PoseWithCovariance(pose=pose_message(pose), covariance=covariance),
+        pose=PoseWithCovariance(pose=pose_message(continued.pose), covariance=covariance),
     )
 
 
@@ -125,6 +173,10 @@ def rotate_covariance(covariance: Array, angle: float) -> Array:
     rotation = np.kron(np.eye(2), about_z)
     rotated: Array = (rotation @ covariance.reshape(6, 6) @ rotation.T).ravel()
     return rotated
+
+
+def _continued(offset: Pose, reported: Pose) -> ContinuedPose:
+    return ContinuedPose(compose(offset, reported), offset[2])
 
 
 def _at_origin(pose: Pose) -> bool:

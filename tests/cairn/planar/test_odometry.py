@@ -37,6 +37,15 @@ def test_history_interpolates_between_messages_and_does_not_extrapolate() -> Non
     )
 
 
+def test_history_knows_the_times_of_its_poses() -> None:
+    history = OdometryHistory[int](1_000)
+    for stamp in (100, 300, 200):
+        history.add(stamp, (0.0, 0.0, 0.0))
+    assert [history.has(stamp) for stamp in (50, 100, 150, 200, 300, 400)] == [
+        False, True, False, True, True, False,
+    ]  # fmt: skip
+
+
 def test_history_forgets_poses_older_than_its_horizon() -> None:
     history = OdometryHistory[int](1_000)
     for stamp in range(0, 5_000, 100):

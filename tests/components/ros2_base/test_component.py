@@ -341,6 +341,49 @@ def test_repeated_odometry_is_published_once(age_s: float) -> None:
     assert len(base.take("odom")) == 1
 
 
+def test_odometry_that_arrives_out_of_order_is_published_with_its_own_time() -> None:
+    base = started()
+    base.go_to(0.6)
+    base.take("odom")
+
+    late = base.odometry(0.585, age_s=0.07)
+    base.publish("base_odom", late)
+    base.publish("base_odom", late)
+
+    (odom,) = base.take("odom")
+    assert odom.header.stamp == late.header.stamp
+    assert planar_pose(odom.pose.pose)[0] == pytest.approx(0.585)
+    assert base.take("tf")[-1].transforms[0].header.stamp == late.header.stamp
+    base.run(1.2)
+    assert base.take("diagnostics")[-1].status[0].values[3].value == "0", "jumps"
+    assert planar_pose(base.take("odom")[-1].pose.pose)[0] == pytest.approx(0.6)
+
+
+def test_late_odometry_of_the_time_before_a_jump_is_continued_as_the_odometry_of_that_time() -> (
+    None
+):
+    base = started()
+    base.x = 3.0
+    base.run(0.2)
+    base.x = 7.0
+    base.run(0.2)  # the base jumped from 3 m to 7 m
+    base.take("odom")
+
+    base.publish("base_odom", base.odometry(3.0, age_s=0.32))
+    base.publish("base_odom", base.odometry(7.0, age_s=0.12))
+
+    xs = [planar_pose(odom.pose.pose)[0] for odom in base.take("odom")]
+    assert xs == pytest.approx([0.0, 0.0])
+
+
+def test_odometry_of_a_base_whose_clock_was_set_back_is_used_again() -> None:
+    base = started(odom_age_s=2.0)
+    for _ in range(10):
+        base.publish("base_odom", base.odometry(0.0, age_s=1.0))
+        base.run_for(0.05)
+    assert len(base.take("odom")) == 10 - 4, "after five in a row"
+
+
 def test_two_odometry_publishers_do_not_flood_the_log(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -348,7 +391,7 @@ def test_two_odometry_publishers_do_not_flood_the_log(
     caplog.clear()
     for _ in range(40):
         base.run(0.05)
-        base.publish("base_odom", base.odometry(0.0, age_s=0.07))  # from the other publisher, later
+        base.publish("base_odom", base.odometry(3.0, age_s=0.07))  # from the other publisher, later
 
     warnings = [record.message for record in caplog.records if "out of order" in record.message]
     assert "only one node publishes" in warnings[0]
