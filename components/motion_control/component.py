@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -100,6 +101,29 @@ class MotionControl(Component):
     cmd_vel: Out[Twist] = Out(qos=SENSOR)
     motion_status: Out[MotionStatus]
     moving_obstacles: Out[PoseArray]
+
+    @classmethod
+    def check_neighbors(
+        cls, config: Config, neighbors: Mapping[str, Mapping[str, Config]]
+    ) -> Iterator[tuple[str, str, str]]:
+        """Yield parameters that the path planner has with another value.
+
+        The planner would choose its ways by another speed than the robot's, or passages that the
+        robot does not drive through.
+        """
+        assert isinstance(config, MotionControlConfig)
+        # The planner compares its speed only to that of slow zones.
+        shared = ("margin", "speed") if neighbors["zones"] else ("margin",)
+        for key in shared:
+            own = getattr(config, key)
+            for name, planner in neighbors["plan"].items():
+                planned = getattr(planner, key, None)
+                if isinstance(planned, float) and planned != own:
+                    yield (
+                        key,
+                        f"{own:g} is not {key} {planned:g} of {name}, whose paths it follows",
+                        f"set {key} of {name} to {own:g}, or this one to {planned:g}",
+                    )
 
     def on_configure(self) -> None:
         """Start without a command."""

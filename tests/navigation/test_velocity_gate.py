@@ -75,8 +75,8 @@ def test_check_reports_limits_that_do_not_fit_navigator_or_base(
 ) -> None:
     with pytest.raises(DeploymentError) as failed:
         load_deployment(SIM, sets=[f"components.{value}"])
-    problem = failed.value.problems[-1]
-    assert problem.path == f"components.{parameter}"
+    problems = {problem.path: problem for problem in failed.value.problems}
+    problem = problems[f"components.{parameter}"]
     assert other in problem.found
     assert other in problem.remedy
 

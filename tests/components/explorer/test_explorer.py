@@ -19,7 +19,6 @@ from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
     NavigateGoal,
     NavigationStatus,
-    Zone,
     Zones,
 )
 from cairn.schemas.geometry_msgs import PoseWithCovariance
@@ -28,6 +27,7 @@ from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from tests.components.path_planner.rooms import room
 from tests.wording import words_in_order
+from tests.zone_features import area
 
 HALF = room(unknown=[(5.0, 0.1, 8.9, 6.9)])
 KNOWN = room()
@@ -196,8 +196,8 @@ def test_exploration_ends_if_what_is_unknown_is_behind_a_keepout_zone(
     explorer: ExplorerHarness,
 ) -> None:
     explorer.start()
-    corners = [[4.0, 0.0], [4.5, 0.0], [4.5, 7.0], [4.0, 7.0], [4.0, 0.0]]
-    explorer.publish("zones", Zones(version=1, zones=(keepout("stairs", corners),)))
+    stairs = zone_of(area("keepout", (4.0, 0.0, 4.5, 7.0)))
+    explorer.publish("zones", Zones(version=1, zones=(stairs,)))
     explorer.run_for(4.0)
     status = explorer.status
     assert (status.state, status.frontiers) == (ExplorationStatus.FINISHED, 0)
@@ -210,16 +210,6 @@ def test_exploration_ends_if_what_is_unknown_is_behind_a_keepout_zone(
     explorer.request("explore")
     explorer.run_for(1.0)
     assert 4.0 < explorer.goal()[0] < 4.8
-
-
-def keepout(name: str, corners: list[list[float]]) -> Zone:
-    return zone_of(
-        {
-            "type": "Feature",
-            "properties": {"zone": "keepout", "name": name},
-            "geometry": {"type": "Polygon", "coordinates": [corners]},
-        }
-    )
 
 
 def test_goal_that_nobody_accepts_is_sent_again_and_fails_in_the_end(

@@ -1,9 +1,12 @@
-"""Inconsistent parameters are rejected."""
+"""Inconsistent parameters are rejected, also those that do not fit the path planner's."""
 
 import pytest
 from pydantic import ValidationError
 
+from cairn import Config
+from cairn.components.motion_control.component import MotionControl
 from cairn.components.motion_control.config import MotionControlConfig
+from cairn.components.path_planner.config import PathPlannerConfig
 from tests.wording import assert_words
 
 
@@ -48,3 +51,23 @@ def test_values_at_their_bounds_are_accepted() -> None:
 def test_robot_too_large_for_the_scan_memory_is_rejected() -> None:
     with pytest.raises(ValidationError, match="less than or equal to 1"):
         MotionControlConfig(radius=1.1)
+
+
+@pytest.mark.parametrize(("key", "own", "planned"), [("speed", 0.4, 0.6), ("margin", 0.08, 0.05)])
+def test_check_compares_parameters_with_the_path_planner(
+    key: str, own: float, planned: float
+) -> None:
+    neighbors = {"zones": {"map_builder": Config()}, "plan": {"planner": PathPlannerConfig()}}
+    wrong = MotionControlConfig.model_validate({key: own})
+
+    ((parameter, found, remedy),) = MotionControl.check_neighbors(wrong, neighbors)
+
+    assert parameter == key
+    assert_words(found, f"{own:g} is not {key} {planned:g} of planner")
+    assert_words(remedy, f"set {key} of planner to {own:g}", f"this one to {planned:g}")
+    assert list(MotionControl.check_neighbors(MotionControlConfig(), neighbors)) == []
+
+
+def test_speed_of_the_path_planner_does_not_matter_without_zones() -> None:
+    neighbors = {"zones": {}, "plan": {"planner": PathPlannerConfig()}}
+    assert list(MotionControl.check_neighbors(MotionControlConfig(speed=0.4), neighbors)) == []
