@@ -61,6 +61,12 @@ _TABLES: Final = {
     "landmark INTEGER NOT NULL, measured BLOB NOT NULL",
     "landmarks": "landmark INTEGER PRIMARY KEY, x REAL NOT NULL, y REAL NOT NULL",
 }
+# Tables that only a file with them has: the differences of a grid map that are not permanent yet.
+DIFFERENCES: Final = "differences"
+_MORE_TABLES: Final = {
+    DIFFERENCES: "block_column INTEGER NOT NULL, block_row INTEGER NOT NULL, "
+    "since_ns INTEGER NOT NULL, cells BLOB NOT NULL, PRIMARY KEY (block_column, block_row)"
+}
 _LONGEST_VALUE: Final = 2_000_000  # bytes of the points of one scan
 _MOST_KEYFRAMES: Final = 500_000
 _STEPS: Final = 400_000_000
@@ -464,6 +470,19 @@ def _numbers(blob: object, count: int) -> list[float]:
     return numbers
 
 
+def has_differences(connection: sqlite3.Connection) -> bool:
+    """Return whether a file has the table of differences."""
+    query = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?"
+    ((count,),) = connection.execute(query, (DIFFERENCES,)).fetchall()
+    return bool(count)
+
+
+def create_differences(connection: sqlite3.Connection) -> None:
+    """Create the table of differences if a file does not have it."""
+    columns = _MORE_TABLES[DIFFERENCES]
+    connection.execute(f"CREATE TABLE IF NOT EXISTS {DIFFERENCES} ({columns})")
+
+
 def open_connection(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     """Connect to a graph file; raises `sqlite3.Error` if that fails."""
     if read_only:
@@ -493,10 +512,10 @@ def check_format(path: Path, connection: sqlite3.Connection) -> None:
             "update Cairn"
         )
     try:
-        found = table_columns(connection, _TABLES, ())
+        found = table_columns(connection, _TABLES.keys() | _MORE_TABLES.keys(), ())
     except SchemaError as error:
         raise damaged(path, str(error)) from error
-    if set(found) != set(_TABLES):
+    if not _TABLES.keys() <= found.keys():
         raise damaged(path, "tables are missing")
 
 

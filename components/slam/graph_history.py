@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import sqlite3
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 from cairn.bounded_files import too_large
 from cairn.bounded_sqlite import bound_connection
 from cairn.components.slam.graph_file import (
+    DIFFERENCES,
     FILE_BYTES,
     GraphState,
     check_format,
+    create_differences,
     damaged,
     edge_rows,
     explained_errors,
+    has_differences,
     insert_keyframes,
     insert_tiles,
     open_connection,
@@ -97,6 +100,20 @@ class Renewal:
     renewals: Renewals
     retired: Collection[int]
     edges: Sequence[Edge]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A block of the grid map that differs from the map of the graph.
+
+    Attributes:
+        since_ns: when it was first seen to differ [ns].
+        cells: that differ, as rows and columns of the grid map.
+
+    """
+
+    since_ns: int
+    cells: frozenset[tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -214,6 +231,42 @@ class GraphHistory:
             _insert_edges(connection, edges)
             _end_lives(connection, retired, version)
 
+    def differences(self) -> dict[tuple[int, int], Difference]:
+        """Return the noted differences by column and row of their block.
+
+        Raises `CairnError` if the file is damaged.
+        """
+        with self._reading():
+            if not has_differences(self._connection):
+                return {}
+            return {
+                (int(column), int(row)): Difference(int(since_ns), _cells_of(cells))
+                for column, row, since_ns, cells in self._connection.execute(
+                    f"SELECT block_column, block_row, since_ns, cells FROM {DIFFERENCES}"
+                )
+            }
+
+    def note_differences(
+        self, noted: Mapping[tuple[int, int], Difference], gone: Collection[tuple[int, int]]
+    ) -> None:
+        """Note differences, in place of earlier ones of the same blocks, and delete others.
+
+        Raises `CairnError` if they cannot be written.
+        """
+        rows = [
+            (*block, one.since_ns, np.array(sorted(one.cells), "<i4").tobytes())
+            for block, one in sorted(noted.items())
+        ]
+        with explained_errors(self._path), self._connection as connection:
+            connection.execute("BEGIN IMMEDIATE")
+            create_differences(connection)
+            connection.executemany(
+                f"DELETE FROM {DIFFERENCES} WHERE block_column = ? AND block_row = ?", sorted(gone)
+            )
+            connection.executemany(
+                f"INSERT OR REPLACE INTO {DIFFERENCES} VALUES (?, ?, ?, ?)", rows
+            )
+
     def rollback(self, version: int, stamp_ns: int, reason: str) -> int:
         """Return to the map of an earlier version, as a change; return the new version.
 
@@ -297,6 +350,7 @@ def copy_graph(original: Path, copy: Path) -> None:
             source.backup(target)
             with target:
                 target.execute("UPDATE graph SET origin = ?", (origin,))
+                target.execute(f"DROP TABLE IF EXISTS {DIFFERENCES}")
 
 
 def graph_digest(path: Path) -> str:
@@ -450,6 +504,11 @@ def _changes(connection: sqlite3.Connection) -> list[tuple[int, GraphChange]]:
             raise ValueError(f"change {version} is wrong")
         found.append((int(version), change))
     return found
+
+
+def _cells_of(blob: bytes) -> frozenset[tuple[int, int]]:
+    cells = np.frombuffer(blob, "<i4").reshape(-1, 2)
+    return frozenset((row, column) for row, column in cells.tolist())
 
 
 def _insert_change(connection: sqlite3.Connection, version: int, change: GraphChange) -> None:

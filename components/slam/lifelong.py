@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.graph_history import (
+    Difference,
     GraphChange,
     GraphHistory,
     HistoryBudget,
@@ -49,6 +50,8 @@ _SAME_SHARE = 0.5
 # wait in all, which is 1 MB, and so many become keyframes.
 _APART_M, _APART_RAD, _WAITING = 0.3, 0.4, 24
 _SUBMAP_SIZES = (2, 4, 8)
+# Differences are noted in the file at most this often [s]: a kill makes a change so much later.
+_NOTES_S = 10.0
 # A block is seen up to this distance [m], if a ray ends no farther before its middle [m].
 _SEEN_M, _BEFORE_M = 10.0, 0.4
 # The robot has this long to see all of a changed place [s]; then what it has seen is changed.
@@ -119,7 +122,11 @@ class LifelongMap:
         self._undrawn: list[int] = []
         self._grid: OccupancyCells | None = None
         self._differences: MapDifferences | None = None
-        self._pending: dict[Block, _Pending] = {}
+        self._noted = history.differences()
+        self._noted_ns: int | None = None
+        self._pending = {
+            block: _Pending(one.since_ns, one.cells) for block, one in self._noted.items()
+        }
         self._waiting: list[_Seen] = []
         self.is_of_other_building = False
         """Whether the grid map has mostly other obstacles than the graph, which then stays."""
@@ -148,9 +155,10 @@ class LifelongMap:
                 known.update(0, 0, np.array(grid.values))
                 self._check_building(known)
             return
+        if self._grid is not None:
+            self._pending.clear()
         self._grid, self._differences = grid, None
         self.is_of_other_building = False
-        self._pending.clear()
         resolution = grid.frame.resolution
         if self._drawing is None or self._drawing.frame.resolution != resolution:
             self._drawing = ScanGrid(resolution, self._farthest)
@@ -210,7 +218,10 @@ class LifelongMap:
         if differences is None:
             return None
         self._follow(differences.blocks(), now_ns)
-        if not self._waiting or self.is_of_other_building:
+        if self.is_of_other_building:
+            return None
+        self._note(now_ns)
+        if not self._waiting:
             return None
         for cluster in self._clusters(now_ns):
             renewal = self._renewal(differences, cluster, now_ns)
@@ -284,6 +295,18 @@ class LifelongMap:
         self._waiting = [
             replace(one, blocks=one.blocks & due) for one in self._waiting if one.blocks & due
         ]
+
+    def _note(self, now_ns: int) -> None:
+        """Note in the file which blocks differ, and since when: a restart must not delay them."""
+        since = self._noted_ns
+        if since is not None and 0 <= now_ns - since < round(_NOTES_S * _NS_PER_S):
+            return
+        noted = {block: Difference(one.since_ns, one.cells) for block, one in self._pending.items()}
+        news = {block: one for block, one in noted.items() if self._noted.get(block) != one}
+        gone = self._noted.keys() - noted.keys()
+        if news or gone:
+            self._history.note_differences(news, gone)
+            self._noted, self._noted_ns = noted, now_ns
 
     def _clusters(self, now_ns: int) -> list[frozenset[Block]]:
         """Return the changed places to try now: connected blocks that have differed for long."""

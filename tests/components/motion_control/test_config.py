@@ -1,5 +1,7 @@
 """Inconsistent parameters are rejected, also those that do not fit the path planner's."""
 
+from collections.abc import Mapping
+
 import pytest
 from pydantic import ValidationError
 
@@ -8,6 +10,8 @@ from cairn.components.motion_control.component import MotionControl
 from cairn.components.motion_control.config import MotionControlConfig
 from cairn.components.path_planner.config import PathPlannerConfig
 from tests.wording import assert_words
+
+Neighbors = Mapping[str, Mapping[str, Config]]
 
 
 @pytest.mark.parametrize(
@@ -57,7 +61,10 @@ def test_robot_too_large_for_the_scan_memory_is_rejected() -> None:
 def test_check_compares_parameters_with_the_path_planner(
     key: str, own: float, planned: float
 ) -> None:
-    neighbors = {"zones": {"map_builder": Config()}, "plan": {"planner": PathPlannerConfig()}}
+    neighbors: Neighbors = {
+        "zones": {"map_builder": Config()},
+        "plan": {"planner": PathPlannerConfig()},
+    }
     wrong = MotionControlConfig.model_validate({key: own})
 
     ((parameter, found, remedy),) = MotionControl.check_neighbors(wrong, neighbors)
@@ -69,5 +76,5 @@ def test_check_compares_parameters_with_the_path_planner(
 
 
 def test_speed_of_the_path_planner_does_not_matter_without_zones() -> None:
-    neighbors = {"zones": {}, "plan": {"planner": PathPlannerConfig()}}
+    neighbors: Neighbors = {"zones": {}, "plan": {"planner": PathPlannerConfig()}}
     assert list(MotionControl.check_neighbors(MotionControlConfig(speed=0.4), neighbors)) == []

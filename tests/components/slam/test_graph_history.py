@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from cairn.clock import SECOND
 from cairn.components.slam.graph_file import GraphFile, read_graph, write_graph
 from cairn.components.slam.graph_history import (
+    Difference,
     GraphChange,
     GraphHistory,
     HistoryBudget,
@@ -197,6 +198,16 @@ def test_copy_knows_its_original_and_leaves_it_unchanged(original: Path, tmp_pat
 
     assert read_log(path).origin == graph_digest(original)
     assert original.read_bytes() == before
+
+
+def test_copy_has_no_differences_of_the_original_s_grid_map(original: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.graph", tmp_path / "second.graph"
+    copy_graph(original, first)
+    with GraphHistory(first) as history:
+        history.note_differences({(1, 2): Difference(5, frozenset({(3, 4)}))}, ())
+    copy_graph(first, second)
+    with GraphHistory(second) as history:
+        assert history.differences() == {}
 
 
 def test_extended_map_keeps_renewed_places_and_starts_a_history(

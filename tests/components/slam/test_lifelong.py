@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 
 from cairn.components.slam.graph_file import read_graph
-from cairn.components.slam.graph_history import GraphHistory, draw_state, read_log
+from cairn.components.slam.graph_history import (
+    Difference,
+    GraphHistory,
+    draw_state,
+    read_log,
+)
 from cairn.components.slam.lifelong import LifelongMap, bridging
 from cairn.components.slam.map_differences import differing
 from cairn.components.slam.pose_graph import Edge, EdgeKind
@@ -119,6 +124,58 @@ def test_short_change_does_not_reach_the_graph(history: GraphHistory) -> None:
     assert there.drive(graph, PERMANENT_S) == []
 
     assert graph.version == graph.pending == 0
+
+
+def test_restart_does_not_delay_a_change(file: Path) -> None:
+    with GraphHistory(file) as history:
+        graph, there = lifelong(history), furnished(history)
+        there.furnish([MOVED])
+        there.drive(graph, PERMANENT_S - 100.0)
+        pending = graph.pending
+        assert pending > 0
+    with GraphHistory(file) as history:
+        graph = lifelong(history)
+        assert graph.pending == pending
+        assert there.drive(graph, 100.0)
+        there.drive(graph, PERMANENT_S)  # the rest of it
+        assert differences(graph, there) == 0
+        there.drive(graph, 60.0)
+        assert history.differences() == {}
+
+
+def test_difference_that_ended_while_the_keeper_did_not_run_is_forgotten(file: Path) -> None:
+    with GraphHistory(file) as history:
+        graph, there = lifelong(history), furnished(history)
+        there.furnish([MOVED])
+        there.drive(graph, PERMANENT_S - 100.0)
+    there.furnish([TABLE])
+    with GraphHistory(file) as history:
+        assert history.differences() != {}
+        graph = lifelong(history)
+        assert there.drive(graph, PERMANENT_S) == []
+        assert history.differences() == {}
+
+
+def test_time_that_was_set_back_starts_the_wait_again(file: Path) -> None:
+    with GraphHistory(file) as history:
+        graph, there = lifelong(history), furnished(history)
+        there.furnish([MOVED])
+        there.drive(graph, PERMANENT_S - 100.0)
+    there.now_s -= 2.0 * PERMANENT_S
+    with GraphHistory(file) as history:
+        graph = lifelong(history)
+        assert there.drive(graph, PERMANENT_S - 100.0) == []
+        assert there.drive(graph, PERMANENT_S)
+
+
+def test_damaged_note_of_a_difference_is_reported(file: Path) -> None:
+    with GraphHistory(file) as history:
+        history.note_differences({(1, 2): Difference(5, frozenset({(3, 4)}))}, ())
+        assert history.differences() == {(1, 2): Difference(5, frozenset({(3, 4)}))}
+    with closing(sqlite3.connect(file)) as connection, connection:
+        connection.execute("UPDATE differences SET cells = x'0102030405'")
+    with GraphHistory(file) as history, pytest.raises(CairnError, match="damaged graph"):
+        lifelong(history)
 
 
 def test_obstacle_that_no_scan_shows_is_not_taken_from_the_grid_map(history: GraphHistory) -> None:
