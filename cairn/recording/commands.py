@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import typer
 
@@ -61,10 +61,26 @@ Exclude = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 
 
-def info(file: Path, as_json: bool) -> None:
-    """Print what a recording holds: span, topics, attachments, and what could not be read."""
+class Details(NamedTuple):
+    """What a caller of `info` adds: `values` for JSON, `lines` to print, and `notes`."""
+
+    values: dict[str, Any]
+    lines: list[str]
+    notes: list[str]
+
+
+def info(
+    file: Path, as_json: bool, details: Callable[[McapRecording], Details] | None = None
+) -> None:
+    """Print what a recording holds: span, topics, attachments, and what could not be read.
+
+    `details` returns more that is shown of an open recording.
+    """
     with _opened(file) as recording:
+        more = Details({}, [], []) if details is None else details(recording)
         contents = contents_of(recording)
+    contents |= more.values
+    contents["notes"] = [*contents["notes"], *(f"{file}: {text}" for text in more.notes)]
     if as_json:
         print_json(contents)
         return
@@ -81,8 +97,10 @@ def info(file: Path, as_json: bool) -> None:
         line(_shown(f"attachments: {', '.join(parts[:_MOST_SHOWN])}"))
     for name, values in contents["metadata"].items():
         line(_shown(f"{name}: {', '.join(f'{key} {value}' for key, value in values.items())}"))
+    for text in more.lines:
+        line(_shown(text))
     for text in contents["notes"]:
-        note(text)
+        note(_shown(text))
 
 
 def _shown(value: Any) -> Any:

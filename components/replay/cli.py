@@ -19,18 +19,22 @@ from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json, show
 from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.record_times import quality_text
+from cairn.components.replay.recorded_frames import read_frames
 from cairn.components.replay.recording import (
     OdometryStream,
     Recording,
     ScannerMount,
     ScanStream,
 )
+from cairn.components.replay.scanner_mount import FrameLink
 from cairn.errors import RecordingError
 from cairn.planar.mount_estimation import MountYaw, estimate_mount_yaw
 from cairn.planar.poses import Pose, wrap
 from cairn.planar.scans import beams_of
 from cairn.recording import commands
 from cairn.recording.mcap_file import holds_mcap
+from cairn.recording.reader import McapRecording
+from cairn.schemas.sensor_msgs import LaserScan
 
 app = typer.Typer(help="Recordings: what they hold; cut, merge and export them.")
 
@@ -63,12 +67,13 @@ def info_of_recording(
 ) -> None:
     """Show the topics in a recording, its span, and its attached files.
 
-    A whole MCAP file of any size takes no time, because only its index is read. One that was not
-    closed, because the recorder was killed, is read as a whole. Of other recordings it shows what
-    `cairn recording show` does: also the scanner's mount, and how good the times are.
+    A whole MCAP file of any size takes little time, because only its index is read, and for the
+    scanner's mount the messages about the robot's frames. One that was not closed, because the
+    recorder was killed, is read as a whole. Of other recordings it shows what `cairn recording
+    show` does: also how good the times are.
     """
     if holds_mcap(file):
-        commands.info(file, json)
+        commands.info(file, json, details_of)
     else:
         show_recording(file, json=json)
 
@@ -135,6 +140,38 @@ def show_recording(
     if out is not None:
         draw_recording(recording, file.name, out)
         note(f"{out} written")
+
+
+def details_of(recording: McapRecording) -> commands.Details:
+    """Return scanner, mount and frames of an MCAP recording, as a map is built with them."""
+    frames = read_frames(recording)
+    scanner = None if frames.scan is None else _scanner_row(frames.scan)
+    mount = None if frames.mount is None else _mount_row(frames.mount)
+    lines = []
+    if frames.scan_topic:
+        lines = [
+            f"scanner: {_scanner_text(scanner)}, frame {frames.scanner} on {frames.scan_topic}",
+            f"mount: {_mount_text(mount)}",
+        ]
+    odometry = None
+    if frames.odometry is not None:
+        odometry = {"frame": frames.odometry[0], "in": frames.odometry[1]}
+        lines.append(f"odometry: frame {odometry['frame']} in {odometry['in']}")
+    links = [_link_row(link) for link in frames.links]
+    if links:
+        lines.append(f"frames: {', '.join(_link_text(link) for link in links)}")
+    values = {"scanner": scanner, "mount": mount, "odometry": odometry, "frames": links}
+    return commands.Details(values, lines, frames.notes)
+
+
+def _link_row(link: FrameLink) -> dict[str, Any]:
+    x, y, z = link.matrix[:3, 3].tolist()
+    return {"frame": link.child, "on": link.parent, "x_m": x, "y_m": y, "z_m": z,
+            "source": link.source}  # fmt: skip
+
+
+def _link_text(link: dict[str, Any]) -> str:
+    return f"{link['frame']} on {link['on']} ({link['x_m']:g}, {link['y_m']:g}, {link['z_m']:g}) m"
 
 
 def _scanner_text(scanner: dict[str, Any] | None) -> str:
@@ -261,9 +298,10 @@ def _timing(stamps: Sequence[int]) -> dict[str, float | None]:
 def _scanner(recording: Recording) -> dict[str, Any] | None:
     """Return the scanner as its first scan describes it."""
     scans = recording.scans()
-    if scans is None:
-        return None
-    scan = scans.messages[0]
+    return None if scans is None else _scanner_row(scans.messages[0])
+
+
+def _scanner_row(scan: LaserScan) -> dict[str, Any]:
     return {
         "beams": int(scan.ranges.size),
         "first_deg": math.degrees(scan.angle_min),

@@ -46,9 +46,9 @@ from cairn.components.replay.recording import (
 from cairn.components.replay.scanner_mount import (
     BASES,
     FrameLink,
+    find_mount,
     links_of_description,
     links_of_transforms,
-    mount_of,
 )
 from cairn.components.replay.wheel_odometry import odometry_deviations, odometry_velocities
 from cairn.errors import RecordingError
@@ -69,20 +69,22 @@ T = TypeVar("T")
 Received = Sequence[tuple[int, Any]]
 """Messages with their times of receipt [ns]."""
 
-_SCAN = "sensor_msgs/msg/LaserScan"
-_ODOMETRY = "nav_msgs/msg/Odometry"
-_TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+SCAN_TYPE: Final = "sensor_msgs/msg/LaserScan"
+ODOMETRY_TYPE: Final = "nav_msgs/msg/Odometry"
+TRANSFORM_TYPES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""The types of topics of transforms, in ROS 2 and in ROS 1."""
+
 _POSE_TYPES = {
     "geometry_msgs/msg/PoseStamped": lambda message: message.pose,
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
-    _ODOMETRY: lambda message: message.pose.pose,
+    ODOMETRY_TYPE: lambda message: message.pose.pose,
 }
 _OBJECTS = type_name(RecognizedObjectArray)
 _MAP = type_name(VisualMap)
 _INFO = type_name(CameraInfo)
 # Are decoded to Cairn's classes.
 _OWN = {_OBJECTS: RecognizedObjectArray, _MAP: VisualMap, _INFO: CameraInfo}
-_READ = (_SCAN, _ODOMETRY, *_TF, *_POSE_TYPES, _OBJECTS, _MAP)
+_READ = (SCAN_TYPE, ODOMETRY_TYPE, *TRANSFORM_TYPES, *_POSE_TYPES, _OBJECTS, _MAP)
 _TEXT, _DESCRIPTION = "std_msgs/msg/String", "robot_description"
 
 
@@ -105,7 +107,7 @@ class BagRecording:
         self._counts = {"/" + topic.lstrip("/"): count for topic, count in bag.counts.items()}
         self._notes = bag.notes
         self._scan_delay = round(scan_delay_s * SECOND)
-        scan, odom = self._topic("scan", (_SCAN,)), self._topic("odom", (_ODOMETRY,))
+        scan, odom = self._topic("scan", (SCAN_TYPE,)), self._topic("odom", (ODOMETRY_TYPE,))
         truth = self._topic("truth", tuple(_POSE_TYPES)) if "truth" in self._named else None
         truth = truth or self._usual("truth", tuple(_POSE_TYPES))
         objects = self._usual("recognized_objects", (_OBJECTS,))
@@ -210,13 +212,13 @@ class BagRecording:
         if named is not None:
             if named in found:
                 return named
-            if kind == "odom" and self._types.get(named) in _TF:
+            if kind == "odom" and self._types.get(named) in TRANSFORM_TYPES:
                 return None
             raise RecordingError(
                 f"{self._path}: topics.{kind} = {named} is not a topic of {' or '.join(types)}; "
                 f"there {'are ' + ', '.join(found) if found else 'is nothing'}."
             )
-        usual = _usual(kind, found)
+        usual = usual_topic(kind, found)
         if usual is None and len(found) > 1:
             raise RecordingError(
                 f"{self._path} has several topics of {types[0]}: {', '.join(found)}. Name one "
@@ -225,11 +227,11 @@ class BagRecording:
         return usual or next(iter(found), None)
 
     def _usual(self, kind: str, types: Sequence[str]) -> str | None:
-        return _usual(kind, [topic for topic, of in self._types.items() if of in types])
+        return usual_topic(kind, [topic for topic, of in self._types.items() if of in types])
 
     def _transforms(self) -> dict[str, list[tuple[int, Any]]]:
         """Return the messages of transforms by topic, those of static ones first."""
-        topics = [topic for topic in self._messages if self._types[topic] in _TF]
+        topics = [topic for topic in self._messages if self._types[topic] in TRANSFORM_TYPES]
         topics.sort(key=lambda topic: not topic.endswith("tf_static"))
         return {topic: self._messages[topic] for topic in topics}
 
@@ -239,17 +241,14 @@ class BagRecording:
         if not scans:
             return None
         odometry = self._messages.get(odom or "", [])
-        moved = [message.child_frame_id.strip("/") for _, message in odometry[:1]]
-        bases = [name for name in dict.fromkeys((*moved, *BASES)) if name]
+        moved = [message.child_frame_id for _, message in odometry[:1]]
         links = [
             link
             for topic, received in self._transforms().items()
             for link in links_of_transforms(topic, (t for _, m in received for t in m.transforms))
         ]
         frame = scans[0][1].header.frame_id
-        found = mount_of(links, frame, bases)
-        if found is None:
-            found = mount_of([*links, *self._described_links()], frame, bases)
+        found = find_mount(links, self._described_links, frame, moved)
         if isinstance(found, str):
             self._notes.append(found)
             return None
@@ -313,7 +312,7 @@ class BagRecording:
 
     def _to_scan(self, stamp: int, message: Any) -> LaserScan:
         upside_down = self._mount is not None and self._mount.upside_down
-        return _scan(self._undelayed(stamp), message, upside_down)
+        return scan_of(self._undelayed(stamp), message, upside_down)
 
     def _to_scans(self, stamps: list[int], scans: list[LaserScan]) -> ScanStream:
         return ScanStream([self._undelayed(stamp) for stamp in stamps], scans, stamps)
@@ -342,7 +341,7 @@ class BagRecording:
         return OdometryStream(stamps, poses, covariances, odometry_velocities(stamps, poses))
 
 
-def _usual(kind: str, topics: Sequence[str]) -> str | None:
+def usual_topic(kind: str, topics: Sequence[str]) -> str | None:
     """Return the topic of the default name, `/scan` or the only `/.../scan`; else None."""
     if f"/{kind}" in topics:
         return f"/{kind}"
@@ -350,7 +349,11 @@ def _usual(kind: str, topics: Sequence[str]) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
-def _scan(stamp: int, m: Any, upside_down: bool) -> LaserScan:
+def scan_of(stamp: int, m: Any, upside_down: bool) -> LaserScan:
+    """Return a message of ROS as a scan with a time [ns], mirrored if the scanner is upside down.
+
+    Raises `InvalidMessage`, `ValueError`.
+    """
     beams = len(m.ranges)
     side = -1.0 if upside_down else 1.0  # it turns to the right: the first beam is the left one
     return LaserScan(
@@ -458,7 +461,7 @@ def read_bag(path: Path) -> BagContents:
     kept = 0
     with _explained(bag):
         for topic, received, raw in bag.messages(_is_read):
-            kept += _MESSAGE_COST + len(raw) * (_TF_FACTOR if topic.type in _TF else 1)
+            kept += _MESSAGE_COST + len(raw) * (_TF_FACTOR if topic.type in TRANSFORM_TYPES else 1)
             most = max(_KEPT_BYTES, _KEPT_RATIO * bag.size)
             if kept > most:
                 raise RecordingError(
@@ -466,11 +469,11 @@ def read_bag(path: Path) -> BagContents:
                     "the limit for a bag of its size. Replay a part of it."
                 )
             try:
-                message = _deserialize(bag, topic, raw)
+                message = deserialize(bag, topic, raw)
             except SerdeError as error:
                 if not bag.is_ros1:
                     raise
-                damaged.append(f"a message of {topic.name} is damaged: {_error_text(error)}")
+                damaged.append(f"a message of {topic.name} is damaged: {error_text(error)}")
                 continue
             messages.setdefault(topic.name, []).append((received, message))
         if not bag.counts.total():
@@ -494,8 +497,12 @@ _MOST_NOTES: Final = 20
 
 
 def _is_read(topic: BagTopic) -> bool:
-    described = topic.type == _TEXT and topic.name.rpartition("/")[2] == _DESCRIPTION
-    return topic.type in _READ or described
+    return topic.type in _READ or is_description(topic)
+
+
+def is_description(topic: BagTopic) -> bool:
+    """Return whether a topic has the robot's description (URDF)."""
+    return topic.type == _TEXT and topic.name.rpartition("/")[2] == _DESCRIPTION
 
 
 @contextmanager
@@ -505,9 +512,9 @@ def _explained(bag: BagFile) -> Iterator[None]:
         yield
     except RecordingError:
         raise
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         path = bag.path
-        why = _error_text(error)
+        why = error_text(error)
         if bag.is_ros1:
             raise RecordingError(
                 f"{path} cannot be read as a ROS 1 bag ({why}). It is cut off or damaged: repair "
@@ -520,16 +527,18 @@ def _explained(bag: BagFile) -> Iterator[None]:
         ) from error
 
 
-_UNREADABLE: Final = (
+UNREADABLE: Final = (
     ValueError, OSError, struct.error, sqlite3.Error, yaml.YAMLError, SerdeError,
 )  # fmt: skip
+"""What reading a damaged bag raises, beside `RecordingError`."""
 
 
 def _is_mcap(path: Path) -> bool:
     return path.suffix == ".mcap"
 
 
-def _error_text(error: Exception) -> str:
+def error_text(error: Exception) -> str:
+    """Return one of the `UNREADABLE` errors in one line of words."""
     if isinstance(error, yaml.YAMLError):
         position, fault = yaml_fault(error)
         return f"metadata.yaml{position}: {fault}"
@@ -543,8 +552,8 @@ def _typestore(is_ros1: bool) -> Typestore:
     """Return the definitions of ROS; those in a bag are not used, because they are code to run."""
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     humble = get_typestore(Stores.ROS2_HUMBLE).fielddefs
-    transforms = humble[_TF[0]]
-    store.register({name: transforms for name in _TF if name not in store.fielddefs})
+    transforms = humble[TRANSFORM_TYPES[0]]
+    store.register({name: transforms for name in TRANSFORM_TYPES if name not in store.fielddefs})
     return store
 
 
@@ -558,7 +567,7 @@ def _md5(type_name: str) -> str:
     return str(_typestore(is_ros1=True).generate_msgdef(type_name)[1])
 
 
-def _deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
+def deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
     """Return a message; raise `SerdeError` if it is damaged, `ValueError` for an unknown type."""
     store = _typestore(bag.is_ros1)
     own = _OWN.get(topic.type)
@@ -566,7 +575,7 @@ def _deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
         try:
             return _codec().decode(own, raw)
         except InvalidMessage as error:
-            raise SerdeError(_error_text(error)) from error
+            raise SerdeError(error_text(error)) from error
     if topic.type not in store.fielddefs:
         raise ValueError(f"{topic.name} has the type {topic.type[:100]!r}, which is not known")
     if bag.is_ros1 and topic.md5 not in ("", "*", _md5(topic.type)):
@@ -579,7 +588,7 @@ def _deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
             return store.deserialize_ros1(raw, topic.type)
         return store.deserialize_cdr(raw, topic.type)
     except (AssertionError, IndexError, MemoryError) as error:
-        raise SerdeError(_error_text(error)) from error
+        raise SerdeError(error_text(error)) from error
 
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
@@ -684,10 +693,10 @@ def _messages_of(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
     bag = BagFile(path)
     try:
         for found, received, raw in bag.messages(lambda of: "/" + of.name.lstrip("/") == topic):
-            yield received, _deserialize(bag, found, raw)
-    except _UNREADABLE as error:
+            yield received, deserialize(bag, found, raw)
+    except UNREADABLE as error:
         raise RecordingError(
-            f"{path}: it cannot be read ({_error_text(error)}): repair the bag with "
+            f"{path}: it cannot be read ({error_text(error)}): repair the bag with "
             "`rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
         ) from error
 

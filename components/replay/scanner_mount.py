@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -82,6 +82,22 @@ def links_of_description(source: str, urdf: str) -> list[FrameLink]:
         raise RecordingError(
             f"{source} is not a robot's description ({error}); name the scanner's mount yourself"
         ) from error
+
+
+def find_mount(
+    links: Sequence[FrameLink],
+    described: Callable[[], Sequence[FrameLink]],
+    scanner: str,
+    moved: Iterable[str],
+) -> ScannerMount | str | None:
+    """Return the mount of the frame `scanner` by links of transforms, else also by `described`.
+
+    It is on the first of the frames `moved`, which odometry moves, or of `BASES`. Returns a
+    sentence or None as `mount_of`.
+    """
+    bases = [name for name in dict.fromkeys((*(one.strip("/") for one in moved), *BASES)) if name]
+    found = mount_of(links, scanner, bases)
+    return mount_of([*links, *described()], scanner, bases) if found is None else found
 
 
 def mount_of(
