@@ -37,6 +37,9 @@ VisualMapFile = Annotated[
     Path, typer.Option("--map", envvar="CAIRN_VISUAL_MAP", help="The visual map.")
 ]
 
+# As of the parameter group `Mount`.
+_FARTHEST_MOUNT_M = 5.0
+
 app = typer.Typer(help="Visual maps and grid maps: import and show them.", no_args_is_help=True)
 
 _OBJECT_COLUMNS = {
@@ -225,6 +228,12 @@ def parse_mount(text: str) -> tuple[float, float, float]:
         x, y, theta = (float(part) for part in text.split(","))
     except ValueError:
         raise CairnError(f"--scanner {text}: write it as X,Y,THETA, such as 0.1,0,0.") from None
+    if not (abs(x) <= _FARTHEST_MOUNT_M and abs(y) <= _FARTHEST_MOUNT_M and abs(theta) <= math.tau):
+        raise CairnError(
+            f"--scanner {text}: X and Y are at most {_FARTHEST_MOUNT_M:g} m from the robot's "
+            "center, and THETA is a number of radians, such as 1.57 for 90 degrees to the left; "
+            "correct them"
+        )
     return x, y, theta
 
 

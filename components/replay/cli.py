@@ -151,7 +151,7 @@ def details_of(recording: McapRecording) -> commands.Details:
     if frames.scan_topic:
         lines = [
             f"scanner: {_scanner_text(scanner)}, frame {frames.scanner} on {frames.scan_topic}",
-            f"mount: {_mount_text(mount)}",
+            f"mount: {_mount_text(mount) if mount else 'neither in tf_static nor described'}",
         ]
     odometry = None
     if frames.odometry is not None:

@@ -52,8 +52,11 @@ def open_recording(
             return BagRecording(path, topics or {}, scan_delay_s)
         if next(path.glob("Barcodes.dat*"), None) or next(path.glob("Robot*_*.dat*"), None):
             if robot is None:
+                robots = sorted({file.name[5] for file in path.glob("Robot[1-5]_*.dat*")})
                 raise RecordingError(
-                    f"{path} is an MRCLAM data set of several robots; set `robot`, 1 to 5."
+                    f"{path} is an MRCLAM data set of several robots; name one with the parameter "
+                    f"`robot` of a replay, or with --robot of the command: it has "
+                    f"{', '.join(robots) or 'none'}."
                 )
             return MrclamRecording(path, robot)
         if holds_mcap(path):
@@ -67,6 +70,8 @@ def open_recording(
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder; use {_FORMATS}.")
     start = _first_bytes(path)
+    if not start:
+        raise RecordingError(f"{path} is an empty file; record or copy it again.")
     if start.startswith(_BAGS):
         return BagRecording(path, topics or {}, scan_delay_s)
     if is_video(path):

@@ -26,6 +26,7 @@ from rosbags.typesys.store import Typestore
 
 from cairn import SECOND, CairnError, from_ns
 from cairn.bounded_files import megabytes
+from cairn.bounded_sqlite import SchemaError
 from cairn.bounded_yaml import yaml_fault
 from cairn.bus.codec import Codec
 from cairn.components.replay.bag_files import BagFile, BagTopic
@@ -222,7 +223,7 @@ class BagRecording:
         if usual is None and len(found) > 1:
             raise RecordingError(
                 f"{self._path} has several topics of {types[0]}: {', '.join(found)}. Name one "
-                f"with the parameter topics.{kind} (`cairn recording show`: --{kind})."
+                f"with the parameter topics.{kind} of a replay, or with --{kind} of the command."
             )
         return usual or next(iter(found), None)
 
@@ -515,6 +516,10 @@ def _explained(bag: BagFile) -> Iterator[None]:
     except UNREADABLE as error:
         path = bag.path
         why = error_text(error)
+        if isinstance(error, SchemaError):
+            raise RecordingError(
+                f"{path} is a database, but not a ROS 2 bag ({why}). Give a recording."
+            ) from error
         if bag.is_ros1:
             raise RecordingError(
                 f"{path} cannot be read as a ROS 1 bag ({why}). It is cut off or damaged: repair "

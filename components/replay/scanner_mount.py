@@ -120,7 +120,7 @@ def mount_of(
             tilt = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
             return (
                 f"the scanner's frame {scanner} is tilted by {tilt:.0f} degrees on {base}, so its "
-                "scans are not in the plane"
+                "scans are not in the plane; give its mount yourself if that is wrong"
             )
         yaw = math.atan2(matrix[1, 0], matrix[0, 0])
         pose = (round(float(matrix[0, 3]), 6), round(float(matrix[1, 3]), 6), round(yaw, 6))

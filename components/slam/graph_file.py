@@ -205,8 +205,7 @@ def read_graph(path: Path) -> Mapper:
 
     Raises `CairnError` if there is no such file, or it is damaged.
     """
-    if not path.is_file():
-        raise CairnError(f"{path}: no such file; give a graph that `cairn map build` has written")
+    check_exists(path)
     with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
         if (size := path.stat().st_size) > FILE_BYTES:
             raise too_large(path, size, FILE_BYTES)
@@ -500,7 +499,7 @@ def check_format(path: Path, connection: sqlite3.Connection) -> None:
     ((application,),) = connection.execute("PRAGMA application_id").fetchall()
     ((version,),) = connection.execute("PRAGMA user_version").fetchall()
     if application != APPLICATION:
-        raise CairnError(f"{path}: not a graph; give one that `cairn map build` has written")
+        raise _not_a_graph(path)
     if version < _FORMAT:
         raise CairnError(
             f"{path}: its format {version} is older than this Cairn, which reads {_FORMAT}; "
@@ -519,6 +518,17 @@ def check_format(path: Path, connection: sqlite3.Connection) -> None:
         raise damaged(path, "tables are missing")
 
 
+def check_exists(path: Path) -> None:
+    """Raise `CairnError` if there is no such file."""
+    if not path.is_file():
+        fault = "is not a file" if path.exists() else "no such file"
+        raise CairnError(f"{path}: {fault}; give a graph that `cairn map build` has written")
+
+
+def _not_a_graph(path: Path) -> CairnError:
+    return CairnError(f"{path}: not a graph; give one that `cairn map build` has written")
+
+
 def damaged(path: Path, fault: str) -> CairnError:
     """Return the error of a damaged file."""
     return CairnError(f"{path}: damaged graph: {fault}; restore a copy of it, or build it again")
@@ -530,6 +540,8 @@ def explained_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
+        if getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_NOTADB:
+            raise _not_a_graph(path) from error
         raise CairnError(
             f"{path}: {error}; free disk space, restore a copy of the graph, or close the other "
             "program that uses it"

@@ -23,6 +23,7 @@ from cairn.components.slam.graph_file import (
     DIFFERENCES,
     FILE_BYTES,
     GraphState,
+    check_exists,
     check_format,
     create_differences,
     damaged,
@@ -130,7 +131,7 @@ class GraphHistory:
 
     def __init__(self, path: Path) -> None:
         """Open a file; raises `CairnError` if there is none, or it is damaged or in use."""
-        _check_exists(path)
+        check_exists(path)
         self._path = path
         with explained_errors(path):
             self._connection = open_connection(path)
@@ -355,7 +356,7 @@ def copy_graph(original: Path, copy: Path) -> None:
 
 def graph_digest(path: Path) -> str:
     """Return a digest of a graph; raises `CairnError` if there is none, or it is damaged."""
-    _check_exists(path)
+    check_exists(path)
     content = hashlib.sha256()
     with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
         bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
@@ -398,7 +399,7 @@ class GraphLog:
 
 def read_log(path: Path) -> GraphLog:
     """Return the past of a graph; raises `CairnError` if there is none, or it is damaged."""
-    _check_exists(path)
+    check_exists(path)
     with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
         if (size := path.stat().st_size) > FILE_BYTES:
             raise too_large(path, size, FILE_BYTES)
@@ -569,8 +570,3 @@ def _rollback_change(then: GraphState, now: GraphState, stamp_ns: int, reason: s
     )
     old, new = (drawing.window(top, left, (bottom - top, right - left)) for drawing in drawings)
     return change_between(old, new, (top, left), _COMPARED_M, stamp_ns, reason, kind="rollback")
-
-
-def _check_exists(path: Path) -> None:
-    if not path.is_file():
-        raise CairnError(f"{path}: no such file; give a graph that `cairn map build` has written")

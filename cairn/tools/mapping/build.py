@@ -36,6 +36,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its completed share, from 0 to 1."""
 
+_KIND_NAMES = {"odom": "odometry", "truth": "true poses"}  # of the kinds of recorded topics
 _REPORTED = 200  # records between two reports of progress
 # Without odometry, motion is continued over a gap for so many times the time between two scans.
 _MOST_PREDICTED = 2.0
@@ -109,14 +110,16 @@ def build_map(
         mapper: a map that is continued; None: a new one.
 
     Raises `CairnError` if the recording has neither scans nor observations, or no odometry unless
-    `scan_only`.
+    `scan_only`, or if it has no place of the map that is continued.
 
     """
     scans, seen = recording.scans(), recording.observations()
     if scans is None and seen is None:
+        has = sorted({one.kind for one in recording.topics() if one.kind is not None})
         raise CairnError(
-            f"{name}: has no scans and no observations of objects, so no map can be built; give a "
-            "recording with one of them"
+            f"{name}: has no scans and no observations of objects, so no map can be built, only "
+            f"{' and '.join(_KIND_NAMES.get(kind, kind) for kind in has) or 'other topics'}; give "
+            "a recording with one of them"
         )
     odometry = None if settings.scan_only else recording.odometry()
     if odometry is None and not (settings.scan_only and scans is not None):
@@ -124,12 +127,15 @@ def build_map(
             f"{name}: has no odometry; give --scan-only to build the map from the scans alone, "
             "which succeeds if the robot moved slowly for its scan rate"
         )
+    earlier = 0 if mapper is None else len(mapper.keyframes)
     if mapper is None:
         reach = min(settings.reach, float(scans.messages[0].range_max)) if scans else None
         mapper = Mapper(reach or _FARTHEST_LANDMARK_M, settings.model)
     mount = settings.mount or _recorded_mount(recording)
     _add_records(mapper, scans, seen, odometry, mount, progress)
     mapper.finish(progress)
+    if earlier:
+        _check_joined(mapper, earlier, name)
     drawing = MapGrid(settings.resolution, settings.reach)
     drawing.renew(mapper.renewals)
     try:
@@ -152,6 +158,18 @@ def build_map(
     quality = quality_of(mapper, drawing)
     hint = _mount_hint(name, quality, mount, scans, odometry)
     return BuiltMap(mapper, grid, mapper.landmarks(), stamps, poses[kept], quality, hint)
+
+
+def _check_joined(mapper: Mapper, earlier: int, name: str) -> None:
+    """Raise `CairnError` if nothing joins the recording to the `earlier` keyframes of its map."""
+    in_map = mapper.in_map()
+    if in_map[:earlier].any() and any(in_map[step.keyframe] for step in mapper.trajectory):
+        return
+    raise CairnError(
+        f"{name}: no place of the map that it is to extend is recognized in it; check that both "
+        "are of one building and that the scanner's mount is right, or build a map of its own "
+        "without --extend"
+    )
 
 
 def _add_records(

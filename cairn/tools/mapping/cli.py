@@ -29,6 +29,7 @@ from cairn.components.map_builder.why import time_text
 from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.replay.open_recording import open_recording
 from cairn.planar.map_file import read_map, write_map
+from cairn.tools.mapping.target import map_files
 from cairn.visual_map.landmark_store import open_landmarks
 
 if TYPE_CHECKING:
@@ -110,30 +111,31 @@ def build(
     from cairn.tools.mapping.live import remove
     from cairn.tools.mapping.picture import draw_built_map
 
-    files = {ending: out.with_name(out.name + ending) for ending in _ENDINGS}
-    existing = [file for file in files.values() if file.exists()]
-    if existing and not force:
-        raise CairnError(
-            f"{existing[0]} exists already. Give another name, or --force to replace it."
-        )
+    files = map_files(out, _ENDINGS, force=force)
+    mount = parse_mount(scanner) if scanner else None
+    mapper = None
+    if extend is not None:
+        mapper = read_graph(extend)
+        mapper.resume(here=False)
     named = {"scan": scan, "odom": odom}
     topics = {kind: topic for kind, topic in named.items() if topic is not None}
     opened = open_recording(recording, robot, topics)
+    if robot is not None and not isinstance(opened, MrclamRecording):
+        raise CairnError(
+            f"{recording} is no MRCLAM data set, which has several robots; leave --robot out, or "
+            "name the topics of one robot by --scan and --odom"
+        )
     for text in opened.notes():
         note(f"{recording}: {text}")
     if base is None:
         base = Base.COMMANDED if isinstance(opened, MrclamRecording) else Base.MEASURED
     settings = BuildSettings(
-        mount=parse_mount(scanner) if scanner else None,
+        mount=mount,
         scan_only=scan_only,
         model=COMMANDED if base is Base.COMMANDED else MEASURED,
         resolution=resolution,
         reach=reach,
     )
-    mapper = None
-    if extend is not None:
-        mapper = read_graph(extend)
-        mapper.resume(here=False)
     with _shown_progress() as progress:
         built = build_map(opened, str(recording), settings, progress, mapper)
     for file in files.values():

@@ -15,6 +15,7 @@ from cairn.components.slam.quality import MapQuality
 from cairn.files import explain_os_error
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
+from cairn.tools.mapping.target import map_files
 from cairn.visual_map.sqlite_file import copy_map
 
 # Drawing a large map takes some seconds.
@@ -32,12 +33,8 @@ class SavedMap:
 
 
 def check_target(out: Path, *, force: bool) -> None:
-    """Raise `CairnError` if a file of the map `out` exists and `force` is not given."""
-    existing = [file for file in _files(out) if file.exists()]
-    if existing and not force:
-        raise CairnError(
-            f"{existing[0]} exists already. Give another name, or --force to replace it."
-        )
+    """Raise `CairnError` if the map `out` cannot be written, or exists without `force`."""
+    map_files(out, _ENDINGS, force=force)
 
 
 def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
@@ -48,7 +45,7 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     Raises `CairnError` if nothing maps, if `slam` cannot save, if it runs on another computer, or
     as `check_target`.
     """
-    check_target(out, force=force)
+    files = map_files(out, _ENDINGS, force=force)
     slam = robot.component_of("slam")
     if slam is None:
         raise CairnError(
@@ -67,8 +64,8 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     grid, mapper = read_map(grid_file), read_graph(graph_file)
     if len(mapper.keyframes) < reply["keyframes"]:
         raise elsewhere
-    yaml, image, graph, visual_map = files = _files(out)
-    for file in files:
+    yaml, image, graph, visual_map = files.values()
+    for file in files.values():
         prepare(file)
     write_map(yaml, grid)
     write_graph(graph, mapper, f"saved from {slam}")
@@ -116,7 +113,3 @@ def quality_lines(quality: MapQuality) -> list[str]:
         f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for "
         "most",
     ]
-
-
-def _files(out: Path) -> tuple[Path, ...]:
-    return tuple(out.with_name(out.name + ending) for ending in _ENDINGS)

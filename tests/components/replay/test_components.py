@@ -129,7 +129,7 @@ def test_part_after_the_end_is_rejected() -> None:
 
 
 def test_data_set_of_several_robots_needs_a_robot_number(dataset: Path) -> None:
-    with pytest.raises(RecordingError, match=words_in_order("`robot`", "1 to 5")):
+    with pytest.raises(RecordingError, match=words_in_order("`robot`", "--robot", "2, 5")):
         open_recording(dataset)
 
 
@@ -138,7 +138,7 @@ def test_data_set_of_several_robots_needs_a_robot_number(dataset: Path) -> None:
     [
         (b"\x89PNG\r\n\x1a\n", "is not a recording that can be read .it starts with b'.x89PNG"),
         (b"hello world\n", "is not a recording that can be read"),
-        (b"", "is not a recording that can be read"),
+        (b"", "is an empty file"),
         (b"\x1f\x8bcut", "line 1: the compressed stream is broken"),
     ],
 )

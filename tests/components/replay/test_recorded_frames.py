@@ -108,7 +108,7 @@ def test_damaged_transform_is_noted(tmp_path: Path) -> None:
     answer = cairn("recording", "info", str(path))
 
     assert answer.code == 0
-    assert "mount: not in the recording" in answer.out
+    assert "mount: neither in tf_static nor described" in answer.out
     assert_words(answer.err, "/tf_static", "cannot be read")
 
 

@@ -160,7 +160,7 @@ def test_other_files_are_refused_by_name(tmp_path: Path) -> None:
         connection.execute("CREATE TABLE poses (x REAL)")
 
     for path, fault in (
-        (text, "not a database"),
+        (text, "not a graph"),
         (missing, "no such file"),
         (map_file, "not a graph"),
     ):
