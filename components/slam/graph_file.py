@@ -29,6 +29,7 @@ from cairn.components.slam.pose_graph import Edge, EdgeKind, Sighting
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
 from cairn.planar.renewals import TILE, Renewals
+from cairn.visual_map.sqlite_file import side_files
 
 Array = NDArray[np.float64]
 
@@ -88,14 +89,18 @@ class GraphFile:
         self._has_tiles = False
 
     @classmethod
-    def create(cls, path: Path, farthest: float, source: str) -> GraphFile:
+    def create(
+        cls, path: Path, farthest: float, source: str, *, called: Path | None = None
+    ) -> GraphFile:
         """Make a new file; `source` says in words what the map is made from.
 
-        Raises `CairnError` if it exists or cannot be made.
+        Raises `CairnError` if it exists or cannot be made. Errors name it `called`, by default
+        `path`.
         """
         if path.exists():
             raise CairnError(f"{path} exists already; remove it, or give another name")
-        with explained_errors(path):
+        called = called or path
+        with explained_errors(called):
             path.touch(exist_ok=False)
             connection = open_connection(path)
             with connection:
@@ -106,7 +111,7 @@ class GraphFile:
                 )
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {_FORMAT}")
-        return cls(path, connection)
+        return cls(called, connection)
 
     @classmethod
     def open(cls, path: Path) -> tuple[GraphFile, Mapper]:
@@ -194,10 +199,13 @@ class GraphFile:
 def write_graph(path: Path, mapper: Mapper, source: str) -> None:
     """Write a whole graph to a new file, or replace one; raises `CairnError` if that fails."""
     with explained_errors(path), replacing(path) as part:
-        file = GraphFile.create(part, mapper.farthest, source)
-        with closing(file):
-            file.save(mapper)
-            file.seal()
+        _remove_beside(part)  # of a process that was killed
+        try:
+            with closing(GraphFile.create(part, mapper.farthest, source, called=path)) as file:
+                file.save(mapper)
+                file.seal()
+        finally:
+            _remove_beside(part)
 
 
 def read_graph(path: Path) -> Mapper:
@@ -525,6 +533,12 @@ def check_exists(path: Path) -> None:
         raise CairnError(f"{path}: {fault}; give a graph that `cairn map build` has written")
 
 
+def _remove_beside(path: Path) -> None:
+    """Remove the files that SQLite keeps beside one, and leaves there on a full disk."""
+    for file in side_files(path):
+        file.unlink(missing_ok=True)
+
+
 def _not_a_graph(path: Path) -> CairnError:
     return CairnError(f"{path}: not a graph; give one that `cairn map build` has written")
 
@@ -532,6 +546,20 @@ def _not_a_graph(path: Path) -> CairnError:
 def damaged(path: Path, fault: str) -> CairnError:
     """Return the error of a damaged file."""
     return CairnError(f"{path}: damaged graph: {fault}; restore a copy of it, or build it again")
+
+
+_WRITABLE: Final = "make the file and its folder writable, or free disk space"
+_CLOSE: Final = "close the other program that uses it"
+_REMEDIES: Final = {
+    sqlite3.SQLITE_FULL: "free disk space",
+    sqlite3.SQLITE_READONLY: _WRITABLE,
+    sqlite3.SQLITE_CANTOPEN: _WRITABLE,
+    sqlite3.SQLITE_IOERR: _WRITABLE,
+    sqlite3.SQLITE_BUSY: _CLOSE,
+    sqlite3.SQLITE_LOCKED: _CLOSE,
+    sqlite3.SQLITE_CORRUPT: "restore a copy of the graph, or build it again",
+}
+_ANY_REMEDY: Final = f"free disk space, restore a copy of the graph, or {_CLOSE}"
 
 
 @contextmanager
@@ -542,9 +570,7 @@ def explained_errors(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         if getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_NOTADB:
             raise _not_a_graph(path) from error
-        raise CairnError(
-            f"{path}: {error}; free disk space, restore a copy of the graph, or close the other "
-            "program that uses it"
-        ) from error
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        raise CairnError(f"{path}: {error}; {_REMEDIES.get(code, _ANY_REMEDY)}") from error
     except OSError as error:
         raise CairnError(f"{path}: {explain_os_error(error)}") from error

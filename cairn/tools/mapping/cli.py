@@ -23,13 +23,12 @@ from cairn.components.map_builder.cli import (
     app,
     change_row,
     parse_mount,
-    prepare,
 )
 from cairn.components.map_builder.why import time_text
 from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.replay.open_recording import open_recording
 from cairn.planar.map_file import read_map, write_map
-from cairn.tools.mapping.target import map_files
+from cairn.tools.mapping.target import map_files, replacing_map
 from cairn.visual_map.landmark_store import open_landmarks
 
 if TYPE_CHECKING:
@@ -108,7 +107,6 @@ def build(
     from cairn.components.slam.landmarks import write_landmarks
     from cairn.planar.motion_model import COMMANDED, MEASURED
     from cairn.tools.mapping.build import BuildSettings, build_map, write_trajectory
-    from cairn.tools.mapping.live import remove
     from cairn.tools.mapping.picture import draw_built_map
 
     files = map_files(out, _ENDINGS, force=force)
@@ -138,21 +136,15 @@ def build(
     )
     with _shown_progress() as progress:
         built = build_map(opened, str(recording), settings, progress, mapper)
-    for file in files.values():
-        prepare(file)
     source = f"built from {recording.name}"
-    # Each file is replaced when the new one is complete: a full disk leaves the map before.
-    if built.grid is not None:
-        write_map(files[".yaml"], built.grid)
-    else:
-        remove(files[".yaml"], files[".pgm"])
-    if built.landmarks.landmarks:
-        write_landmarks(files[".cairn"], source, built.landmarks.landmarks)
-    else:
-        remove(files[".cairn"])
-    write_graph(files[".graph"], built.mapper, source)
-    write_trajectory(files[".tum"], built.stamps, built.poses)
-    draw_built_map(built, f"{out.name}: map of {recording.name}", files[".png"])
+    with replacing_map(files) as parts:
+        if built.grid is not None:
+            write_map(parts[".yaml"], built.grid)
+        if built.landmarks.landmarks:
+            write_landmarks(parts[".cairn"], source, built.landmarks.landmarks)
+        write_graph(parts[".graph"], built.mapper, source)
+        write_trajectory(parts[".tum"], built.stamps, built.poses)
+        draw_built_map(built, f"{out.name}: map of {recording.name}", parts[".png"])
     _print_result(built, [file for file in files.values() if file.exists()], json)
     if built.hint:
         note(built.hint)
@@ -242,10 +234,11 @@ def rollback(
         except ValueError as error:
             raise CairnError(f"{file}: version {version} cannot be drawn: {error}") from error
         reason = f"returned to version {version}"
-        new = graph.rollback(version, time.time_ns(), reason)
-        write_map(grid_file, grid)
-        graph.seal()
-    written = [str(file), str(grid_file), str(grid_file.with_suffix(".pgm"))]
+        grid_files = {ending: file.with_suffix(ending) for ending in (".yaml", ".pgm")}
+        with replacing_map(grid_files) as parts:
+            write_map(parts[".yaml"], grid)
+            new = graph.rollback(version, time.time_ns(), reason)
+    written = [str(file), *map(str, grid_files.values())]
     if json:
         print_json({"version": new, "returned_to": version, "files": written})
         return

@@ -9,13 +9,11 @@ from typing import Any
 from cairn import CairnError
 from cairn.cli.output import line, print_json
 from cairn.client import Robot
-from cairn.components.map_builder.cli import prepare
 from cairn.components.slam.graph_file import read_graph, write_graph
 from cairn.components.slam.quality import MapQuality
-from cairn.files import explain_os_error
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
-from cairn.tools.mapping.target import map_files
+from cairn.tools.mapping.target import map_files, replacing_map
 from cairn.visual_map.sqlite_file import copy_map
 
 # Drawing a large map takes some seconds.
@@ -64,27 +62,13 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     grid, mapper = read_map(grid_file), read_graph(graph_file)
     if len(mapper.keyframes) < reply["keyframes"]:
         raise elsewhere
-    yaml, image, graph, visual_map = files.values()
-    for file in files.values():
-        prepare(file)
-    write_map(yaml, grid)
-    write_graph(graph, mapper, f"saved from {slam}")
-    written = [yaml, image, graph]
-    if ".cairn" in sources:
-        copy_map(sources[".cairn"], visual_map)
-        written.append(visual_map)
-    else:
-        remove(visual_map)
-    return SavedMap(tuple(written), grid, dict(reply["quality"]))
-
-
-def remove(*files: Path) -> None:
-    """Remove files of an earlier map of the same name, which the new one does not have."""
-    for file in files:
-        try:
-            file.unlink(missing_ok=True)
-        except OSError as error:
-            raise CairnError(f"{file} cannot be removed: {explain_os_error(error)}") from error
+    with replacing_map(files) as parts:
+        write_map(parts[".yaml"], grid)
+        write_graph(parts[".graph"], mapper, f"saved from {slam}")
+        if ".cairn" in sources:
+            copy_map(sources[".cairn"], parts[".cairn"])
+    written = tuple(file for file in files.values() if file.exists())
+    return SavedMap(written, grid, dict(reply["quality"]))
 
 
 def print_saved(saved: SavedMap, *, as_json: bool) -> None:

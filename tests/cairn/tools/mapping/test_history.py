@@ -1,12 +1,19 @@
 """`cairn map history` and `cairn map rollback`."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cairn import CairnError
 from cairn.clock import SECOND
-from cairn.components.slam.graph_history import GraphHistory, HistoryBudget, draw_state
+from cairn.components.slam.graph_history import (
+    GraphHistory,
+    HistoryBudget,
+    draw_state,
+    read_log,
+)
 from cairn.components.slam.lifelong import LifelongMap
 from cairn.planar.map_file import read_map
 from cairn.visual_map.new_map import write_map as write_visual_map
@@ -19,6 +26,7 @@ from tests.components.slam.changing_room import (
     RepairedRoom,
     write_room_graph,
 )
+from tests.disk import room_for
 from tests.wording import assert_words
 
 MORNING_S = 1_777_888_800.0  # 2026-05-04 10:00 UTC
@@ -85,6 +93,30 @@ def test_rollback_to_a_time_writes_the_map_of_then(changed: Path) -> None:
 
     back = cairn("map", "rollback", str(changed), str(rows[-2]["version"]), "--json")
     assert back.json["returned_to"] == rows[-2]["version"]
+
+
+@pytest.mark.parametrize("full_for", ["grid map", "graph"])
+def test_rollback_on_a_full_disk_changes_neither_graph_nor_grid_map(
+    changed: Path, monkeypatch: pytest.MonkeyPatch, full_for: str
+) -> None:
+    picture = changed.with_suffix(".pgm")
+    picture.write_text("the grid map before")
+    version = read_log(changed).version
+
+    def full(*_arguments: object) -> int:
+        raise CairnError("the graph takes no data; free disk space")
+
+    if full_for == "graph":
+        monkeypatch.setattr(GraphHistory, "rollback", full)
+    with nullcontext() if full_for == "graph" else room_for(35_000):
+        answer = cairn("map", "rollback", str(changed), "0")
+
+    assert answer.code == 1
+    assert "free disk space" in answer.err
+    assert picture.read_text() == "the grid map before"
+    assert read_log(changed).version == version
+    assert not changed.with_suffix(".yaml").exists()
+    assert list(changed.parent.glob(".*")) == []
 
 
 def test_rollback_beyond_the_history_names_the_oldest_time(changed: Path) -> None:

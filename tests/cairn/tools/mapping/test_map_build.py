@@ -18,6 +18,7 @@ from cairn.planar.map_file import read_map
 from cairn.visual_map.landmark_store import open_landmarks
 from tests.cairn.tools.mapping.relations import relation_errors
 from tests.commands import cairn
+from tests.disk import room_for
 
 pytestmark = pytest.mark.slow
 
@@ -160,6 +161,22 @@ def test_map_before_is_kept_if_the_new_one_cannot_be_written(
     assert "no space left" in answer.err
     for ending in (".yaml", ".pgm", ".graph"):
         assert file(out, ending).read_text() == "the map before"
+
+
+def test_full_disk_leaves_the_whole_map_before(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    """The grid map has room, but not the graph to which it belongs."""
+    out = tmp_path / "map"
+    for ending in (".yaml", ".pgm", ".graph", ".png"):
+        file(out, ending).write_text("the map before")
+
+    with room_for(400_000):
+        answer = cairn("map", "build", str(logs[1]), str(out), "--force")
+
+    assert answer.code == 1
+    assert f"cairn: {file(out, '.graph')}: " in answer.err
+    assert "free disk space" in answer.err
+    assert {one.read_text() for one in tmp_path.iterdir()} == {"the map before"}
+    assert len(list(tmp_path.iterdir())) == 4
 
 
 @pytest.fixture(scope="module")
