@@ -259,7 +259,15 @@ def test_zones_are_drawn_changed_removed_and_places_driven_to(
     tab.drag(2.4, 1.2, 0.5 * math.pi)
     _await(lambda: "place 1" in zones())
     assert zones()["place 1"].heading == pytest.approx(0.5 * math.pi, abs=0.05)
+    page.get_by_text("Drag the place").wait_for()
+    details = page.get_by_role("region", name="Details").bounding_box()
+    assert details is not None
+    px, _ = tab.at(2.4, 1.2)
+    assert not details["x"] < px < details["x"] + details["width"], "they cover the zone"
     tab.picture("zones")
+    page.emulate_media(color_scheme="dark")
+    tab.picture("zones_dark")
+    page.emulate_media(color_scheme="light")
     page.get_by_role("button", name="End this tool").click()
     page.mouse.click(*tab.at(2.4, 1.2))
     before = status_of(robot).mission_id
@@ -277,6 +285,69 @@ def test_zones_are_drawn_changed_removed_and_places_driven_to(
         _await(lambda name=name: name not in zones())  # type: ignore[misc]
 
 
+def test_shape_of_a_zone_is_changed_by_mouse_and_by_keyboard(robot: RunningRobot, tab: Tab) -> None:
+    page, mouse = tab.page, tab.page.mouse
+    corners = [[6.0, 2.0], [7.0, 2.0], [7.0, 3.0]]
+    feature = {
+        "type": "Feature",
+        "properties": {"zone": "keepout", "name": "stairs"},
+        "geometry": {"type": "Polygon", "coordinates": [[*corners, corners[0]]]},
+    }
+    robot.client.request("map_builder", "add_zone", {"feature": feature})
+
+    def points() -> list[float]:
+        zones = {zone.name: zone for zone in robot.client.latest("zones", Zones).zones}
+        found: list[float] = zones["stairs"].points.tolist()
+        return found
+
+    def drag(start: tuple[float, float], end: tuple[float, float]) -> None:
+        mouse.move(*tab.at(*start))
+        mouse.down()
+        mouse.move(*tab.at(*end), steps=4)
+        mouse.up()
+
+    page.get_by_role("button", name="Zones: draw").click()
+    page.wait_for_function(
+        "() => cairnConsole.map.scene.zones.some((one) => one.name === 'stairs')"
+    )
+    mouse.click(*tab.at(6.7, 2.3))
+    page.get_by_role("heading", name="stairs").wait_for()
+    tab.picture("zone_selected")
+
+    drag((7.0, 3.0), (7.0, 4.0))
+    page.get_by_text("The shape of stairs is changed").wait_for()
+    mouse.click(*tab.at(4.0, 4.0))  # a press elsewhere does not lose the change
+    page.get_by_role("heading", name="stairs").wait_for()
+    page.keyboard.press("Escape")
+    page.get_by_text("Drag corners").wait_for()
+    assert points() == pytest.approx([6, 2, 7, 2, 7, 3])
+
+    drag((7.0, 3.0), (7.0, 4.0))
+    mouse.dblclick(*tab.at(6.5, 2.0))  # adds a corner to the edge
+    drag((6.5, 2.0), (6.5, 1.5))
+    tab.picture("zone_shape")
+    page.emulate_media(color_scheme="dark")
+    tab.picture("zone_shape_dark")
+    page.emulate_media(color_scheme="light")
+    page.get_by_role("button", name="Save shape").click()
+    _await(lambda: points() == pytest.approx([6, 2, 6.5, 1.5, 7, 2, 7, 4], abs=0.03))
+    page.get_by_text("Drag corners").wait_for()
+    page.wait_for_function(_CORNERS, arg=4)
+
+    page.locator(".map-canvas").focus()
+    for key in ("]", "]", "ArrowUp", "ArrowUp", "Insert", "ArrowRight", "Enter"):
+        page.keyboard.press(key)
+    _await(lambda: points() == pytest.approx([6, 2, 6.5, 1.6, 6.8, 1.8, 7, 2, 7, 4], abs=0.04))
+    page.get_by_text("Drag corners").wait_for()
+    page.wait_for_function(_CORNERS, arg=5)
+    page.keyboard.down("Alt")
+    mouse.click(*tab.at(*points()[4:6]))  # removes the corner
+    page.keyboard.up("Alt")
+    page.get_by_role("button", name="Save shape").click()
+    _await(lambda: points() == pytest.approx([6, 2, 6.5, 1.6, 7, 2, 7, 4], abs=0.04))
+    robot.client.request("map_builder", "remove_zone", {"name": "stairs"})
+
+
 def test_zone_that_crosses_itself_is_refused_and_can_be_corrected(tab: Tab) -> None:
     page = tab.page
     page.get_by_role("button", name="Zones: draw").click()
@@ -292,6 +363,8 @@ def test_zone_that_crosses_itself_is_refused_and_can_be_corrected(tab: Tab) -> N
     page.get_by_role("button", name="Keepout", exact=True).wait_for()
 
 
+_CORNERS = """(count) => cairnConsole.map.scene.zones.some(
+    (one) => one.name === 'stairs' && one.rings[0].length === count)"""
 _SHOWN_THINGS = """async () => {
     const { things } = await import("./map/tools.js");
     return things.value.map((thing) => thing.name);

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { cornerAt, edgeAt, nextCorner, withAdded, withMoved, withoutCorner } from "../../cairn/console/static/map/zone_shape.js";
 import { featureOf, isInside, middleOf, nearestPlace, newZone, zoneAt, zonesOf } from "../../cairn/console/static/map/zones.js";
 
 const square = (kind, name, [x0, y0, x1, y1], properties = {}) => ({ kind, name, speed: 0, width: 0, heading: null, rings: [[[x0, y0], [x1, y0], [x1, y1], [x0, y1]]], ...properties });
@@ -50,4 +51,39 @@ test("a hole is outside", () => {
   assert.ok(isInside(ring, 0.5, 2));
   assert.ok(!isInside(ring, 2, 2));
   assert.deepEqual(middleOf(ring), [2, 2]);
+});
+
+test("a corner is moved, added and removed without changing the zone itself", () => {
+  const zone = square("keepout", "a", [0, 0, 4, 4]);
+  assert.deepEqual(withMoved(zone.rings, [0, 2], [5, 6]), [[[0, 0], [4, 0], [5, 6], [0, 4]]]);
+  const { corner, point } = edgeAt(zone, zone.rings, [-0.1, 1], 0.3); // the edge from the last corner to the first one
+  assert.deepEqual([corner, point], [[0, 4], [0, 1]]);
+  const five = withAdded(zone.rings, corner, point);
+  assert.deepEqual(five, [[[0, 0], [4, 0], [4, 4], [0, 4], [0, 1]]]);
+  assert.deepEqual(withoutCorner(zone, five, [0, 4]), zone.rings);
+  assert.deepEqual(zone.rings, [[[0, 0], [4, 0], [4, 4], [0, 4]]]);
+});
+
+test("a zone keeps the fewest points of its kind", () => {
+  const triangle = { ...square("slow", "a", [0, 0, 4, 4]), rings: [[[0, 0], [4, 0], [4, 4]]] };
+  assert.equal(withoutCorner(triangle, triangle.rings, [0, 1]), null);
+  assert.equal(withoutCorner(aisle, aisle.rings, [0, 1]), null);
+  assert.equal(withoutCorner(dock, dock.rings, [0, 0]), null);
+});
+
+test("a lane has no edge from its end to its start, and a place has none", () => {
+  const bent = { ...aisle, rings: [[[0, 0], [4, 0], [4, 4]]] };
+  assert.equal(edgeAt(bent, bent.rings, [2, 2], 0.3), null);
+  assert.deepEqual(edgeAt(bent, bent.rings, [4.1, 2], 0.3), { corner: [0, 2], point: [4, 2] });
+  assert.equal(edgeAt(dock, dock.rings, [1, 1], 0.3), null);
+});
+
+test("corners of holes are found, and chosen one after the other", () => {
+  const rings = [...square("keepout", "a", [0, 0, 9, 9]).rings, [[2, 2], [3, 2], [3, 3]]];
+  assert.deepEqual(cornerAt(rings, [3.1, 2], 0.3), [1, 1]);
+  assert.equal(cornerAt(rings, [5, 5], 0.3), null);
+  assert.deepEqual(nextCorner(rings, null, 1), [0, 0]);
+  assert.deepEqual(nextCorner(rings, null, -1), [1, 2]);
+  assert.deepEqual(nextCorner(rings, [0, 3], 1), [1, 0]);
+  assert.deepEqual(nextCorner(rings, [0, 0], -1), [1, 2]);
 });

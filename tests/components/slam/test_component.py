@@ -198,7 +198,7 @@ def test_wrong_files_are_refused_before_the_robot_moves(tmp_path: Path) -> None:
         ({"map_file": str(tmp_path / "map.png")}, "must end in .yaml"),
         (
             {"map_file": str(tmp_path / "map.yaml"), "extend": str(tmp_path / "old.graph")},
-            "old.graph: file is not a database",
+            "old.graph: not a graph",
         ),
     ):
         with pytest.raises(CairnError, match=fault):

@@ -38,7 +38,7 @@ export class MapController {
   #robot = "";
   #visible = new Set();
   #colors = null;
-  #tool = null; // {onPress, onDrag, onRelease, draw, pick}: see tools.js
+  #tool = null; // {onPress, onRelease, onDouble, onKey, draw, pick}: see tools.js
   #frame = 0;
   #pointers = new Map(); // id -> {x, y}
   #drag = null;
@@ -67,6 +67,7 @@ export class MapController {
     listen("pointerup", (event) => this.#onUp(event));
     listen("pointercancel", (event) => this.#onCancel(event));
     listen("pointerleave", () => this.#pointers.size === 0 && this.cursor.set(null));
+    listen("dblclick", (event) => this.#onDouble(event));
     listen("wheel", (event) => this.#onWheel(event), { passive: false });
     listen("keydown", (event) => this.#onKey(event));
     listen("blur", () => this.#setKeyPose(null));
@@ -218,7 +219,7 @@ export class MapController {
     const from = this.view.toWorld(px, py);
     const isTool = this.#tool?.onRelease && event.button === 0;
     this.#drag = { kind: isTool ? "tool" : "pan", px, py, from, to: from, moved: false, theta: null, button: event.button };
-    if (isTool) this.#drag.data = this.#tool.onPress?.(from, PICK_PX / this.view.scale) ?? null;
+    if (isTool) this.#drag.data = this.#tool.onPress?.(from, PICK_PX / this.view.scale, event.altKey) ?? null;
     if (isTool && this.#tool.panOnEmpty && this.#drag.data === null) this.#drag.kind = "pan";
     this.redraw();
   }
@@ -266,6 +267,11 @@ export class MapController {
     this.redraw();
   }
 
+  #onDouble(event) {
+    this.#tool?.onDouble?.(this.view.toWorld(...this.#at(event)), PICK_PX / this.view.scale);
+    this.redraw();
+  }
+
   #onCancel(event) {
     this.#pointers.delete(event.pointerId);
     this.#drag = null;
@@ -308,6 +314,15 @@ export class MapController {
   /** Arrows move the map below the cross hair, brackets turn its heading, Enter acts there. */
   #onKey(event) {
     if (event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
+    if (event.key === "Escape" && this.#drag) {
+      this.#drag = null; // what is dragged stays where it was
+      this.redraw();
+      return event.preventDefault();
+    }
+    if (this.#tool?.onKey?.(event.key)) {
+      this.redraw();
+      return event.preventDefault();
+    }
     const { view } = this;
     const theta = this.#keyPose?.[2] ?? 0;
     const pan = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
@@ -327,7 +342,6 @@ export class MapController {
         this.#tool.onRelease({ from: [x, y], to: [x, y], theta, moved: true, data });
       } else this.#pick([x, y]);
     } else if (event.key === "Escape") {
-      this.#drag = null;
       this.selected.set(null);
       this.#setKeyPose(null);
     } else return;

@@ -226,6 +226,29 @@ export class Painter {
     for (const [x, y] of points) this.circle(x, y, 5, { fill: color, stroke: this.colors.surface });
   }
 
+  /** Draw the corners of the selected zone, and its shape if that is changed. */
+  shape(zone, rings, corner, isChanged) {
+    const { context, view, colors } = this;
+    if (isChanged && zone.kind !== "place") {
+      context.beginPath();
+      for (const ring of rings) {
+        ring.forEach((point, i) => (i ? context.lineTo(...view.toScreen(...point)) : context.moveTo(...view.toScreen(...point))));
+        if (isArea(zone)) context.closePath();
+      }
+      context.setLineDash([4, 3]);
+      context.lineWidth = 2.5;
+      context.strokeStyle = colors.accent;
+      context.stroke();
+      context.setLineDash([]);
+    }
+    rings.forEach((ring, r) =>
+      ring.forEach(([x, y], i) => {
+        const isSelected = corner?.[0] === r && corner[1] === i;
+        this.circle(x, y, isSelected ? 7 : 5, { fill: isSelected ? colors.accent : colors.surface, stroke: isSelected ? colors.surface : colors.accent, width: 2 });
+      }),
+    );
+  }
+
   #goals({ goals, navigation }) {
     if (!goals || goals.poses.length === 0) return;
     if (navigation?.state >= FIRST_END_STATE) return;

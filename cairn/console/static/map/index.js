@@ -9,7 +9,9 @@ import { MapController } from "./controller.js";
 import { scaleBar } from "./geometry.js";
 import { HIDDEN_AT_FIRST, LAYERS } from "./scene.js";
 import { ZoneDetails, ZoneHint } from "./zone_editor.js";
-import { draft, featureOf, zoneTool } from "./zones.js";
+import { ringsOf, shape } from "./zone_shape.js";
+import { zoneTool } from "./zone_tool.js";
+import { draft, featureOf, middleOf, zonesOf } from "./zones.js";
 import { adding, goalTool, movement, poseTool, things, waypoints, waypointTool, worldTool } from "./tools.js";
 
 const BAR_PX = 110;
@@ -92,6 +94,7 @@ export function MapView({ robots }) {
     const request = zone ? { feature: featureOf(zone), ...(name ? { replace: name } : {}) } : { name };
     const answer = await steer("zones", { verb: zone ? "add_zone" : "remove_zone", arguments: request });
     if (answer === undefined) return false;
+    shape.set(null); // it is saved, or its zone is removed
     if (!answer.saved) toast("warning", `${answer.file} cannot be saved now; the change is in force.`);
     controller.selected.set(zone && { kind: "zone", name: zone.name });
     controller.redraw();
@@ -100,15 +103,19 @@ export function MapView({ robots }) {
   const addZone = async (zone) => {
     if (await changeZone(zone)) draft.set({ kind: "", points: [] });
   };
+  const saveShape = () => {
+    const zone = controller.scene?.zones.find((one) => one.name === shape.value?.name);
+    if (zone) changeZone({ ...zone, rings: ringsOf(zone) }, zone.name);
+  };
   const callbacks = useRef(null);
-  callbacks.current = { send, locate, change, addZone };
+  callbacks.current = { send, locate, change, addZone, saveShape };
   // Before the next event: a later effect would undo what is pressed on the map meanwhile.
   useLayoutEffect(() => {
     const make = {
       goal: () => goalTool(controller, (poses) => callbacks.current.send(poses)),
       waypoints: () => waypointTool(controller),
       pose: () => poseTool(controller, (pose) => callbacks.current.locate(pose)),
-      zones: () => zoneTool(controller, (zone) => callbacks.current.addZone(zone)),
+      zones: () => zoneTool(controller, (zone) => callbacks.current.addZone(zone), () => callbacks.current.saveShape()),
       world: () => worldTool(controller, (...request) => callbacks.current.change(...request)),
     }[tool];
     controller.setTool(make ? make() : null);
@@ -119,7 +126,7 @@ export function MapView({ robots }) {
   return html`
     <section class=${`map-area ${tool ? "armed" : ""}`} aria-label="Map">
       <canvas ref=${canvas} class="map-canvas" tabindex="0"
-        aria-label="Map. Arrows move it, plus and minus zoom, 0 shows all; with a tool, brackets turn the heading and Enter acts at the center." />
+        aria-label="Map. Arrows move it, plus and minus zoom, 0 shows all; with a tool, brackets turn the heading and Enter acts at the center. Of a selected zone, brackets choose a corner, arrows move it, Insert adds one, Delete removes it, Enter saves, and Escape discards." />
       <${MapEmpty} controller=${controller} />
       <div class="map-tools" role="toolbar" aria-label="Tools" aria-orientation="vertical">
         ${tools.map(
@@ -129,7 +136,7 @@ export function MapView({ robots }) {
         )}
       </div>
       <${ViewButtons} controller=${controller} />
-      <${ToolHint} tool=${tool} controller=${controller} send=${send} addZone=${addZone} done=${() => setTool("")} />
+      <${ToolHint} tool=${tool} controller=${controller} send=${send} addZone=${addZone} saveShape=${saveShape} done=${() => setTool("")} />
       <${Inspector} controller=${controller} change=${change} changeZone=${changeZone} send=${send} mayChange=${mode === "live" && !mayWatchOnly} />
       <${ScaleAndCursor} controller=${controller} />
     </section>`;
@@ -203,7 +210,7 @@ function LayerList() {
     </fieldset>`;
 }
 
-function ToolHint({ tool, controller, send, addZone, done }) {
+function ToolHint({ tool, controller, send, addZone, saveShape, done }) {
   const poses = useStore(waypoints);
   const add = useStore(adding);
   const { connection } = useApp();
@@ -226,7 +233,7 @@ function ToolHint({ tool, controller, send, addZone, done }) {
       html`<button class="button small primary" onClick=${async () => (await send(poses)) && update([])}>Send</button>
         <button class="button small" onClick=${() => update(poses.slice(0, -1))}>Undo</button>
         <button class="button small" onClick=${() => update([])}>Clear</button>`}`,
-    zones: html`<${ZoneHint} controller=${controller} add=${addZone} />`,
+    zones: html`<${ZoneHint} controller=${controller} add=${addZone} saveShape=${saveShape} />`,
     world: html`
       <span>${{ person: "Press where the person stands; drag for a walk to and fro.", box: "Press where the box stands, drag to turn it." }[add] ?? "Drag a thing to move it."}</span>
       <button class="button small" aria-pressed=${add === "box"} onClick=${() => adding.set(add === "box" ? "" : "box")}>Add box</button>
@@ -241,13 +248,17 @@ function ToolHint({ tool, controller, send, addZone, done }) {
 
 function Inspector({ controller, change, changeZone, send, mayChange }) {
   const selected = useStore(controller.selected);
+  const zones = useTopic("zones");
   const close = () => {
     controller.selected.set(null);
     controller.redraw();
   };
   if (!selected) return null;
+  const zone = selected.kind === "zone" && zones && zonesOf(zones).find((one) => one.name === selected.name);
+  // On the other side than the zone, so that its corners can be reached.
+  const isLeft = zone && controller.view.toScreen(...middleOf(zone))[0] < controller.view.width / 2;
   return html`
-    <section class="popover inspector" aria-label="Details" onKeyDown=${(event) => event.key === "Escape" && close()}>
+    <section class=${`popover inspector ${selected.kind === "zone" ? "of-zone" : ""} ${isLeft ? "at-right" : ""}`} aria-label="Details" onKeyDown=${(event) => event.key === "Escape" && close()}>
       ${selected.kind === "landmark"
         ? html`<${Landmark} key=${selected.id} id=${selected.id} controller=${controller} close=${close} />`
         : selected.kind === "zone"

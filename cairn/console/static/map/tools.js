@@ -1,7 +1,8 @@
 // What a press on the map does: goals, waypoints, the initial pose, and changes of a simulated world.
 //
-// A tool has onPress(position, reach) -> data, onRelease(drag), draw(painter, drag), pick(position, reach),
-// and panOnEmpty: whether a press that onPress does not take moves the map. A drag is
+// A tool has onPress(position, reach, isAlt) -> data, onRelease(drag), draw(painter, drag), pick(position, reach),
+// and panOnEmpty: whether a press that onPress does not take moves the map. It may have onDouble(position, reach),
+// for a double click, and onKey(key), which returns whether it takes the key. A drag is
 // {from, to, theta (null for a short drag), moved, data}.
 
 import { Store } from "../store.js";

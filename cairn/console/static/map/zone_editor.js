@@ -4,28 +4,58 @@ import { html, useEffect, useState } from "../vendor/preact-htm.js";
 import { useApp, useTopic } from "../hooks.js";
 import { useStore } from "../store.js";
 import { Badge } from "../ui.js";
+import { ringsOf, shape } from "./zone_shape.js";
 import { draft, isArea, KIND_TITLES, KINDS, LEAST_POINTS, newZone, zonesOf } from "./zones.js";
 
 const TONES = { keepout: "bad", slow: "warning", lane: "accent", place: "ok" };
 const DEGREES = 180 / Math.PI;
 
-/** What is said and offered while the tool for zones is active; `add(zone)` adds what was drawn. */
-export function ZoneHint({ controller, add }) {
+/** What is said and offered while the tool for zones is active; `add(zone)` adds what was drawn, `saveShape()` saves a changed one. */
+export function ZoneHint({ controller, add, saveShape }) {
   const { kind, points } = useStore(draft);
+  const edited = useStore(shape);
+  const message = useTopic("zones");
+  const selected = useStore(controller.selected);
   const set = (value) => {
     draft.set(value);
     controller.selected.set(null); // its details would cover a part of the map
     controller.redraw();
   };
-  useEffect(() => () => draft.set({ kind: "", points: [] }), []);
+  useEffect(
+    () => () => {
+      draft.set({ kind: "", points: [] });
+      shape.set(null);
+    },
+    [],
+  );
+  // The changed shape belongs to the selected zone.
+  useEffect(() => {
+    if (shape.value && shape.value.name !== selected?.name) shape.set(null);
+    controller.redraw();
+  }, [selected]);
+  const discard = () => {
+    shape.set(null);
+    controller.redraw();
+  };
+  const words = () => {
+    const zone = selected?.kind === "zone" && message && zonesOf(message).find((one) => one.name === selected.name);
+    if (!zone) return "Press on a zone to change it, or draw one:";
+    if (zone.kind === "place") return "Drag the place to move it, or draw another zone:";
+    return "Drag corners; double-click adds or removes one. Or draw:";
+  };
+  if (edited?.rings)
+    return html`
+      <span>The shape of ${edited.name} is changed.</span>
+      <button class="button small primary" onClick=${saveShape}>Save shape</button>
+      <button class="button small" onClick=${discard}>Discard</button>`;
   if (!kind)
     return html`
-      <span>Press on a zone to change it, or draw one:</span>
+      <span>${words()}</span>
       ${KINDS.map((one) => html`<button key=${one} class="button small" onClick=${() => set({ kind: one, points: [] })}>${KIND_TITLES[one]}</button>`)}`;
-  const words = { place: "Press at the place, drag toward the heading.", lane: "Press at each point of the lane." }[kind] ?? "Press at each corner.";
+  const task = { place: "Press at the place, drag toward the heading.", lane: "Press at each point of the lane." }[kind] ?? "Press at each corner.";
   const done = () => add(newZone(kind, points, controller.scene?.zones ?? []));
   return html`
-    <span>${points.length === 0 ? words : `${points.length} point${points.length > 1 ? "s" : ""}`}</span>
+    <span>${points.length === 0 ? task : `${points.length} point${points.length > 1 ? "s" : ""}`}</span>
     ${points.length >= LEAST_POINTS[kind] && html`<button class="button small primary" onClick=${done}>Add zone</button>`}
     ${points.length > 0 && html`<button class="button small" onClick=${() => set({ kind, points: points.slice(0, -1) })}>Undo</button>`}
     <button class="button small" onClick=${() => set({ kind: "", points: [] })}>Cancel</button>`;
@@ -63,7 +93,7 @@ function ZoneForm({ zone, change, close }) {
   const save = (event) => {
     event.preventDefault();
     const heading = degrees === "" ? null : Number(degrees) / DEGREES;
-    change({ ...zone, kind, name: name.trim(), speed: Number(speed), width: Number(width), heading }, zone.name);
+    change({ ...zone, rings: ringsOf(zone), kind, name: name.trim(), speed: Number(speed), width: Number(width), heading }, zone.name);
   };
   const number = (label, value, set, extra) => html`
     <label class="field"><span>${label}</span>

@@ -85,36 +85,6 @@ export function middleOf(zone) {
   return [mean(0), mean(1)];
 }
 
-/** What a press does with the tool for zones: adds a point to the draft, or selects a zone. */
-export function zoneTool(controller, add) {
-  const zones = () => controller.scene?.zones ?? [];
-  const select = (zone) => controller.selected.set(zone && { kind: "zone", name: zone.name });
-  return {
-    get panOnEmpty() {
-      return draft.value.kind === "";
-    },
-    onPress: (position, reach) => (draft.value.kind ? { draws: true } : zoneAt(zones(), position, reach)),
-    onRelease: (drag) => {
-      const { kind, points } = draft.value;
-      if (kind === "place") add(newZone(kind, [drag.from], zones(), drag.theta));
-      else if (kind) draft.set({ kind, points: [...points, drag.from] });
-      else select(drag.data);
-      controller.redraw();
-    },
-    pick: (position, reach) => {
-      select(zoneAt(zones(), position, reach));
-      return true;
-    },
-    draw: (painter, drag) => {
-      const { kind, points } = draft.value;
-      if (!kind) return;
-      const isPressed = drag?.kind === "tool" && drag.data?.draws;
-      painter.draft(kind, isPressed ? [...points, drag.from] : points);
-      if (isPressed && kind === "place" && drag.theta !== null) painter.arrow(...drag.from, drag.theta, 30, painter.colors.place);
-    },
-  };
-}
-
 function edgesOf(zone) {
   return zone.rings.flatMap((ring) => {
     const edges = ring.slice(1).map((point, i) => [ring[i], point]);
