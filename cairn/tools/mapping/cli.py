@@ -120,8 +120,8 @@ def build(
     opened = open_recording(recording, robot, topics)
     if robot is not None and not isinstance(opened, MrclamRecording):
         raise CairnError(
-            f"{recording} is no MRCLAM data set, which has several robots; leave --robot out, or "
-            "name the topics of one robot by --scan and --odom"
+            f"{recording} is not an MRCLAM data set, which has several robots; leave --robot out, "
+            "or name the topics of one robot by --scan and --odom"
         )
     for text in opened.notes():
         note(f"{recording}: {text}")

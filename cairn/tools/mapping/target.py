@@ -16,8 +16,8 @@ from cairn.files import explain_os_error
 def map_files(out: Path, endings: Iterable[str], *, force: bool) -> dict[str, Path]:
     """Return the files of the map `out`, by their endings.
 
-    Raises `CairnError` before anything is done if `out` is no name of files, if its folder cannot
-    be written, or if one of the files exists and `force` is not given.
+    Raises `CairnError` before anything is done if `out` is a folder or has one of the endings, if
+    its folder cannot be written, or if one of the files exists and `force` is not given.
     """
     if not out.name or out.is_dir():
         raise CairnError(

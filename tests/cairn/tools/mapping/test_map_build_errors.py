@@ -78,7 +78,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("cameras", [], ("cameras", "no scans", "only images", "give a recording")),
         ("two", [], ("two", "/a/scan, /b/scan", "--scan")),
         ("small", ["--scan", "/c"], ("small", "/c is not a topic", "/scan")),
-        ("small", ["--robot", "3"], ("small", "no MRCLAM", "leave --robot out")),
+        ("small", ["--robot", "3"], ("small", "not an MRCLAM", "leave --robot out")),
         ("small", ["--scanner", "1,2"], ("--scanner 1,2", "X,Y,THETA, such as")),
         ("small", ["--scanner", "0,0,nan"], ("--scanner 0,0,nan", "radians", "correct")),
         ("small", ["--scanner", "0,0,90"], ("--scanner 0,0,90", "radians", "correct")),
