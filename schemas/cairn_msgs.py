@@ -197,6 +197,34 @@ class VisualMapChange:
         _require_position_or_none(self, "new", self.new_x, self.new_y)
 
 
+@message("cairn_msgs/msg/ObjectProposal")
+class ObjectProposal:
+    """A thing that was never taught, and that the robot proposes as a new landmark.
+
+    `x`, `y` [m] with `covariance` is its position in frame map, `width`, `height` [m] its size;
+    `seen` counts how often it was recognized, since `first`. `picture` is a small JPEG image.
+    """
+
+    number: UInt32
+    name: String = ""
+    x: FiniteFloat64 = 0.0
+    y: FiniteFloat64 = 0.0
+    covariance: Covariance2 = zeros(4)
+    width: Distance = 1.0
+    height: Distance = 1.0
+    seen: UInt32 = 0
+    first: Time = Time()
+    picture: UInt8Array = empty(np.uint8)
+
+
+@message("cairn_msgs/msg/ObjectProposals")
+class ObjectProposals:
+    """All things that wait to be accepted as landmarks, or rejected."""
+
+    header: Header = Header()
+    proposals: tuple[ObjectProposal, ...] = ()
+
+
 @message("cairn_msgs/msg/PortStatus")
 class PortStatus:
     """The messages of one port of a component since it was configured.
