@@ -32,8 +32,9 @@ _DEVIATIONS, _FLOOR_M = 3.0, 0.1
 # Beyond so many standard deviations, and this [m], the thing is somewhere else: it moves, or there
 # are several that look alike.
 _ELSEWHERE_DEVIATIONS, _ELSEWHERE_M = 5.0, 0.4
-# Directions from which a landmark was seen spread at least so far [rad].
-_SPREAD_RAD = math.radians(15.0)
+# A landmark was seen from directions that spread so far [rad], or from distances of this ratio:
+# from one pose, something behind a door could look the same.
+_SPREAD_RAD, _SPREAD_RATIO = math.radians(15.0), 1.5
 # The error of a place that all sightings share [m]: that of the map and of the calibration.
 _SHARED_M = 0.02
 
@@ -109,13 +110,15 @@ class Candidate:
         return covariance @ total, covariance + _SHARED_M**2 * np.eye(2)
 
     def meets(self, needs: Requirements) -> bool:
-        """Return whether the thing was recognized often enough, and from different directions."""
+        """Return whether the thing was recognized often enough, and from places that differ."""
         if len(self.sightings) < needs.poses or self.visits < needs.visits:
             return False
         (x, y), _ = self.place()
-        directions = [math.atan2(one.robot[1] - y, one.robot[0] - x) for one in self.sightings]
+        away = [(one.robot[0] - x, one.robot[1] - y) for one in self.sightings]
+        directions = [math.atan2(dy, dx) for dx, dy in away]
         spread = max(abs(wrap(a - b)) for a in directions for b in directions)
-        return spread >= _SPREAD_RAD
+        distances = [math.hypot(dx, dy) for dx, dy in away]
+        return spread >= _SPREAD_RAD or max(distances) >= _SPREAD_RATIO * min(distances)
 
 
 class Candidates:

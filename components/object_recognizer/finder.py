@@ -49,7 +49,7 @@ from cairn.components.object_recognizer.finder_config import ObjectFinderConfig
 from cairn.components.object_recognizer.model_library import ModelLibrary
 from cairn.components.object_recognizer.observation import make_observation, measure_range
 from cairn.components.object_recognizer.patches import find_patches
-from cairn.components.object_recognizer.proposals import Proposal, Proposals, free_name
+from cairn.components.object_recognizer.proposals import Proposal, Proposals, accept
 from cairn.planar.messages import planar_covariance, planar_pose
 from cairn.planar.poses import Pose, apart, between
 from cairn.schemas.cairn_msgs import ObjectProposals
@@ -60,7 +60,6 @@ from cairn.vision.features import Features, extract
 from cairn.vision.images import Gray, gray_of
 from cairn.vision.object_model import ObjectModel
 from cairn.vision.recognition import Detection, Recognizer
-from cairn.visual_map.object_models import add_views, check_name, read_models
 from cairn.visual_map.sqlite_file import MapFileError
 
 Array = NDArray[np.float64]
@@ -372,23 +371,14 @@ class ObjectFinder(Component):
                 self._warnings.warn("accept", f"{one.model.name} not accepted: {error}")
 
     def _accept(self, one: Proposal, name: str | None) -> dict[str, Any]:
-        """Add a thing to the objects that the recognizer knows.
-
-        Raises `CairnError` if the name is not valid or taken, or if the map cannot be written.
-        """
-        config, number = self.config, one.model.object_id
-        taken = [model.name for model in read_models(config.map_file, pictures=False).models]
-        if name is None:
-            name = free_name(one.model.name, taken)
-        check_name(name)
-        if name in taken:
-            raise CairnError(f"{config.map_file} has an object {name!r} already; give another name")
-        object_id = add_views(config.map_file, name, one.model.views, one.model.size)
-        self._accepted.append(ObjectModel(object_id, name, one.model.size, one.model.views))
-        self._proposals.remove(number)
-        self.log.info("accepted %s as object %d, %s", one.model.name, object_id, name)
+        """Add a thing to the objects that the recognizer knows; errors are those of `accept`."""
+        map_file = self.config.map_file
+        model = accept(one, name, map_file)
+        self._accepted.append(model)
+        self._proposals.remove(one.model.object_id)
+        self.log.info("accepted %s as object %d, %s", one.model.name, model.object_id, model.name)
         self._changed()
-        return {"object_id": object_id, "name": name, "map": str(config.map_file)}
+        return {"object_id": model.object_id, "name": model.name, "map": str(map_file)}
 
     def _changed(self) -> None:
         self._recognizer = None

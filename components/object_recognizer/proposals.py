@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from cairn.vision.object_model import ObjectModel
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import INITIAL_RELIABILITY, LandmarkRecord, MapPosition
 from cairn.visual_map.new_map import write_map
-from cairn.visual_map.object_models import read_models
+from cairn.visual_map.object_models import add_views, check_name, read_models
 
 _SOURCE = "things that were never taught, found by the object finder"
 _THUMBNAIL_PX = 160
@@ -162,11 +162,25 @@ class Proposals:
             )
 
 
-def free_name(wanted: str, taken: Iterable[str]) -> str:
-    """Return a name that is not taken: the wanted one, or with a number."""
-    names = set(taken)
+def accept(one: Proposal, name: str | None, map_file: Path) -> ObjectModel:
+    """Add a proposed thing to the objects that the recognizer knows; return its model there.
+
+    Without a name it keeps that of the proposal. Raises `CairnError` if the name is not valid or
+    taken, or if the map cannot be written.
+    """
+    taken = {model.name for model in read_models(map_file, pictures=False).models}
+    if name is None:
+        name = _free_name(one.model.name, taken)
+    check_name(name)
+    if name in taken:
+        raise CairnError(f"{map_file} has an object {name!r} already; give another name")
+    object_id = add_views(map_file, name, one.model.views, one.model.size)
+    return replace(one.model, object_id=object_id, name=name)
+
+
+def _free_name(wanted: str, taken: Collection[str]) -> str:
     name, number = wanted, 2
-    while name in names:
+    while name in taken:
         name, number = f"{wanted} ({number})", number + 1
     return name
 

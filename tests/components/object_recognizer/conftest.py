@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cairn.components.object_recognizer import component, recognize_cli
+from cairn.components.object_recognizer import component, finder, recognize_cli
 from cairn.components.object_recognizer.component import ObjectRecognizer
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo
@@ -95,7 +95,7 @@ def extracted_once(
     Extraction itself, and its repeatability, is tested in tests/cairn/vision.
     """
     if "uncached" not in request.fixturenames:
-        for user in (component, recognize_cli, teaching):
+        for user in (component, finder, recognize_cli, teaching):
             monkeypatch.setattr(user, "extract", extracted)
 
 
