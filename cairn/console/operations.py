@@ -48,7 +48,7 @@ R = TypeVar("R")
 LIVE_METHODS: Final = (
     "acquire_lease", "release_lease", "ask_lease", "answer_lease", "go", "cancel", "locate",
     "stop", "release_stop", "drive", "restart", "load", "unload", "parameters", "set_parameters",
-    "logs", "world", "why", "zones",
+    "logs", "world", "why", "zones", "proposals",
 )  # fmt: skip
 """The methods of a console of running robots."""
 
@@ -65,7 +65,7 @@ _VIEW_ONLY: Final = (
     "the name of another user (CAIRN_USER)"
 )
 _GATE_ATTEMPTS: Final = 3  # to read its limits: the computer may be busy
-_WORLD, _MAP_BUILDER = "simulated_world", "map_builder"
+_WORLD, _MAP_BUILDER, _OBJECT_FINDER = "simulated_world", "map_builder", "object_finder"
 _LOAD_MAP_BUILDER: Final = "load the map builder, or send a goal, which loads it"
 _POSE_TOPIC: Final = "initialpose"
 _PERIOD_S: Final = 1.0
@@ -163,6 +163,13 @@ class ZonesRequest(OfRobot):
     arguments: Annotated[dict[str, Any], Field(max_length=2)] = {}
 
 
+class ProposalsRequest(OfRobot):
+    """A request to accept or reject a thing that the object finder proposes."""
+
+    verb: Literal["accept", "reject"]
+    arguments: Annotated[dict[str, Any], Field(max_length=2)]
+
+
 class WhyRequest(OfRobot):
     """An object of the visual map, by number or name, and the number of newest steps."""
 
@@ -246,6 +253,7 @@ class Operations:
             "logs": ConsoleMethod(OfRobot, self._logs, changes=False),
             "world": ConsoleMethod(WorldRequest, self._world, changes=False, is_service=True),
             "zones": ConsoleMethod(ZonesRequest, self._zones, changes=False, is_service=True),
+            "proposals": ConsoleMethod(ProposalsRequest, self._proposals, is_service=True),
             "why": ConsoleMethod(WhyRequest, self._why, changes=False, is_service=True),
         }
 
@@ -476,6 +484,15 @@ class Operations:
         if reason := self.refusal(browser, of.robot):
             raise CairnError(reason)
         return await self._steer(browser, of.robot, ask)
+
+    async def _proposals(self, browser: Browser, of: ProposalsRequest) -> Any:
+        return await self._steer(
+            browser,
+            of.robot,
+            lambda robot: _of_plugin(
+                robot, _OBJECT_FINDER, of.verb, of.arguments, "this robot finds no objects"
+            ),
+        )
 
     # Calls of the robot, which block
 

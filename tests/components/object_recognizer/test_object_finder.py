@@ -92,10 +92,11 @@ def in_camera(thing: Placed, robot: Pose) -> Thing:
     return Thing(seed, -left, forward, wrap(seen_from - heading - math.pi))
 
 
-def image_size(data: bytes) -> tuple[int, ...]:
+def image_size(data: bytes) -> tuple[int, int]:
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
     assert image is not None
-    return image.shape
+    rows, columns = image.shape
+    return columns, rows
 
 
 @pytest.fixture

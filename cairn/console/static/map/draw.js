@@ -56,6 +56,7 @@ export class Painter {
     if (visible.has("seen")) this.#seen(scene);
     if (visible.has("obstacles")) this.#movers(scene);
     if (visible.has("landmarks")) this.#landmarks(scene, selected);
+    if (visible.has("proposals")) this.#proposals(scene);
     if (visible.has("goals")) this.#goals(scene);
     for (const other of others) {
       this.#path(other.path, this.colors.other);
@@ -175,6 +176,14 @@ export class Painter {
       if (view.scale > 45 || mark.object_id === selected) this.label(mark.x, mark.y, 9, mark.name || `object ${mark.object_id}`);
     }
     context.setLineDash([]);
+  }
+
+  #proposals({ proposals }) {
+    for (const { x, y, name } of proposals) {
+      this.diamond(x, y, 7, { stroke: this.colors.accent, dash: [3, 2] });
+      this.label(x, y, 9, `${name}?`);
+    }
+    this.context.setLineDash([]);
   }
 
   #zones({ zones }, selected) {

@@ -15,6 +15,7 @@ export const LAYERS = [
   { id: "goals", title: "Goals", topics: ["navigate_goal", "navigation_status"], swatch: "--map-goal" },
   { id: "zones", title: "Zones and places", topics: ["zones"], swatch: "--map-keepout" },
   { id: "landmarks", title: "Landmarks", topics: ["visual_map", "visual_map_changes"], swatch: "--ok" },
+  { id: "proposals", title: "Proposed landmarks", topics: ["object_proposals"], swatch: "--accent" },
   { id: "seen", title: "Recognized objects", topics: ["recognized_objects"], swatch: "--warning" },
   { id: "obstacles", title: "Moving obstacles", topics: ["moving_obstacles"], swatch: "--map-obstacle" },
   { id: "world", title: "True world (simulation)", topics: ["world_geometry", "world_state", "collisions"], swatch: "--map-person" },
@@ -46,6 +47,7 @@ export class Scene {
   navigation = null;
   zones = [];
   landmarks = new Map();
+  proposals = [];
   changes = new Map(); // object id -> newest removal or registration
   seen = null; // {base, objects: [{id, at}]}
   movers = null;
@@ -135,6 +137,7 @@ export class Scene {
     else if (topic === "navigate_goal") this.goals = null;
     else if (topic === "navigation_status") this.navigation = null;
     else if (topic === "zones") this.zones = [];
+    else if (topic === "object_proposals") this.proposals = [];
     else if (topic === "visual_map") this.landmarks = new Map();
     else if (topic === "visual_map_changes") this.changes = new Map();
     else if (topic === "recognized_objects") this.seen = null;
@@ -248,6 +251,10 @@ export class Scene {
     this.changes.delete(message.object_id);
     this.changes.set(message.object_id, message);
     if (this.changes.size > MOST_CHANGES) this.changes.delete(this.changes.keys().next().value);
+  }
+
+  on_object_proposals(message) {
+    this.proposals = message.proposals;
   }
 
   on_recognized_objects(message) {

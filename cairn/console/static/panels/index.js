@@ -11,6 +11,7 @@ import { Diagnostics } from "./diagnostics.js";
 import { Logs } from "./logs.js";
 import { Parameters } from "./parameters.js";
 import { Plots } from "./plots.js";
+import { Proposals } from "./proposals.js";
 import { Status } from "./status.js";
 import { Topics } from "./topics.js";
 
@@ -24,4 +25,5 @@ export const panels = [
   { id: "parameters", title: "Parameters", icon: "parameters", component: Parameters },
   { id: "diagnostics", title: "Diagnostics", icon: "diagnostics", component: Diagnostics },
   { id: "camera", title: "Camera", icon: "camera", component: Camera },
+  { id: "proposals", title: "Proposals", icon: "proposal", component: Proposals },
 ];
