@@ -39,13 +39,13 @@ from cairn.components.object_recognizer.cameras import (
     shows_little,
     why_blind,
 )
-from cairn.components.object_recognizer.candidates import (
-    Candidate,
-    Candidates,
+from cairn.components.object_recognizer.finder_config import ObjectFinderConfig
+from cairn.components.object_recognizer.hypotheses import (
+    Hypotheses,
+    Hypothesis,
     Requirements,
     sighting_of,
 )
-from cairn.components.object_recognizer.finder_config import ObjectFinderConfig
 from cairn.components.object_recognizer.model_library import ModelLibrary
 from cairn.components.object_recognizer.observation import make_observation, measure_range
 from cairn.components.object_recognizer.patches import find_patches
@@ -70,9 +70,9 @@ _MOVED_M, _MOVED_RAD = 0.1, 0.1
 # most so long for the later one.
 _GAP_NS = SECOND // 2
 _MOST_ESTIMATES = 200
-# Identifiers of candidates, and from there on of proposals, while they are recognized: no map has
+# Identifiers of hypotheses, and from there on of proposals, while they are recognized: no map has
 # objects with such numbers.
-_CANDIDATES, _PROPOSALS = 1 << 30, 1 << 31
+_HYPOTHESES, _PROPOSALS = 1 << 30, 1 << 31
 
 
 class ObjectFinder(Component):
@@ -103,11 +103,11 @@ class ObjectFinder(Component):
             raise CairnError(f"{folder}: no such folder for proposals_file; make it")
         self._library = ModelLibrary(config.map_file)
         self._proposals = Proposals(config.proposals_file)
-        self._candidates = Candidates(
+        self._hypotheses = Hypotheses(
             Requirements(config.least_poses, config.least_visits, config.away_s)
         )
         self._accepted: list[ObjectModel] = []  # until the library has them
-        self._next_id = _CANDIDATES
+        self._next_id = _HYPOTHESES
         self._recognizer: Recognizer | None = None
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "proposals")
@@ -261,7 +261,7 @@ class ObjectFinder(Component):
         return last is None or apart(last, pose, _MOVED_M, _MOVED_RAD)
 
     def _search(self, images: StereoImages, pose: Pose, covariance: Array) -> None:
-        """Recognize what is known in a pair of images, and find new candidates."""
+        """Recognize what is known in a pair of images, and find new hypotheses."""
         cameras = self._calibrated_cameras()
         assert images.right is not None
         assert cameras.right is not None
@@ -277,17 +277,17 @@ class ObjectFinder(Component):
         models = {model.object_id: model for model in own.objects}
         seen = []
         for one in found:
-            if one.object_id in self._candidates:
+            if one.object_id in self._hypotheses:
                 ranged = measure_range(one, models, cameras, left, right)
                 observed = make_observation(ranged, self.config.mount.pose, self.config.bearing_sd)
                 if observed is not None and ranged.ranges_agree:
                     seen.append((one.object_id, sighting_of(observed, pose, covariance)))
-        if self._candidates.recognized(images.stamp_ns, seen):
+        if self._hypotheses.recognized(images.stamp_ns, seen):
             self._recognizer = None
         self._propose()
-        self._add_candidates(left, right, features, [*known, *found], cameras)
+        self._add_hypotheses(left, right, features, [*known, *found], cameras)
 
-    def _add_candidates(
+    def _add_hypotheses(
         self,
         left: Gray,
         right: Gray,
@@ -295,27 +295,27 @@ class ObjectFinder(Component):
         taken: list[Detection],
         cameras: Cameras,
     ) -> None:
-        """Make a candidate of the most detailed new thing in an image."""
+        """Make a hypothesis of the most detailed new thing in an image."""
         config = self.config
         outlines = [one.corners for one in taken]
         patches = find_patches(
             left, right, features, cameras.rig, outlines, config.nearest, config.farthest
         )
         if patches:
-            self._next_id = _CANDIDATES + (self._next_id + 1) % (_PROPOSALS - _CANDIDATES)
+            self._next_id = _HYPOTHESES + (self._next_id + 1) % (_PROPOSALS - _HYPOTHESES)
             best = patches[0]
-            self._candidates.add(
-                ObjectModel(self._next_id, f"candidate {self._next_id}", best.size, (best.view,))
+            self._hypotheses.add(
+                ObjectModel(self._next_id, f"hypothesis {self._next_id}", best.size, (best.view,))
             )
             self._recognizer = None
 
     def _own_recognizer(self) -> Recognizer:
-        """Return what recognizes candidates, proposals, rejected and just accepted things."""
+        """Return what recognizes hypotheses, proposals, rejected and just accepted things."""
         if self._recognizer is None:
             others = [*self._proposals.models, *self._accepted]
             self._recognizer = Recognizer(
                 [
-                    *self._candidates.models,
+                    *self._hypotheses.models,
                     *(
                         ObjectModel(_PROPOSALS + number, model.name, model.size, model.views)
                         for number, model in enumerate(others)
@@ -340,7 +340,7 @@ class ObjectFinder(Component):
     # --- Proposals ------------------------------------------------------------------------------
 
     def _propose(self) -> None:
-        ready = self._candidates.take_proposed()
+        ready = self._hypotheses.take_proposed()
         if not ready:
             return
         if self._proposals.is_full:
@@ -349,13 +349,13 @@ class ObjectFinder(Component):
                 f"nothing more is proposed: {self._proposals.path} is full; accept or reject "
                 "proposals, and delete the file to forget rejected things",
             )
-        for candidate in ready:
+        for hypothesis in ready:
             if not self._proposals.is_full:
-                self._propose_one(candidate)
+                self._propose_one(hypothesis)
         self._changed()
 
-    def _propose_one(self, candidate: Candidate) -> None:
-        one = self._proposals.add(candidate)
+    def _propose_one(self, hypothesis: Hypothesis) -> None:
+        one = self._proposals.add(hypothesis)
         self.log.info(
             "proposes %s as a landmark: %.2f m x %.2f m at (%.2f m, %.2f m), recognized %d times",
             one.model.name,

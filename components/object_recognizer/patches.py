@@ -116,7 +116,7 @@ def _groups(space: Array) -> list[NDArray[np.intp]]:
 def _patch(
     left: Gray, points: Array, found: Array, rig: StereoRig, taken: Sequence[Array]
 ) -> Patch | None:
-    """Return the patch of points (n, 2) [px] with disparities (n,) [px]; None if it is no good."""
+    """Return the patch of points (n, 2) [px] with disparities (n,) [px], None if it is useless."""
     plane = fit_plane(points, found)
     if plane is None:
         return None

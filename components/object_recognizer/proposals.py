@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from cairn import CairnError, from_ns
-from cairn.components.object_recognizer.candidates import MOST_PROPOSALS, Candidate
+from cairn.components.object_recognizer.hypotheses import MOST_PROPOSALS, Hypothesis
 from cairn.schemas.cairn_msgs import ObjectProposal
 from cairn.vision.images import Gray
 from cairn.vision.object_model import ObjectModel
@@ -101,15 +101,15 @@ class Proposals:
         """Whether the file has all of it."""
         return self._is_saved
 
-    def add(self, candidate: Candidate) -> Proposal:
-        """Propose a candidate."""
+    def add(self, hypothesis: Hypothesis) -> Proposal:
+        """Propose a hypothesis."""
         number = max(self._all, default=0) + 1
-        (x, y), spread = candidate.place()
-        model = replace(candidate.model, object_id=number, name=f"found {number}")
+        (x, y), spread = hypothesis.place()
+        model = replace(hypothesis.model, object_id=number, name=f"found {number}")
         position = MapPosition(
             float(x), float(y), float(spread[0, 0]), float(spread[0, 1]), float(spread[1, 1])
         )
-        one = Proposal(model, position, candidate.seen, candidate.first_ns)
+        one = Proposal(model, position, hypothesis.seen, hypothesis.first_ns)
         self._all[number] = one
         self._is_saved = False
         return one
@@ -145,6 +145,12 @@ class Proposals:
         with open_landmarks(self.path, read_only=True) as store:
             records = store.landmarks()
             firsts = {one.object_id: store.changes_of(one.object_id) for one in records}
+        if len(records) > MOST_PROPOSALS:
+            raise CairnError(
+                f"{self.path}: has {len(records):,} landmarks, more than the {MOST_PROPOSALS} "
+                "proposals that are kept, so it is not a file of proposals; give another "
+                "name (proposals_file)"
+            )
         for record in records:
             model = models.get(record.object_id)
             if model is None or model.size is None or record.position is None:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from cairn import SECOND
-from cairn.components.object_recognizer.candidates import (
-    MOST_CANDIDATES,
-    Candidate,
-    Candidates,
+from cairn.components.object_recognizer.hypotheses import (
+    MOST_HYPOTHESES,
+    Hypotheses,
+    Hypothesis,
     Requirements,
     Sighting,
     sighting_of,
@@ -26,7 +26,7 @@ VIEW = ModelView(10, 10, no_features(), np.zeros((10, 10), np.uint8))
 
 
 def model(number: int) -> ObjectModel:
-    return ObjectModel(number, f"candidate {number}", (0.4, 0.3), (VIEW,))
+    return ObjectModel(number, f"hypothesis {number}", (0.4, 0.3), (VIEW,))
 
 
 def seen_from(robot: Pose, place: tuple[float, float] = PLACE, sd: float = 0.03) -> Sighting:
@@ -39,35 +39,35 @@ def around(count: int, spread: float = 1.0) -> list[Pose]:
     return [(PLACE[0] - 2 * math.cos(a), PLACE[1] - 2 * math.sin(a), a) for a in angles]
 
 
-def add(candidates: Candidates, robots: Iterable[Pose], start_s: float, number: int = 1) -> None:
+def add(hypotheses: Hypotheses, robots: Iterable[Pose], start_s: float, number: int = 1) -> None:
     for k, robot in enumerate(robots):
-        candidates.recognized(round((start_s + k) * SECOND), [(number, seen_from(robot))])
+        hypotheses.recognized(round((start_s + k) * SECOND), [(number, seen_from(robot))])
 
 
 @pytest.fixture
-def candidates() -> Candidates:
-    found = Candidates(NEEDS)
+def hypotheses() -> Hypotheses:
+    found = Hypotheses(NEEDS)
     found.add(model(1))
     return found
 
 
-def test_thing_seen_on_two_visits_from_several_poses_is_proposed(candidates: Candidates) -> None:
-    add(candidates, around(6), 0)
-    assert candidates.take_proposed() == []  # one visit
+def test_thing_seen_on_two_visits_from_several_poses_is_proposed(hypotheses: Hypotheses) -> None:
+    add(hypotheses, around(6), 0)
+    assert hypotheses.take_proposed() == []  # one visit
 
-    add(candidates, around(1), 100)
+    add(hypotheses, around(1), 100)
 
-    (proposed,) = candidates.take_proposed()
+    (proposed,) = hypotheses.take_proposed()
     assert proposed.seen == 7
     assert proposed.place()[0] == pytest.approx(PLACE)
-    assert len(candidates) == 0
+    assert len(hypotheses) == 0
 
 
-def test_pause_shorter_than_a_visit_is_none(candidates: Candidates) -> None:
-    add(candidates, around(6), 0)
-    add(candidates, around(1), 20)
+def test_pause_shorter_than_a_visit_is_none(hypotheses: Hypotheses) -> None:
+    add(hypotheses, around(6), 0)
+    add(hypotheses, around(1), 20)
 
-    assert candidates.take_proposed() == []
+    assert hypotheses.take_proposed() == []
 
 
 @pytest.mark.parametrize(
@@ -79,61 +79,61 @@ def test_pause_shorter_than_a_visit_is_none(candidates: Candidates) -> None:
     ids=["one pose", "nearly one pose"],
 )
 def test_thing_seen_from_one_place_is_not_proposed(
-    candidates: Candidates, robots: list[Pose]
+    hypotheses: Hypotheses, robots: list[Pose]
 ) -> None:
-    add(candidates, robots, 0)
-    add(candidates, robots, 100)
+    add(hypotheses, robots, 0)
+    add(hypotheses, robots, 100)
 
-    assert candidates.take_proposed() == []
+    assert hypotheses.take_proposed() == []
 
 
-def test_thing_approached_straight_is_proposed(candidates: Candidates) -> None:
+def test_thing_approached_straight_is_proposed(hypotheses: Hypotheses) -> None:
     robots = [(PLACE[0] - away, PLACE[1], 0.0) for away in (3.0, 2.7, 2.4, 2.1, 1.8)]
-    add(candidates, robots, 0)
-    add(candidates, robots[:1], 100)
+    add(hypotheses, robots, 0)
+    add(hypotheses, robots[:1], 100)
 
-    assert len(candidates.take_proposed()) == 1
+    assert len(hypotheses.take_proposed()) == 1
 
 
-def test_thing_that_moves_is_forgotten(candidates: Candidates) -> None:
-    add(candidates, around(6), 0)
+def test_thing_that_moves_is_forgotten(hypotheses: Hypotheses) -> None:
+    add(hypotheses, around(6), 0)
 
     moved = seen_from(around(1)[0], (PLACE[0], PLACE[1] + 0.6))
-    assert candidates.recognized(100 * SECOND, [(1, moved)])
+    assert hypotheses.recognized(100 * SECOND, [(1, moved)])
 
-    assert 1 not in candidates
+    assert 1 not in hypotheses
 
 
-def test_thing_that_is_visible_twice_is_forgotten(candidates: Candidates) -> None:
+def test_thing_that_is_visible_twice_is_forgotten(hypotheses: Hypotheses) -> None:
     twin = seen_from(around(1)[0], (PLACE[0], PLACE[1] + 1.0))
 
-    assert candidates.recognized(0, [(1, seen_from(around(1)[0])), (1, twin)])
+    assert hypotheses.recognized(0, [(1, seen_from(around(1)[0])), (1, twin)])
 
-    assert 1 not in candidates
+    assert 1 not in hypotheses
 
 
-def test_single_error_of_range_does_not_count(candidates: Candidates) -> None:
-    add(candidates, around(6), 0)
+def test_single_error_of_range_does_not_count(hypotheses: Hypotheses) -> None:
+    add(hypotheses, around(6), 0)
     off = seen_from(around(1)[0], (PLACE[0] + 0.2, PLACE[1]))
-    assert not candidates.recognized(50 * SECOND, [(1, off)])
-    add(candidates, around(1), 100)
+    assert not hypotheses.recognized(50 * SECOND, [(1, off)])
+    add(hypotheses, around(1), 100)
 
-    (proposed,) = candidates.take_proposed()
+    (proposed,) = hypotheses.take_proposed()
     assert proposed.seen == 7
     assert proposed.place()[0] == pytest.approx(PLACE)
 
 
-def test_candidates_seen_least_are_forgotten_first(candidates: Candidates) -> None:
-    add(candidates, around(3), 0)
-    for number in range(2, 3 * MOST_CANDIDATES):
-        candidates.add(model(number))
+def test_hypotheses_seen_least_are_forgotten_first(hypotheses: Hypotheses) -> None:
+    add(hypotheses, around(3), 0)
+    for number in range(2, 3 * MOST_HYPOTHESES):
+        hypotheses.add(model(number))
 
-    assert len(candidates) == MOST_CANDIDATES
-    assert 1 in candidates
+    assert len(hypotheses) == MOST_HYPOTHESES
+    assert 1 in hypotheses
 
 
 def test_covariance_of_the_place_shrinks_with_sightings() -> None:
-    one = Candidate(model(1))
+    one = Hypothesis(model(1))
     spreads = []
     for k, robot in enumerate(around(10, spread=2.5)):
         one.add(k, seen_from(robot, sd=0.1), 20.0)

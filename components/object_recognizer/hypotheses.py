@@ -1,4 +1,4 @@
-"""Candidates: things that were never taught, and the evidence that they are good landmarks."""
+"""Hypotheses: things that were never taught, and the evidence that they are good landmarks."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from cairn.vision.object_model import ObjectModel
 
 Array = NDArray[np.float64]
 
-MOST_CANDIDATES: Final = 40
-"""Candidates that are kept; the one that was recognized least is forgotten first."""
+MOST_HYPOTHESES: Final = 40
+"""Hypotheses that are kept; the one that was recognized least is forgotten first."""
 
 MOST_PROPOSALS: Final = 100
 """Proposals, and rejected things, that are kept; with more, nothing new is proposed."""
@@ -51,7 +51,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a candidate needs to be proposed.
+    """What a hypothesis needs to be proposed.
 
     `poses` is the number of robot poses that it was recognized from, `visits` how often the robot
     came back to it after not recognizing it for `away_s` [s].
@@ -63,7 +63,7 @@ class Requirements:
 
 
 @dataclass
-class Candidate:
+class Hypothesis:
     """A thing that was never taught: its model, and where it was recognized.
 
     `seen` counts all recognitions, `first_ns` and `last_ns` are the times of the first and last
@@ -121,12 +121,12 @@ class Candidate:
         return spread >= _SPREAD_RAD or max(distances) >= _SPREAD_RATIO * min(distances)
 
 
-class Candidates:
-    """The candidates by the identifiers of their models."""
+class Hypotheses:
+    """The hypotheses by the identifiers of their models."""
 
     def __init__(self, needs: Requirements) -> None:
         self.needs = needs
-        self._known: dict[int, Candidate] = {}
+        self._known: dict[int, Hypothesis] = {}
 
     def __contains__(self, object_id: int) -> bool:
         return object_id in self._known
@@ -136,37 +136,37 @@ class Candidates:
 
     @property
     def models(self) -> list[ObjectModel]:
-        """The models of all candidates."""
+        """The models of all hypotheses."""
         return [one.model for one in self._known.values()]
 
     def add(self, model: ObjectModel) -> None:
-        """Add a candidate; forget another one if there are too many."""
-        while len(self._known) >= MOST_CANDIDATES:
+        """Add a hypothesis; forget another one if there are too many."""
+        while len(self._known) >= MOST_HYPOTHESES:
             least = min(self._known.values(), key=lambda one: (len(one.sightings), one.last_ns))
             self.remove(least.model.object_id)
-        self._known[model.object_id] = Candidate(model)
+        self._known[model.object_id] = Hypothesis(model)
 
     def remove(self, object_id: int) -> None:
-        """Forget a candidate."""
+        """Forget a hypothesis."""
         del self._known[object_id]
 
     def recognized(self, stamp_ns: int, seen: Sequence[tuple[int, Sighting]]) -> bool:
-        """Add what was recognized in an image; return whether candidates were forgotten.
+        """Add what was recognized in an image; return whether hypotheses were forgotten.
 
-        One that is visible twice in an image, or somewhere else than before, is no landmark.
+        One that is visible twice in an image, or somewhere else than before, cannot be a landmark.
         """
         numbers = [object_id for object_id, _ in seen]
         gone = {one for one in numbers if numbers.count(one) > 1}
         for object_id, sighting in seen:
-            candidate = self._known[object_id]
-            if object_id not in gone and not candidate.add(stamp_ns, sighting, self.needs.away_s):
+            hypothesis = self._known[object_id]
+            if object_id not in gone and not hypothesis.add(stamp_ns, sighting, self.needs.away_s):
                 gone.add(object_id)
         for object_id in gone:
             self.remove(object_id)
         return bool(gone)
 
-    def take_proposed(self) -> list[Candidate]:
-        """Remove and return the candidates that meet the requirements."""
+    def take_proposed(self) -> list[Hypothesis]:
+        """Remove and return the hypotheses that meet the requirements."""
         ready = [one for one in self._known.values() if one.meets(self.needs)]
         for one in ready:
             self.remove(one.model.object_id)
