@@ -11,7 +11,7 @@ from cairn.components.replay.bounded_streams import first_lines
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.components.replay.carmen_lines import MESSAGES
 from cairn.components.replay.image_recording import ImageRecording, holds_images, is_video
-from cairn.components.replay.mrclam import MrclamRecording
+from cairn.components.replay.mrclam import ROBOTS, MrclamRecording
 from cairn.components.replay.recording import Recording
 from cairn.components.replay.ros_bag import BagRecording
 from cairn.errors import RecordingError
@@ -52,8 +52,10 @@ def open_recording(
             return BagRecording(path, topics or {}, scan_delay_s)
         if next(path.glob("Barcodes.dat*"), None) or next(path.glob("Robot*_*.dat*"), None):
             if robot is None:
+                robots = [str(one) for one in ROBOTS if next(path.glob(f"Robot{one}_*.dat*"), None)]
                 raise RecordingError(
-                    f"{path} is an MRCLAM data set of several robots; set `robot`, 1 to 5."
+                    f"{path} is an MRCLAM data set of several robots; choose one of "
+                    f"{', '.join(robots)} by --robot, in a deployment by `robot`."
                 )
             return MrclamRecording(path, robot)
         if holds_mcap(path):

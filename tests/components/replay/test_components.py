@@ -160,6 +160,13 @@ def test_missing_recording_and_wrong_folder_are_rejected(tmp_path: Path) -> None
         open_recording(tmp_path)
 
 
+def test_robot_of_an_mrclam_data_set_is_asked_for_with_those_that_it_has(tmp_path: Path) -> None:
+    for robot in (2, 5):
+        (tmp_path / f"Robot{robot}_Odometry.dat").touch()
+    with pytest.raises(RecordingError, match=words_in_order("one of 2, 5", "--robot")):
+        open_recording(tmp_path)
+
+
 def test_complete_replay_in_lockstep_from_time_zero(write: Write, tmp_path: Path) -> None:
     """A log may start at time 0, at which simulated clocks start, too."""
     log = str(write(*(odom(k / 10, k / 10) for k in range(31))))
