@@ -52,10 +52,10 @@ def open_recording(
             return BagRecording(path, topics or {}, scan_delay_s)
         if next(path.glob("Barcodes.dat*"), None) or next(path.glob("Robot*_*.dat*"), None):
             if robot is None:
-                robots = [str(one) for one in ROBOTS if next(path.glob(f"Robot{one}_*.dat*"), None)]
+                held = [str(one) for one in ROBOTS if next(path.glob(f"Robot{one}_*.dat*"), None)]
                 raise RecordingError(
-                    f"{path} is an MRCLAM data set of several robots; choose one of "
-                    f"{', '.join(robots)} by --robot, in a deployment by `robot`."
+                    f"{path} is an MRCLAM data set of several robots; choose one by --robot, in a "
+                    f"deployment by `robot`; it has: {', '.join(held) or 'none'}."
                 )
             return MrclamRecording(path, robot)
         if holds_mcap(path):

@@ -129,7 +129,7 @@ def test_part_after_the_end_is_rejected() -> None:
 
 
 def test_data_set_of_several_robots_needs_a_robot_number(dataset: Path) -> None:
-    with pytest.raises(RecordingError, match=words_in_order("`robot`", "1 to 5")):
+    with pytest.raises(RecordingError, match=words_in_order("--robot", "`robot`")):
         open_recording(dataset)
 
 
@@ -163,7 +163,7 @@ def test_missing_recording_and_wrong_folder_are_rejected(tmp_path: Path) -> None
 def test_robot_of_an_mrclam_data_set_is_asked_for_with_those_that_it_has(tmp_path: Path) -> None:
     for robot in (2, 5):
         (tmp_path / f"Robot{robot}_Odometry.dat").touch()
-    with pytest.raises(RecordingError, match=words_in_order("one of 2, 5", "--robot")):
+    with pytest.raises(RecordingError, match=words_in_order("--robot", "it has: 2, 5")):
         open_recording(tmp_path)
 
 
