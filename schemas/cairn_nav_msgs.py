@@ -244,7 +244,7 @@ class NavigationStatus:
     """The progress of a mission: AutoMove's feedback, and at the end its result.
 
     `goal` is the index of the current goal, of `goals`; `distance_left` [m] and `time_left` [s]
-    are to that goal, `elapsed` [s] and `recoveries` count from the start of the mission.
+    are to that goal, `elapsed` [s] and `recoveries` count from the start of the mission to its end.
     """
 
     LOADING: ClassVar[UInt8] = 0

@@ -53,10 +53,13 @@ def world_file(name: str) -> Path:
 
 def _file_or_shipped(name: str, folder: Path, kind: str, known: list[str]) -> Path:
     file, candidate = Path(name), folder / f"{name}.yaml"
-    if file.exists() or file.name != name or file.suffix:
+    is_path = file.name != name or file.suffix
+    if is_path or (file.exists() and not file.is_dir()):
         return file  # where it does not exist, the reader reports the path
-    if candidate.is_file():
+    if candidate.is_file():  # even beside a folder of that name, such as a report
         return candidate
+    if file.exists():
+        return file
     close = get_close_matches(name, [one.partition(" ")[0] for one in known], n=2)
     guess = f"did you mean {' or '.join(close)}? Give" if close else "give"
     raise CairnError(

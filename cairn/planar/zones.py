@@ -239,8 +239,8 @@ def _rings_of(geometry: _Polygon | _LineString | _Point, where: str) -> list[lis
 def _check_polygon(zone: Zone, where: str) -> None:
     if (at := crossing(zone_edges(zone))) is not None:
         raise CairnError(
-            f"{where}: edges of the polygon cross or touch at ({at[0]:.2f}, {at[1]:.2f}); draw it "
-            "without"
+            f"{where}: edges of the polygon cross or touch at ({at[0]:.2f}, {at[1]:.2f}); draw an "
+            "outline in which no edge meets another, and no point is repeated"
         )
     outline, *holes = ring_bounds(zone.rings)
     points = points_of(zone)

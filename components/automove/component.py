@@ -98,6 +98,7 @@ class AutoMove(Supervisor):
     _navigator: NavigatorStateMachine | None = None
     _published: tuple[int, ...] | None = None
     _published_at = 0
+    _under_way_ns = 0  # the last time at which the mission had no result
 
     def on_configure(self) -> None:
         """Start without inputs."""
@@ -215,6 +216,8 @@ class AutoMove(Supervisor):
     def _publish(self, navigator: NavigatorStateMachine) -> None:
         """Publish command and status when they change, and periodically."""
         now = self.clock.now()
+        if not navigator.finished:
+            self._under_way_ns = now
         version = (
             navigator.goal_id,
             navigator.state,
@@ -246,7 +249,7 @@ class AutoMove(Supervisor):
                 goals=len(navigator.goals),
                 distance_left=left_m,
                 time_left=left_m / self.config.speed,
-                elapsed=max(0.0, now / SECOND - navigator.started_s),
+                elapsed=max(0.0, self._under_way_ns / SECOND - navigator.started_s),
                 recoveries=navigator.recoveries,
                 reason=navigator.reason.text,
                 reason_code=int(navigator.reason.code),

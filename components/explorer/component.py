@@ -243,7 +243,9 @@ class Explorer(Component):
         if missing or here is None or self._grid is None:
             self._reason = missing
             if now - self._complete_ns > _MISSING_S * SECOND:
-                self._end(ExplorationStatus.FAILED, f"{missing} for {_MISSING_S:.0f} s")
+                self._end(
+                    ExplorationStatus.FAILED, f"{missing} for {_MISSING_S:.0f} s{self._remedy}"
+                )
                 return
         else:
             self._explore(self._grid, here, now)
@@ -368,6 +370,14 @@ class Explorer(Component):
         if not estimate.located:
             return None, f"the robot is not located: {estimate.reason}"
         return planar_pose(estimate.pose.pose), ""
+
+    @property
+    def _remedy(self) -> str:
+        """What an operator can do about a missing pose; nothing else that is missing has one."""
+        estimate = self.localization.latest
+        if self._grid is None or estimate is None or estimate.located:
+            return ""
+        return "; drive by hand or send it to a goal (`cairn go`) until it is located"
 
     def _needs(self) -> Clearance:
         config, grid = self.config, self._grid

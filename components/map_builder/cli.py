@@ -180,7 +180,7 @@ def zones(
     except FileNotFoundError as error:
         raise CairnError(f"{file}: no such file; give a zones file") from error
     if not as_json:
-        line(f"{file.name}: {len(found)} zones")
+        line(f"{file.name}: {len(found)} {'zone' if len(found) == 1 else 'zones'}")
     show_rows([zone_row(zone) for zone in found], ZONE_COLUMNS, as_json=as_json, nothing="no zones")
 
 

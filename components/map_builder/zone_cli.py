@@ -177,7 +177,9 @@ def _report(answer: Mapping[str, Any], *, as_json: bool) -> None:
     if as_json:
         print_json(answer)
     else:
-        line(f"the map has {answer['zones']} zones (version {answer['version']})")
+        count = answer["zones"]
+        zones = "1 zone" if count == 1 else f"{count} zones"
+        line(f"the map has {zones} (version {answer['version']})")
     if not answer["saved"]:
         note(
             f"{answer['file']} is not saved yet, and a restart would lose the change: `cairn ps` "

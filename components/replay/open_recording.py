@@ -11,7 +11,7 @@ from cairn.components.replay.bounded_streams import first_lines
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.components.replay.carmen_lines import MESSAGES
 from cairn.components.replay.image_recording import ImageRecording, holds_images, is_video
-from cairn.components.replay.mrclam import MrclamRecording
+from cairn.components.replay.mrclam import ROBOTS, MrclamRecording
 from cairn.components.replay.recording import Recording
 from cairn.components.replay.ros_bag import BagRecording
 from cairn.errors import RecordingError
@@ -52,11 +52,10 @@ def open_recording(
             return BagRecording(path, topics or {}, scan_delay_s)
         if next(path.glob("Barcodes.dat*"), None) or next(path.glob("Robot*_*.dat*"), None):
             if robot is None:
-                robots = sorted({file.name[5] for file in path.glob("Robot[1-5]_*.dat*")})
+                held = [str(one) for one in ROBOTS if next(path.glob(f"Robot{one}_*.dat*"), None)]
                 raise RecordingError(
-                    f"{path} is an MRCLAM data set of several robots; name one with the parameter "
-                    f"`robot` of a replay, or with --robot of the command: it has "
-                    f"{', '.join(robots) or 'none'}."
+                    f"{path} is an MRCLAM data set of several robots; choose one by --robot, in a "
+                    f"deployment by the parameter `robot`; it has: {', '.join(held) or 'none'}."
                 )
             return MrclamRecording(path, robot)
         if holds_mcap(path):

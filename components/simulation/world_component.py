@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from logging import INFO, WARNING
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 
 from cairn import (
     LATCHED,
@@ -40,6 +41,7 @@ from cairn.components.simulation.world_file import (
     describe_errors,
     read_world,
 )
+from cairn.deployment.shipped import world_file
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import VisualMap
@@ -71,7 +73,9 @@ class SlipConfig(Config):
 class WorldConfig(Config):
     """The world and the robot's size in it."""
 
-    world: ReadPath = Field(description="World file (YAML).")
+    world: ReadPath = Field(
+        description="World file (YAML), or the name of a world that Cairn ships."
+    )
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
     slip: SlipConfig = Field(SlipConfig(), description="Slip of the wheels.")
     events: tuple[Event, ...] = Field(
@@ -82,6 +86,14 @@ class WorldConfig(Config):
         description="File for the state of the world, with which a restarted world continues; "
         "none: it starts again from the world file.",
     )
+
+    @field_validator("world")
+    @classmethod
+    def _by_name(cls, value: Path) -> Path:
+        try:
+            return world_file(os.fspath(value))
+        except CairnError as error:
+            raise ValueError(str(error)) from error
 
 
 class _Named(Config):

@@ -206,7 +206,8 @@ class MobileSupervisor(Supervisor):
             token=token,
         )
         x, y, _ = goals[-1]
-        via = f" via {len(goals) - 1} other goals" if len(goals) > 1 else ""
+        others = len(goals) - 1
+        via = f" via {others} other {'goal' if others == 1 else 'goals'}" if others else ""
         self.log.info("mission %d: go to (%.2f, %.2f)%s", mission.mission_id, x, y, via)
         if mission.replaces_configured and self.config.finish:
             self.log.warning(

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 
 import { cornerAt, edgeAt, nextCorner, withAdded, withMoved, withoutCorner } from "../../cairn/console/static/map/zone_shape.js";
-import { featureOf, isInside, middleOf, nearestPlace, newZone, zoneAt, zonesOf } from "../../cairn/console/static/map/zones.js";
+import { featureOf, isInside, middleOf, nearestPlace, newZone, withPoint, zoneAt, zonesOf } from "../../cairn/console/static/map/zones.js";
 
 const square = (kind, name, [x0, y0, x1, y1], properties = {}) => ({ kind, name, speed: 0, width: 0, heading: null, rings: [[[x0, y0], [x1, y0], [x1, y1], [x0, y1]]], ...properties });
 const dock = { kind: "place", name: "dock", speed: 0, width: 0, heading: null, rings: [[[1, 1]]] };
@@ -32,6 +32,14 @@ test("a new zone has a name that no other has", () => {
   assert.equal(newZone("keepout", [[0, 0]], zones).name, "keepout 2");
   assert.deepEqual(newZone("slow", [[0, 0]], zones).speed, 0.2);
   assert.deepEqual(newZone("place", [[0, 0]], zones, 1).heading, 1);
+});
+
+test("a double click adds one point", () => {
+  const once = withPoint([[0, 0]], [1, 2]);
+  assert.deepEqual(once, [[0, 0], [1, 2]]);
+  assert.deepEqual(withPoint(once, [1, 2.0001]), once);
+  assert.deepEqual(withPoint(once, [1, 2.1]), [...once, [1, 2.1]]);
+  assert.deepEqual(withPoint([], [0, 0]), [[0, 0]]);
 });
 
 test("a press hits places before lanes before areas, the last drawn one first", () => {

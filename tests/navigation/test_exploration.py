@@ -98,6 +98,7 @@ def test_ctrl_c_ends_the_exploration_and_the_map_so_far_is_saved(
         exploring.kill()
     assert exploring.returncode == 130
     assert output.splitlines()[-1] == "exploration ended: the robot stops"
+    assert " 0 m² are free" not in output  # nothing is printed before the explorer has a map
     robot.await_stand()
 
     saved = cairn("map", "save", str(out), "--json", connect=connect)

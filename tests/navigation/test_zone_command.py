@@ -81,7 +81,7 @@ def test_zones_are_checked_and_loaded_from_a_file(robot: ObservedRobot, tmp_path
     assert_words(checked.err, str(file), "dock", "names must differ")
 
     file.write_text(json.dumps({"type": "FeatureCollection", "features": [place]}))
-    assert_words(cairn("map", "zones", str(file)).out, "1 zones", "dock", "place")
+    assert_words(cairn("map", "zones", str(file)).out, "1 zone", "dock", "place")
     zone(robot, "load", str(file))
     assert_words(zone(robot, "list"), "dock", "place")
     assert "kitchen" not in zone(robot, "list")

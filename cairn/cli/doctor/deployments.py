@@ -68,7 +68,8 @@ def files(file: Path, deployment: Deployment) -> Iterator[Finding]:
                 remedy = f"let {getpass.getuser()} read it: see `ls -l`, `chmod` and `chown`"
                 yield Finding(topic, str(read.value), "fail", f"{name}: may not be read", remedy)
             else:
-                remedy = f"create it, or name another one: --set {_key(member, read.name)}=PATH"
+                key = _setting(deployment, read.value) or _key(member, read.name)
+                remedy = f"create it, or name another one: --set {key}=PATH"
                 yield Finding(topic, str(read.value), "fail", f"{name}: does not exist", remedy)
 
 
@@ -249,6 +250,16 @@ def _on_network(topic: str, name: str, address: str) -> Finding:
 
 def _config(member: Member) -> Config:
     return load_plugin(member.spec.plugin).config_class().model_validate(member.spec.parameters)
+
+
+def _setting(deployment: Deployment, file: Path) -> str | None:
+    """Return the top-level setting that names the file; None if there is none, or several."""
+    names = [
+        name
+        for name, value in deployment.settings.items()
+        if isinstance(value, str) and Path(value) == file
+    ]
+    return f"settings.{names[0]}" if len(names) == 1 else None
 
 
 def _key(member: Member, parameter: str) -> str:

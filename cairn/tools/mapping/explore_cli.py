@@ -96,6 +96,8 @@ def _follow(client: Robot, *, as_json: bool) -> ExplorationStatus:
                 raise CairnError("the explorer was restarted, and does not continue (state_file)")
             if status.state != ExplorationStatus.EXPLORING:
                 return status
+            if not status.known_area and not status.reason:
+                continue  # the explorer has no map yet
             now = time.monotonic()
             news = (status.goal_x, status.goal_y)
             if not as_json and (str(news) != str(printed) or now - printed_at >= _REPEAT_S):
@@ -108,6 +110,8 @@ def _progress(status: ExplorationStatus) -> str:
     goal = ""
     if not math.isnan(status.goal_x):
         goal = f", next ({status.goal_x:.2f}, {status.goal_y:.2f})"
+    if not status.known_area:  # what it waits for
+        return f"{status.elapsed:6.1f} s  {status.reason}"
     reason = f": {status.reason}" if status.reason else ""
     return (
         f"{status.elapsed:6.1f} s  {status.known_area:.0f} m² are free, {status.frontiers} "

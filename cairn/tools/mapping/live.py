@@ -90,9 +90,11 @@ def print_saved(saved: SavedMap, *, as_json: bool) -> None:
 
 def quality_lines(quality: MapQuality) -> list[str]:
     """Return the figures of a grid map as lines to print."""
+    loops = f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected"
+    if quality.loops:
+        loops += f"; they differ by {quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg"
     return [
-        f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected; they differ by "
-        f"{quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg",
+        loops,
         f"  entropy    {quality.entropy_bit:.3f} bit per known cell",
         f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for "
         "most",

@@ -37,12 +37,17 @@ def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
     ]
     axes.add_collection(LineCollection(loops, colors=_LOOPS, linewidths=0.5, alpha=0.5))
     axes.plot(poses[:, 0], poses[:, 1], color=_WAY, linewidth=0.8, label="way of the robot")
-    axes.plot([], [], color=_LOOPS, linewidth=1.0, label=f"{len(loops)} loops closed")
+    if loops:
+        label = "1 loop closed" if len(loops) == 1 else f"{len(loops)} loops closed"
+        axes.plot([], [], color=_LOOPS, linewidth=1.0, label=label)
     axes.plot(poses[0, 0], poses[0, 1], "o", color="tab:green", label="start")
     axes.plot(poses[-1, 0], poses[-1, 1], "s", color="tab:red", label="end")
-    for landmark in built.landmarks.landmarks:
+    landmarks = built.landmarks.landmarks
+    if landmarks:
+        x, y = [one.position.x for one in landmarks], [one.position.y for one in landmarks]
+        axes.plot(x, y, "*", color="tab:purple", label="landmarks, with object ids")
+    for landmark in landmarks:
         at = landmark.position
-        axes.plot(at.x, at.y, "*", color="tab:purple")
         axes.annotate(str(landmark.object_id), (at.x, at.y), fontsize=8)
     axes.set_aspect("equal", adjustable="box" if built.grid is not None else "datalim")
     axes.set_xlabel("x [m]")

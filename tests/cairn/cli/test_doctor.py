@@ -174,10 +174,15 @@ def test_file_that_is_missing_is_a_fault(tmp_path: Path) -> None:
         "object_recognizer.map_file: does not exist",
     ]
     assert {row["state"] for row in missing} == {"fail"}
-    key = "components.mobile_supervisor.children.automove.children.map_builder.parameters.map_file"
-    assert_words(missing[0]["remedy"], "create", f"--set {key}=PATH")
+    for row in missing:  # one setting names the file for both
+        assert_words(row["remedy"], "create", "--set settings.visual_map=PATH")
     [there] = [row for row in answer.json if row["found"] == "map_builder.grid_file"]
     assert there["state"] == "ok"
+
+    key = "components.mobile_supervisor.children.automove.children.map_builder.parameters.map_file"
+    answer = cairn("doctor", str(robot), "--set", f"{key}={nowhere}", "--json")
+    [row] = [row for row in answer.json if row["subject"] == str(nowhere)]
+    assert_words(row["remedy"], "create", f"--set {key}=PATH")
 
 
 def test_file_that_may_not_be_read_is_a_fault(

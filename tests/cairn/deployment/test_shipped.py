@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from cairn import CairnError
+from cairn.components.simulation.world_component import WorldConfig
 from cairn.deployment.load import load_deployment
 from cairn.deployment.shipped import FOLDER, deployment_file, shipped, world_file
 from tests.commands import cairn
@@ -22,6 +23,16 @@ def test_file_in_the_current_folder_comes_before_a_shipped_one(
     assert deployment_file("sim") == FOLDER / "sim.yaml"
     Path("sim").write_text("cairn: 1\n")
     assert deployment_file("sim") == Path("sim")
+
+
+def test_folder_in_the_current_folder_does_not_hide_a_shipped_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("office", "mine"):
+        Path(name).mkdir()
+    assert world_file("office") == FOLDER / "worlds" / "office.yaml"
+    assert world_file("mine") == Path("mine")
 
 
 @pytest.mark.parametrize("name", ["sim.yaml", "there/sim", "./sim"])
@@ -61,6 +72,21 @@ def test_deployments_are_listed_with_their_purpose() -> None:
     assert "sim " in cairn("deployments").out
 
 
+def test_simulated_world_of_a_deployment_is_named_like_a_file_or_a_shipped_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("office").mkdir()  # the report of an earlier run
+
+    assert WorldConfig.model_validate({"world": "office"}).world == (
+        FOLDER / "worlds" / "office.yaml"
+    )
+    assert WorldConfig.model_validate({"world": "my/room.yaml"}).world == Path("my/room.yaml")
+    with pytest.raises(ValueError, match=words_in_order("offic", "did you mean office")):
+        WorldConfig.model_validate({"world": "offic"})
+
+
 def test_commands_take_shipped_names() -> None:
     assert cairn("check", "sim", "--overlay", "pixels", "--json").json["valid"]
+    assert cairn("check", "mapping", "--set", "world=office", "--json").json["valid"]
     assert "12 objects" in cairn("world", "check", "hall").out

@@ -121,8 +121,12 @@ def test_command_is_published_on_change_and_twice_a_second(make_harness: MakeHar
     assert reported.elapsed == pytest.approx(1.1, abs=0.5)
 
     robot.publish("motion_status", MotionStatus(goal_id=command.goal_id, state=MotionStatus.DONE))
-    assert statuses.take()[-1].state == NavigationStatus.SUCCEEDED
+    ended = statuses.take()[-1]
+    assert ended.state == NavigationStatus.SUCCEEDED
     assert nav_commands.take()[-1].behavior == NavCommand.STAND
+
+    robot.run_for(3.0)
+    assert statuses.take()[-1].elapsed == pytest.approx(ended.elapsed, abs=0.2)
 
 
 def test_give_way_recovery_sends_a_goal_to_the_planner(make_harness: MakeHarness) -> None:

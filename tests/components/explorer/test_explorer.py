@@ -26,7 +26,7 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from tests.components.path_planner.rooms import room
-from tests.wording import words_in_order
+from tests.wording import assert_words, words_in_order
 from tests.zone_features import area
 
 HALF = room(unknown=[(5.0, 0.1, 8.9, 6.9)])
@@ -223,6 +223,19 @@ def test_goal_that_nobody_accepts_is_sent_again_and_fails_in_the_end(
     status = explorer.status
     assert status.state == ExplorationStatus.FAILED
     assert "no answer to goals on /robot/exploration_goal" in status.reason
+
+
+def test_robot_that_is_not_located_fails_after_a_minute_with_what_an_operator_can_do(
+    explorer: ExplorerHarness,
+) -> None:
+    explorer.see(HALF)
+    lost = LocalizationEstimate(located=False, reason="no place of the map is recognized yet")
+    explorer.publish("localization", lost)
+    explorer.request("explore")
+    explorer.run_for(65.0)
+    status = explorer.status
+    assert status.state == ExplorationStatus.FAILED
+    assert_words(status.reason, "no place of the map is recognized yet for 60 s", "cairn go")
 
 
 def test_missing_map_fails_after_a_minute(explorer: ExplorerHarness) -> None:

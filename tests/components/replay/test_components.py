@@ -129,7 +129,7 @@ def test_part_after_the_end_is_rejected() -> None:
 
 
 def test_data_set_of_several_robots_needs_a_robot_number(dataset: Path) -> None:
-    with pytest.raises(RecordingError, match=words_in_order("`robot`", "--robot", "2, 5")):
+    with pytest.raises(RecordingError, match=words_in_order("--robot", "`robot`", "2, 5")):
         open_recording(dataset)
 
 
@@ -157,6 +157,13 @@ def test_missing_recording_and_wrong_folder_are_rejected(tmp_path: Path) -> None
         open_recording(tmp_path / "nowhere")
     (tmp_path / "notes.txt").write_text("x")
     with pytest.raises(RecordingError, match=r"is not a recording .it holds: notes.txt"):
+        open_recording(tmp_path)
+
+
+def test_robot_of_an_mrclam_data_set_is_asked_for_with_those_that_it_has(tmp_path: Path) -> None:
+    for robot in (2, 5):
+        (tmp_path / f"Robot{robot}_Odometry.dat").touch()
+    with pytest.raises(RecordingError, match=words_in_order("--robot", "it has: 2, 5")):
         open_recording(tmp_path)
 
 

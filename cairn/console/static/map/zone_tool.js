@@ -1,6 +1,6 @@
 // The tool for zones: a press adds a point to the draft, selects a zone, or changes the shape of the selected one.
 
-import { draft, newZone, zoneAt } from "./zones.js";
+import { draft, newZone, withPoint, zoneAt } from "./zones.js";
 import { cornerAt, edgeAt, nextCorner, ringsOf, shape, withAdded, withMoved, withoutCorner } from "./zone_shape.js";
 
 const KEY_STEP_M = 0.05; // by which an arrow moves a corner: a cell of a usual map
@@ -58,7 +58,7 @@ export function zoneTool(controller, add, save) {
       const { kind, points } = draft.value;
       const zone = selected();
       if (kind === "place") add(newZone(kind, [drag.from], zones(), drag.theta));
-      else if (kind) draft.set({ kind, points: [...points, drag.from] });
+      else if (kind) draft.set({ kind, points: withPoint(points, drag.from) });
       else if (drag.data.toggles) zone && toggle(zone, drag.from, drag.data.reach);
       else if (drag.data.corner) {
         if (zone && drag.moved) change(zone, withMoved(ringsOf(zone), drag.data.corner, drag.to), drag.data.corner);

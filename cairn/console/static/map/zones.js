@@ -50,6 +50,13 @@ export function newZone(kind, points, zones, heading = null) {
   return { kind, name: `${kind} ${number}`, speed: of("slow", FIRST_SPEED), width: of("lane", FIRST_WIDTH_M), heading, rings: [points] };
 }
 
+/** Return the points with one more, unless it is the last one again: the second press of a double click. */
+export function withPoint(points, [x, y]) {
+  const last = points.at(-1);
+  const isSame = last !== undefined && round(last[0]) === round(x) && round(last[1]) === round(y);
+  return isSame ? points : [...points, [x, y]];
+}
+
 /** Return the zone at a position, or within `reach` [m] of it: places before lanes before areas. */
 export function zoneAt(zones, [x, y], reach) {
   const near = (zone, most) => distanceTo(zone, x, y) <= most;
