@@ -385,6 +385,8 @@ class Mapper:
         last = self.graph.pose(len(self.keyframes) - 1)
         self.graph.optimize()
         self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
+        # The next scan is aligned to where the keyframes are now.
+        self._set_surroundings()
 
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""
