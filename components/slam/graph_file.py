@@ -66,6 +66,7 @@ _MOST_KEYFRAMES: Final = 500_000
 _STEPS: Final = 400_000_000
 _LOCK_WAIT_S: Final = 5.0
 _LARGEST: Final = 1e7  # of coordinates [m]
+_ROUNDED: Final = 1e-6  # share by which the numbers of a matrix are off
 _VERSIONS: Final = 2**31  # of which numbers are smaller than this
 
 
@@ -90,9 +91,8 @@ class GraphFile:
         if path.exists():
             raise CairnError(f"{path} exists already; remove it, or give another name")
         with explained_errors(path):
-            path.touch(exist_ok=False)
-            connection = open_connection(path)
-            with connection:
+            # Complete or not at all: a restarted component would not continue half of a file.
+            with replacing(path) as part, closing(sqlite3.connect(part)) as connection, connection:
                 for name, columns in _TABLES.items():
                     connection.execute(f"CREATE TABLE {name} ({columns})")
                 connection.execute(
@@ -100,7 +100,7 @@ class GraphFile:
                 )
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {_FORMAT}")
-        return cls(path, connection)
+            return cls(path, open_connection(path))
 
     @classmethod
     def open(cls, path: Path) -> tuple[GraphFile, Mapper]:
@@ -281,7 +281,7 @@ def read_edges(connection: sqlite3.Connection, numbers: Sequence[int]) -> list[E
     for _, kind, first, second, measured, information in _rows(connection, "edges", "number"):
         x, y, theta = _numbers(measured, 3)
         matrix = _floats(information, np.float64, 3)
-        if matrix.shape != (3, 3):
+        if matrix.shape != (3, 3) or not _is_information(matrix):
             raise ValueError("the information of a constraint is wrong")
         if not {first, second} <= known:
             raise ValueError(f"a keyframe of the constraint {first}, {second} is missing")
@@ -333,12 +333,15 @@ def _read(connection: sqlite3.Connection) -> Mapper:
         if not max(abs(x), abs(y)) < _LARGEST:
             raise ValueError(f"landmark {landmark} is not in the map")
         landmarks[landmark] = (x, y)
-    for _, keyframe, landmark, measured in _rows(connection, "sightings", "number"):
+    for number, keyframe, landmark, measured in _rows(connection, "sightings", "number"):
         if landmark not in landmarks:
             raise ValueError(f"landmark {landmark} is missing")
+        sighting = Sighting(index.get(keyframe, -1), landmark, *_numbers(measured, 4))
+        if not min(sighting.range_sd, sighting.bearing_sd) > 0.0:
+            raise ValueError(f"the standard deviations of sighting {number} are wrong")
         if keyframe in index:
             graph.landmarks[landmark] = landmarks[landmark]
-            graph.sightings.append(Sighting(index[keyframe], landmark, *_numbers(measured, 4)))
+            graph.sightings.append(sighting)
     return mapper
 
 
@@ -454,6 +457,14 @@ def _floats(blob: object, kind: type, columns: int) -> NDArray[np.float64]:
     if not np.isfinite(values).all():
         raise ValueError("numbers are not finite")
     return values.astype(np.float64)
+
+
+def _is_information(matrix: Array) -> bool:
+    """Return whether a matrix (3, 3) is symmetric, and negative in no direction."""
+    size = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > _ROUNDED * size:
+        return False
+    return bool(np.linalg.eigvalsh(matrix)[0] >= -_ROUNDED * size)
 
 
 def _numbers(blob: object, count: int) -> list[float]:
