@@ -186,6 +186,7 @@ class GraphHistory:
         file is as it was.
         """
         with self._changing(before) as (connection, version):
+            _end_submap(connection)
             number, submap = _next(connection, "keyframes"), _next(connection, "submaps")
             last = number + len(renewal.keyframes) - 1
             if renewal.keyframes:
@@ -486,6 +487,17 @@ def _replace_tiles(connection: sqlite3.Connection, renewals: Renewals, version: 
     )
     new = [key for key, blob in wanted.items() if known.get(key) != blob]
     insert_tiles(connection, renewals, sorted(new), version)
+
+
+def _end_submap(connection: sqlite3.Connection) -> None:
+    """Make a submap of the last keyframes if they are in none, as a robot that maps leaves them."""
+    ((first, last),) = connection.execute(
+        "SELECT min(number), max(number) FROM keyframes "
+        "WHERE number > (SELECT coalesce(max(last), -1) FROM submaps)"
+    ).fetchall()
+    if first is not None:
+        submap = _next(connection, "submaps")
+        connection.execute("INSERT INTO submaps VALUES (?, ?, ?)", (submap, first, last))
 
 
 def _next(connection: sqlite3.Connection, table: str) -> int:

@@ -23,11 +23,13 @@ from cairn.components.slam.graph_history import (
     read_log,
 )
 from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays
+from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.pose_graph import Edge, EdgeKind
 from cairn.errors import CairnError
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, relative
 from tests.components.localizer.room import room
+from tests.components.slam.box_room import drive
 from tests.components.slam.changing_room import REACH, ROUND, TABLE, scan_at, write_room_graph
 
 FEW = ROUND[::4]
@@ -70,6 +72,23 @@ def drawing(history: GraphHistory, version: int | None = None) -> OccupancyCells
 
 def same(first: OccupancyCells, second: OccupancyCells) -> bool:
     return first.frame == second.frame and np.array_equal(first.values, second.values)
+
+
+def test_keyframes_of_an_unfinished_submap_stay_a_submap_of_their_own(tmp_path: Path) -> None:
+    """Otherwise a robot that extends the map would not search for what they have seen."""
+    path = tmp_path / "room.graph"
+    mapper = Mapper(10.0)
+    drive(mapper, 0, 60)
+    open_from = mapper.submaps[-1].last + 1
+    assert open_from < len(mapper.keyframes)
+    write_graph(path, mapper, "a robot that maps")
+
+    with GraphHistory(path) as history:
+        renew(history, 1)
+
+    ends = [(submap.first, submap.last) for submap in read_graph(path).submaps]
+    count = len(mapper.keyframes)
+    assert ends[-2:] == [(open_from, count - 1), (count, count)]
 
 
 STEPS = st.lists(
