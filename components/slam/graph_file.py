@@ -28,6 +28,7 @@ from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, Sighting
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
+from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
 
 Array = NDArray[np.float64]
@@ -194,8 +195,8 @@ def write_graph(path: Path, mapper: Mapper, source: str) -> None:
             file.seal()
 
 
-def read_graph(path: Path) -> Mapper:
-    """Return a mapper with the content of a file.
+def read_graph(path: Path, model: MotionModel = MEASURED) -> Mapper:
+    """Return a mapper with the content of a file, which continues with odometry of `model`.
 
     Raises `CairnError` if there is no such file, or it is damaged.
     """
@@ -207,7 +208,7 @@ def read_graph(path: Path) -> Mapper:
         bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
         check_format(path, connection)
         try:
-            return _read(connection)
+            return _read(connection, model)
         except (ValueError, TypeError, KeyError, IndexError) as error:
             raise damaged(path, str(error)) from error
 
@@ -304,10 +305,10 @@ def _renewals(connection: sqlite3.Connection, version: int) -> Renewals:
     return Renewals(tiles)
 
 
-def _read(connection: sqlite3.Connection) -> Mapper:
+def _read(connection: sqlite3.Connection, model: MotionModel) -> Mapper:
     """Return a mapper with the newest state, in which keyframes are numbered from 0."""
     state = read_state(connection)
-    mapper = Mapper(state.farthest)
+    mapper = Mapper(state.farthest, model)
     mapper.version, mapper.renewals = state.version, state.renewals
     graph = mapper.graph
     graph.poses = state.poses

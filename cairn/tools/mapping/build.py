@@ -106,7 +106,7 @@ def build_map(
         name: of the recording, for errors.
         settings: see there.
         progress: is called while the map is built.
-        mapper: a map that is continued; None: a new one.
+        mapper: a map that is continued, made with `settings.model`; None: a new one.
 
     Raises `CairnError` if the recording has neither scans nor observations, or no odometry unless
     `scan_only`.
@@ -127,6 +127,7 @@ def build_map(
     if mapper is None:
         reach = min(settings.reach, float(scans.messages[0].range_max)) if scans else None
         mapper = Mapper(reach or _FARTHEST_LANDMARK_M, settings.model)
+    earlier = len(mapper.keyframes)
     mount = settings.mount or _recorded_mount(recording)
     _add_records(mapper, scans, seen, odometry, mount, progress)
     mapper.finish(progress)
@@ -150,7 +151,8 @@ def build_map(
     if recorded is not None:
         stamps = [recorded[stamp] for stamp in stamps]
     quality = quality_of(mapper, drawing)
-    hint = _mount_hint(name, quality, mount, scans, odometry)
+    hint = _extension_hint(name, mapper.in_map(), earlier)
+    hint = hint or _mount_hint(name, quality, mount, scans, odometry)
     return BuiltMap(mapper, grid, mapper.landmarks(), stamps, poses[kept], quality, hint)
 
 
@@ -213,6 +215,18 @@ def _observations(seen: ObservationStream, number: int) -> list[Observation]:
         for one in seen.frames[number]
         if one.object_id is not None
     ]
+
+
+def _extension_hint(name: str, in_map: NDArray[np.bool_], earlier: int) -> str:
+    """Return the hint that the first `earlier` keyframes and the others are not one map, or ""."""
+    if not earlier or (in_map[:earlier].any() and in_map[earlier:].any()):
+        return ""
+    part = "the earlier map" if in_map[:earlier].any() else "this recording"
+    return (
+        f"{name}: no place of the map that is extended was recognized. Only the larger part is "
+        f"drawn, that of {part}; the graph has both, so a recording that leads from one to the "
+        "other can join them (--extend)"
+    )
 
 
 def _mount_hint(

@@ -132,7 +132,7 @@ def build(
     )
     mapper = None
     if extend is not None:
-        mapper = read_graph(extend)
+        mapper = read_graph(extend, settings.model)
         mapper.resume(here=False)
     with _shown_progress() as progress:
         built = build_map(opened, str(recording), settings, progress, mapper)

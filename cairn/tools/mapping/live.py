@@ -68,6 +68,8 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     if len(mapper.keyframes) < reply["keyframes"]:
         raise elsewhere
     yaml, image, graph, visual_map = files = _files(out)
+    if graph.exists() and graph.samefile(graph_file):
+        raise CairnError(f"{graph} is the file that {slam} is writing to; give another name")
     for file in files:
         prepare(file)
     write_map(yaml, grid)

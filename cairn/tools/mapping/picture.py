@@ -38,8 +38,9 @@ def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
     axes.add_collection(LineCollection(loops, colors=_LOOPS, linewidths=0.5, alpha=0.5))
     axes.plot(poses[:, 0], poses[:, 1], color=_WAY, linewidth=0.8, label="way of the robot")
     axes.plot([], [], color=_LOOPS, linewidth=1.0, label=f"{len(loops)} loops closed")
-    axes.plot(poses[0, 0], poses[0, 1], "o", color="tab:green", label="start")
-    axes.plot(poses[-1, 0], poses[-1, 1], "s", color="tab:red", label="end")
+    if len(poses):
+        axes.plot(poses[0, 0], poses[0, 1], "o", color="tab:green", label="start")
+        axes.plot(poses[-1, 0], poses[-1, 1], "s", color="tab:red", label="end")
     for landmark in built.landmarks.landmarks:
         at = landmark.position
         axes.plot(at.x, at.y, "*", color="tab:purple")
