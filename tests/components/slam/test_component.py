@@ -244,6 +244,21 @@ def test_map_goes_on_being_saved_and_published_after_time_was_set_back(tmp_path:
     assert slam.take("map")
 
 
+def test_pose_stays_when_time_is_set_back_after_odometry_has_restarted(tmp_path: Path) -> None:
+    slam = ComponentHarness(Slam, {"map_file": str(tmp_path / "map.yaml")}, simulated_time=True)
+    robot = Driver(slam)
+    robot.time_s = 100.0
+    robot.odometry = (4.0, -3.0, 2.0)
+    robot.stand()
+    robot.odometry = (0.0, 0.0, 0.0)
+    robot.drive(30)
+    robot.time_s = 50.0
+
+    robot.drive(5)
+
+    assert last_pose(slam) == pytest.approx(robot.true, abs=0.03)
+
+
 def test_reactivated_component_goes_on_saving_the_map(
     slam: ComponentHarness[Slam], tmp_path: Path
 ) -> None:
