@@ -53,6 +53,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.visual_map.observations import observations_of
+from cairn.visual_map.sqlite_file import side_files
 
 # The graph is saved this often [s]: what a kill loses.
 _SAVE_S = 3.0
@@ -294,7 +295,7 @@ class Slam(Component):
                 return mapper
             self._file.close()  # the earlier process had not saved anything yet
         farthest = min(config.reach, float(scan.range_max))
-        for old in _with_side_files(path):
+        for old in (path, *side_files(path)):
             old.unlink(missing_ok=True)
         if config.extend is not None:
             mapper = read_graph(config.extend)
@@ -401,7 +402,3 @@ def _health(tracked: Tracked, *, located: bool) -> tuple[float, Reason]:
 def _is_over(seconds: float, since: int, now: int) -> bool:
     """Return whether a time has passed since `since` [ns], also if the clock was set back."""
     return not 0 <= now - since < seconds * SECOND
-
-
-def _with_side_files(path: Path) -> list[Path]:
-    return [path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")]

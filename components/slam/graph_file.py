@@ -15,7 +15,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
+from cairn.visual_map.sqlite_file import at_rest
 
 Array = NDArray[np.float64]
 
@@ -479,7 +479,8 @@ def _numbers(blob: object, count: int) -> list[float]:
 def open_connection(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     """Connect to a graph file; raises `sqlite3.Error` if that fails."""
     if read_only:
-        uri = f"file:{quote(str(path.absolute()))}?mode=ro"
+        # A graph at rest may be in a folder where SQLite cannot make its lock files.
+        uri = f"{path.resolve().as_uri()}?{'immutable=1' if at_rest(path) else 'mode=ro'}"
         return sqlite3.connect(uri, uri=True, timeout=_LOCK_WAIT_S)
     # A component's handlers run one at a time, but not always on the same thread.
     connection = sqlite3.connect(path, timeout=_LOCK_WAIT_S, check_same_thread=False)

@@ -40,6 +40,7 @@ from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
+from cairn.visual_map.sqlite_file import side_files
 
 _STEPS: Final = 400_000_000
 _LONGEST_VALUE: Final = 2_000_000
@@ -292,8 +293,8 @@ def copy_graph(original: Path, copy: Path) -> None:
         closing(open_connection(original, read_only=True)) as source,
     ):
         copy.parent.mkdir(parents=True, exist_ok=True)
-        for end in ("", "-wal", "-shm"):
-            copy.with_name(copy.name + end).unlink(missing_ok=True)
+        for old in (copy, *side_files(copy)):
+            old.unlink(missing_ok=True)
         with replacing(copy) as part, closing(sqlite3.connect(part)) as target:
             source.backup(target)
             with target:

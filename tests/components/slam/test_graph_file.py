@@ -199,3 +199,16 @@ def test_uncertainties_that_are_not_possible_are_refused(
 
     with pytest.raises(CairnError, match=f"damaged graph: .*{fault}"):
         read_graph(path)
+
+
+def test_graph_that_slam_has_closed_is_read_without_writing_beside_it(
+    mapper: Mapper, tmp_path: Path
+) -> None:
+    """So it can be read in a folder in which only others may write."""
+    file = GraphFile.create(tmp_path / "map.graph", 10.0, "a test")
+    file.save(mapper)
+    file.close()
+
+    assert len(read_graph(tmp_path / "map.graph").keyframes) == len(mapper.keyframes)
+
+    assert [one.name for one in tmp_path.iterdir()] == ["map.graph"]
