@@ -24,7 +24,7 @@ from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
 from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.point_cloud import PointCloud
-from cairn.components.slam.pose_graph import Edge, EdgeKind, Sighting
+from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Sighting
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
 from cairn.planar.motion_model import MEASURED, MotionModel
@@ -310,9 +310,7 @@ def _read(connection: sqlite3.Connection, model: MotionModel) -> Mapper:
     state = read_state(connection)
     mapper = Mapper(state.farthest, model)
     mapper.version, mapper.renewals = state.version, state.renewals
-    graph = mapper.graph
-    graph.poses = state.poses
-    index = {number: k for k, number in enumerate(state.numbers)}
+    read_constraints(connection, state, mapper.graph)
     submap_of: dict[int, int] = {}
     for submap, first, last in _rows(connection, "submaps", "number"):
         if not type(first) is type(last) is int:
@@ -327,6 +325,16 @@ def _read(connection: sqlite3.Connection, model: MotionModel) -> Mapper:
         # A keyframe of the submap that was not finished is in none of these.
         submap = submap_of.get(frame.submap, len(mapper.submaps))
         mapper.keyframes.append(replace(_valid_part(frame, pose, state.renewals), submap=submap))
+    return mapper
+
+
+def read_constraints(connection: sqlite3.Connection, state: GraphState, graph: PoseGraph) -> None:
+    """Add to an empty graph the poses of a state, the constraints between them, and landmarks.
+
+    Raises `ValueError` if the file is damaged.
+    """
+    graph.poses = state.poses
+    index = {number: k for k, number in enumerate(state.numbers)}
     for edge in read_edges(connection, state.numbers):
         graph.edges.append(replace(edge, first=index[edge.first], second=index[edge.second]))
     landmarks = {}
@@ -343,7 +351,6 @@ def _read(connection: sqlite3.Connection, model: MotionModel) -> Mapper:
         if keyframe in index:
             graph.landmarks[landmark] = landmarks[landmark]
             graph.sightings.append(sighting)
-    return mapper
 
 
 def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:

@@ -10,7 +10,7 @@ import hashlib
 import sqlite3
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -29,11 +29,12 @@ from cairn.components.slam.graph_file import (
     insert_keyframes,
     insert_tiles,
     open_connection,
+    read_constraints,
     read_edges,
     read_state,
 )
 from cairn.components.slam.keyframes import Keyframe
-from cairn.components.slam.pose_graph import Edge
+from cairn.components.slam.pose_graph import Edge, PoseGraph
 from cairn.errors import CairnError
 from cairn.files import replacing
 from cairn.planar.grid import OCCUPIED
@@ -155,12 +156,13 @@ class GraphHistory:
             self._connection.execute("PRAGMA journal_mode = DELETE")
 
     def state(self, version: int | None = None) -> GraphState:
-        """Return the graph at a version that the file keeps; None: the newest.
+        """Return the map at a version that the file keeps; None: the newest.
 
-        Raises `CairnError` if the file is damaged.
+        It is the largest island: others have no position in the map. Raises `CairnError` if the
+        file is damaged.
         """
         with self._reading():
-            return read_state(self._connection, version)
+            return _map_in(self._connection, read_state(self._connection, version))
 
     def edges(self, numbers: Sequence[int]) -> list[Edge]:
         """Return the constraints between some keyframes; raises `CairnError` as `state`."""
@@ -499,6 +501,19 @@ def _end_submap(connection: sqlite3.Connection) -> None:
     if first is not None:
         submap = _next(connection, "submaps")
         connection.execute("INSERT INTO submaps VALUES (?, ?, ?)", (submap, first, last))
+
+
+def _map_in(connection: sqlite3.Connection, state: GraphState) -> GraphState:
+    """Return a state without the keyframes that do not belong to the map."""
+    graph = PoseGraph()
+    read_constraints(connection, state, graph)
+    kept = np.flatnonzero(graph.largest_island())
+    return replace(
+        state,
+        numbers=[state.numbers[k] for k in kept.tolist()],
+        keyframes=[state.keyframes[k] for k in kept.tolist()],
+        poses=state.poses[kept],
+    )
 
 
 def _next(connection: sqlite3.Connection, table: str) -> int:

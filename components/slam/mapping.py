@@ -273,9 +273,7 @@ class Mapper:
         # Each optimization makes new arrays; what else connects poses is only added in between.
         state = (id(graph.poses), id(graph.edges), len(graph.edges), len(graph.sightings))
         if state != self._in_map_of[0]:
-            islands = graph.islands()
-            numbers, sizes = np.unique(islands, return_counts=True)
-            largest = islands == numbers[np.argmax(sizes)] if numbers.size else islands == 0
+            largest = graph.largest_island()
             largest.flags.writeable = False
             # The arrays are kept, so that no other ones get their identities.
             self._in_map_of = state, largest, (graph.poses, graph.edges)
