@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from cairn import Config, Mount
+from cairn import Config, Mount, ReadPath
 
 
 class SlamConfig(Config):
@@ -17,7 +17,7 @@ class SlamConfig(Config):
         description="The grid map that is written (YAML, with a PGM beside it), and beside it the "
         "graph (.graph), from which a restarted component continues.",
     )
-    extend: Path | None = Field(
+    extend: ReadPath | None = Field(
         None,
         description="Graph of an earlier map (.graph) that is extended; it stays unchanged. None: "
         "start a new map.",
