@@ -31,7 +31,7 @@ from cairn import (
     to_ns,
 )
 from cairn.components.slam.config import SlamConfig
-from cairn.components.slam.graph_file import GraphFile, read_graph
+from cairn.components.slam.graph_file import GraphFile, kept_path, read_graph, set_aside
 from cairn.components.slam.landmarks import write_landmarks
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
@@ -102,12 +102,16 @@ class Slam(Component):
         if config.map_file.suffix != ".yaml":
             raise CairnError(f"{config.map_file}: map_file must end in .yaml")
         if config.extend is not None:
-            if config.extend.resolve() == self._graph_file.resolve():
+            own = self._graph_file
+            if config.extend.resolve() in (own.resolve(), kept_path(own).resolve()):
                 raise CairnError(
-                    f"{config.extend}: is the graph that {self.name} writes beside map_file, where "
-                    "a new map replaces it; extend a copy of it (extend)"
+                    f"{config.extend}: is where {self.name} keeps the graph of this run or of the "
+                    "one before, so a new map replaces it; extend a copy of it (extend)"
                 )
             read_graph(config.extend)
+        # A restarted process continues the graph of this run, and of no earlier one.
+        if self.restarts == 0 and (kept := set_aside(self._graph_file)) is not None:
+            self.log.warning("kept the graph of an earlier run as %s", kept)
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "map")
         self._saved_maps = RetriedSave(self, "grid map and visual map")
@@ -294,9 +298,9 @@ class Slam(Component):
                 self.log.warning("continued the map of %d scans", len(mapper.keyframes))
                 return mapper
             self._file.close()  # the earlier process had not saved anything yet
+            for old in (path, *side_files(path)):
+                old.unlink(missing_ok=True)
         farthest = min(config.reach, float(scan.range_max))
-        for old in (path, *side_files(path)):
-            old.unlink(missing_ok=True)
         if config.extend is not None:
             mapper = read_graph(config.extend)
             mapper.resume(here=False)

@@ -15,7 +15,8 @@ class SlamConfig(Config):
     mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     map_file: Path = Field(
         description="The grid map that is written (YAML, with a PGM beside it), and beside it the "
-        "graph (.graph), from which a restarted component continues.",
+        "graph (.graph), from which a restarted component continues. A new run keeps the graph of "
+        "the run before as NAME.before.graph.",
     )
     extend: ReadPath | None = Field(
         None,

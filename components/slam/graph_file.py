@@ -29,7 +29,7 @@ from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
-from cairn.visual_map.sqlite_file import at_rest
+from cairn.visual_map.sqlite_file import at_rest, side_files
 
 Array = NDArray[np.float64]
 
@@ -211,6 +211,32 @@ def read_graph(path: Path, model: MotionModel = MEASURED) -> Mapper:
             return _read(connection, model)
         except (ValueError, TypeError, KeyError, IndexError) as error:
             raise damaged(path, str(error)) from error
+
+
+def kept_path(path: Path) -> Path:
+    """Return where `set_aside` keeps a graph: NAME.before.graph for NAME.graph."""
+    return path.with_name(f"{path.stem}.before{path.suffix}")
+
+
+def set_aside(path: Path) -> Path | None:
+    """Rename a graph, so that a new one can be made there; return its path, None without one.
+
+    It replaces what was set aside before. Raises `CairnError` if the disk refuses it.
+    """
+    with explained_errors(path):
+        if not path.exists():
+            for old in side_files(path):
+                old.unlink(missing_ok=True)
+            return None
+        kept = kept_path(path)
+        for old in side_files(kept):
+            old.unlink(missing_ok=True)
+        path.replace(kept)
+        # What a process that was killed has saved last is in the file beside it.
+        for old, new in zip(side_files(path), side_files(kept), strict=True):
+            if old.exists():
+                old.replace(new)
+        return kept
 
 
 @dataclass(frozen=True)

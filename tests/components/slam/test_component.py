@@ -229,6 +229,26 @@ def test_graph_that_slam_writes_itself_is_not_extended(
     assert len(read_graph(graph).keyframes) > 3
 
 
+def test_new_run_keeps_the_graph_of_the_run_before_it(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    Driver(slam).drive(40)
+    slam.run_for(4.0)
+    left = tmp_path / "left"  # by a computer that was switched off
+    left.mkdir()
+    for file in tmp_path.glob("map.*"):
+        shutil.copy(file, left)
+    saved = len(read_graph(left / "map.graph").keyframes)
+
+    files = {"map_file": str(left / "map.yaml")}
+    ComponentHarness(Slam, files)  # is killed before its first scan
+    again = ComponentHarness(Slam, files, restarts=1)
+    Driver(again).stand()
+
+    assert len(read_graph(left / "map.before.graph").keyframes) == saved > 3
+    assert again.request("status")["keyframes"] == 1
+
+
 def test_map_goes_on_being_saved_and_published_after_time_was_set_back(tmp_path: Path) -> None:
     slam = ComponentHarness(Slam, {"map_file": str(tmp_path / "map.yaml")}, simulated_time=True)
     robot = Driver(slam)
