@@ -147,8 +147,13 @@ class OdometryHistory(Generic[Stamp]):
         self._outdated += 1
         if self._outdated < (self._resets_after if is_too_old else OUTDATED_IN_A_ROW):
             return OdometryChange.OUTDATED
+        before, driven = self._poses[-1], self._driven[-1]
         self.clear()
         self._append(stamp, pose)
+        # How long ago that was is unknown: as long as a gap may be.
+        if not self._jumps(before, pose, _DRIVING_S * self._per_second):
+            driven = _moved(driven, relative(before, pose))
+        self._driven[0] = driven
         self._restarted = stamp
         return OdometryChange.RESET
 
@@ -168,7 +173,7 @@ class OdometryHistory(Generic[Stamp]):
     def driven_at(self, stamp: Stamp) -> Pose:
         """Return the pose at a time as if there had been no jumps; the oldest before that.
 
-        The history must not be empty.
+        When time is set back, it continues from the pose before. The history must not be empty.
         """
         index = bisect_right(self._stamps, stamp)
         return self._driven[0] if index == 0 else self._interpolated(self._driven, index, stamp)

@@ -239,6 +239,8 @@ class Explorer(Component):
         if not self._is_exploring:
             return
         now = self.clock.now()
+        if now < self._complete_ns:
+            self._restart_waits(now)
         here, missing = self._missing()
         if missing or here is None or self._grid is None:
             self._reason = missing
@@ -251,6 +253,16 @@ class Explorer(Component):
             self._explore(self._grid, here, now)
         if self._is_exploring:
             self._publish()
+
+    def _restart_waits(self, now: int) -> None:
+        """Begin all waits again after time was set back; what has elapsed stays."""
+        self._begin_ns += now - self._complete_ns
+        self._complete_ns = self._frontier_ns = now
+        goal = self._goal
+        if goal is not None:
+            goal.heard_ns = now
+            goal.closed_ns = None if goal.closed_ns is None else now
+            goal.arrived_ns = None if goal.arrived_ns is None else now
 
     def _explore(self, grid: OccupancyCells, here: Pose, now: int) -> None:
         if self._map_changed or self._goal is None:
@@ -320,7 +332,8 @@ class Explorer(Component):
         given_up = self._choice.given_up(self._frontiers)
         reason = "nothing that the robot can reach is unknown"
         if given_up:
-            reason += f", but for {given_up} frontiers that it could not explore"
+            frontiers = "frontier" if given_up == 1 else "frontiers"
+            reason += f", but for {given_up} {frontiers} that it could not explore"
         self._end(ExplorationStatus.FINISHED, reason)
 
     def _start(self) -> None:
@@ -407,7 +420,8 @@ class Explorer(Component):
     def _publish(self) -> None:
         status = self._status()
         self.exploration_status.publish(status)
-        self.report_state(f"exploring: {status.frontiers} frontiers" if self._is_exploring else "")
+        frontiers = "1 frontier" if status.frontiers == 1 else f"{status.frontiers} frontiers"
+        self.report_state(f"exploring: {frontiers}" if self._is_exploring else "")
 
     def _save(self) -> None:
         """Mark an exploration under way, with its goal, in the file; remove the mark at the end."""

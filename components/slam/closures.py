@@ -105,6 +105,7 @@ class LoopCloser:
         self._found: dict[int, int] = {}
         self._views: list[SubmapView] = []
         self._firsts: list[int] = []  # the first keyframe of each submap
+        self._islands = np.zeros(0, np.int64)  # of the keyframes when the last submap was added
 
     @property
     def pending(self) -> int:
@@ -117,7 +118,7 @@ class LoopCloser:
         for submap in submaps[len(self._views) :]:  # several, if the map was read from a file
             self._firsts.append(submap.first)
             self._views.append(view_of(submap, keyframes, graph.poses))
-        islands = graph.islands()
+        islands = self._islands = graph.islands()
         here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
         elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]
         # A place in the own island is more urgent than those where the robot may have been.
@@ -162,7 +163,7 @@ class LoopCloser:
         around = [
             (relative(base, graph.pose(other.middle)), self._views[other.number])
             for other in submaps[max(0, task.old - 1) : task.old + 2]
-            if other.number < task.new
+            if other.number < task.new and self._islands[other.middle] == self._islands[old.middle]
         ]
         cloud = joined([one.cloud.placed(pose) for pose, one in around]).thinned(DENSE_M)
         if min(query.count, cloud.count) < _LEAST_POINTS:

@@ -31,7 +31,7 @@ from cairn import (
     to_ns,
 )
 from cairn.components.slam.config import SlamConfig
-from cairn.components.slam.graph_file import GraphFile, read_graph
+from cairn.components.slam.graph_file import GraphFile, kept_path, read_graph, set_aside
 from cairn.components.slam.landmarks import write_landmarks
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
@@ -53,6 +53,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.visual_map.observations import observations_of
+from cairn.visual_map.sqlite_file import side_files
 
 # The graph is saved this often [s]: what a kill loses.
 _SAVE_S = 3.0
@@ -101,7 +102,16 @@ class Slam(Component):
         if config.map_file.suffix != ".yaml":
             raise CairnError(f"{config.map_file}: map_file must end in .yaml")
         if config.extend is not None:
+            own = self._graph_file
+            if config.extend.resolve() in (own.resolve(), kept_path(own).resolve()):
+                raise CairnError(
+                    f"{config.extend}: is where {self.name} keeps the graph of this run or of the "
+                    "one before, so a new map replaces it; extend a copy of it (extend)"
+                )
             read_graph(config.extend)
+        # A restarted process continues the graph of this run, and of no earlier one.
+        if self.restarts == 0 and (kept := set_aside(self._graph_file)) is not None:
+            self.log.warning("kept the graph of an earlier run as %s", kept)
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "map")
         self._saved_maps = RetriedSave(self, "grid map and visual map")
@@ -116,11 +126,18 @@ class Slam(Component):
         self._full_map_is_outdated = False
         self._was_located = False
 
+    def on_activate(self) -> None:
+        """Continue the map, if the component was inactive for some time."""
+        if self._mapper is not None:
+            self._file, _ = GraphFile.open(self._graph_file)
+
     def on_deactivate(self) -> None:
         """Save the map."""
         if self._mapper is not None and self._mapper.keyframes:
             self._save_graph(now=True)
-            self._save_maps()
+            grid = self._drawn()
+            if grid is not None:
+                self._save_maps(grid)
         self._close()
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
@@ -144,7 +161,13 @@ class Slam(Component):
             )
         if verb == "save":
             self._save_graph(now=True)
-            self._save_maps()
+            grid = self._drawn()
+            if grid is None:
+                raise CairnError(
+                    f"{self.name}: has no map yet: scans on {self.scan.topic} show nothing; check "
+                    "that nothing covers the scanner"
+                )
+            self._save_maps(grid)
             if self._saved.has_failed or self._saved_maps.has_failed:
                 raise CairnError(f"{self.name}: the map is not saved; `cairn ps` has the reason")
             file = self.config.map_file.absolute()
@@ -169,6 +192,7 @@ class Slam(Component):
         if change is OdometryChange.RESET:
             self.log.warning("time on %s was set back: restarted its history", self.odom.topic)
             self._waiting.clear()
+            self._objects.clear()
         self._process()
 
     @on("scan")
@@ -209,9 +233,9 @@ class Slam(Component):
                 )
             )
             self._full_map_is_outdated = True
-        if self._full_map_is_outdated and now - self._full_map_at >= _FULL_MAP_S * SECOND:
+        if self._full_map_is_outdated and _is_over(_FULL_MAP_S, self._full_map_at, now):
             self._publish_full_map(now)
-        if now - self._saved_at >= _SAVE_S * SECOND:
+        if _is_over(_SAVE_S, self._saved_at, now):
             self._save_graph()
 
     def _process(self) -> None:
@@ -266,15 +290,17 @@ class Slam(Component):
     def _start(self, scan: LaserScan) -> Mapper:
         """Return the mapper of a new map, or of the one that an earlier process or run has left."""
         config = self.config
-        path = config.map_file.with_suffix(".graph")
+        path = self._graph_file
         if self.restarts > 0 and path.exists():
             self._file, mapper = GraphFile.open(path)
-            mapper.resume(here=True)
-            self.log.warning("continued the map of %d scans", len(mapper.keyframes))
-            return mapper
+            if mapper.keyframes:
+                mapper.resume(here=True)
+                self.log.warning("continued the map of %d scans", len(mapper.keyframes))
+                return mapper
+            self._file.close()  # the earlier process had not saved anything yet
+            for old in (path, *side_files(path)):
+                old.unlink(missing_ok=True)
         farthest = min(config.reach, float(scan.range_max))
-        for old in _with_side_files(path):
-            old.unlink(missing_ok=True)
         if config.extend is not None:
             mapper = read_graph(config.extend)
             mapper.resume(here=False)
@@ -333,11 +359,19 @@ class Slam(Component):
         if self._saved.attempt(lambda: file.save(mapper), lambda: lost, now=now):
             self._saved_at = self.clock.now()
 
-    def _save_maps(self) -> None:
+    @property
+    def _graph_file(self) -> Path:
+        return self.config.map_file.with_suffix(".graph")
+
+    def _drawn(self) -> OccupancyCells | None:
+        """Return the grid map with all scans, None if they show nothing."""
+        self._draw(None)
+        return self._drawing.grid() if any(self._drawing.counts.shape) else None
+
+    def _save_maps(self, grid: OccupancyCells) -> None:
         mapper, file = self._mapper, self.config.map_file
         assert mapper is not None
-        self._draw(None)
-        grid, landmarks = self._drawing.grid(), mapper.landmarks().landmarks
+        landmarks = mapper.landmarks().landmarks
         self._has_landmarks = bool(landmarks)
 
         def write() -> None:
@@ -369,5 +403,6 @@ def _health(tracked: Tracked, *, located: bool) -> tuple[float, Reason]:
     return 1.0, NO_REASON
 
 
-def _with_side_files(path: Path) -> list[Path]:
-    return [path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")]
+def _is_over(seconds: float, since: int, now: int) -> bool:
+    """Return whether a time has passed since `since` [ns], also if the clock was set back."""
+    return not 0 <= now - since < seconds * SECOND

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from cairn import Config, Mount
+from cairn import Config, Mount, ReadPath
 
 
 class SlamConfig(Config):
@@ -15,9 +15,10 @@ class SlamConfig(Config):
     mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     map_file: Path = Field(
         description="The grid map that is written (YAML, with a PGM beside it), and beside it the "
-        "graph (.graph), from which a restarted component continues.",
+        "graph (.graph), from which a restarted component continues. A new run keeps the graph of "
+        "the run before as NAME.before.graph.",
     )
-    extend: Path | None = Field(
+    extend: ReadPath | None = Field(
         None,
         description="Graph of an earlier map (.graph) that is extended; it stays unchanged. None: "
         "start a new map.",

@@ -15,7 +15,6 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +24,12 @@ from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
 from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.point_cloud import PointCloud
-from cairn.components.slam.pose_graph import Edge, EdgeKind, Sighting
+from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Sighting
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
+from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
-from cairn.visual_map.sqlite_file import side_files
+from cairn.visual_map.sqlite_file import at_rest, side_files
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,7 @@ _MOST_KEYFRAMES: Final = 500_000
 _STEPS: Final = 400_000_000
 _LOCK_WAIT_S: Final = 5.0
 _LARGEST: Final = 1e7  # of coordinates [m]
+_ROUNDED: Final = 1e-6  # share by which the numbers of a matrix are off
 _VERSIONS: Final = 2**31  # of which numbers are smaller than this
 
 
@@ -101,9 +102,8 @@ class GraphFile:
             raise CairnError(f"{path} exists already; remove it, or give another name")
         called = called or path
         with explained_errors(called):
-            path.touch(exist_ok=False)
-            connection = open_connection(path)
-            with connection:
+            # Complete or not at all: a restarted component would not continue half of a file.
+            with replacing(path) as part, closing(sqlite3.connect(part)) as connection, connection:
                 for name, columns in _TABLES.items():
                     connection.execute(f"CREATE TABLE {name} ({columns})")
                 connection.execute(
@@ -111,7 +111,7 @@ class GraphFile:
                 )
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {_FORMAT}")
-        return cls(called, connection)
+            return cls(called, open_connection(path))
 
     @classmethod
     def open(cls, path: Path) -> tuple[GraphFile, Mapper]:
@@ -208,8 +208,8 @@ def write_graph(path: Path, mapper: Mapper, source: str) -> None:
             _remove_beside(part)
 
 
-def read_graph(path: Path) -> Mapper:
-    """Return a mapper with the content of a file.
+def read_graph(path: Path, model: MotionModel = MEASURED) -> Mapper:
+    """Return a mapper with the content of a file, which continues with odometry of `model`.
 
     Raises `CairnError` if there is no such file, or it is damaged.
     """
@@ -220,9 +220,35 @@ def read_graph(path: Path) -> Mapper:
         bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
         check_format(path, connection)
         try:
-            return _read(connection)
+            return _read(connection, model)
         except (ValueError, TypeError, KeyError, IndexError) as error:
             raise damaged(path, str(error)) from error
+
+
+def kept_path(path: Path) -> Path:
+    """Return where `set_aside` keeps a graph: NAME.before.graph for NAME.graph."""
+    return path.with_name(f"{path.stem}.before{path.suffix}")
+
+
+def set_aside(path: Path) -> Path | None:
+    """Rename a graph, so that a new one can be made there; return its path, None without one.
+
+    It replaces what was set aside before. Raises `CairnError` if the disk refuses it.
+    """
+    with explained_errors(path):
+        if not path.exists():
+            for old in side_files(path):
+                old.unlink(missing_ok=True)
+            return None
+        kept = kept_path(path)
+        for old in side_files(kept):
+            old.unlink(missing_ok=True)
+        path.replace(kept)
+        # What a process that was killed has saved last is in the file beside it.
+        for old, new in zip(side_files(path), side_files(kept), strict=True):
+            if old.exists():
+                old.replace(new)
+        return kept
 
 
 @dataclass(frozen=True)
@@ -294,7 +320,7 @@ def read_edges(connection: sqlite3.Connection, numbers: Sequence[int]) -> list[E
     for _, kind, first, second, measured, information in _rows(connection, "edges", "number"):
         x, y, theta = _numbers(measured, 3)
         matrix = _floats(information, np.float64, 3)
-        if matrix.shape != (3, 3):
+        if matrix.shape != (3, 3) or not _is_information(matrix):
             raise ValueError("the information of a constraint is wrong")
         if not {first, second} <= known:
             raise ValueError(f"a keyframe of the constraint {first}, {second} is missing")
@@ -317,14 +343,12 @@ def _renewals(connection: sqlite3.Connection, version: int) -> Renewals:
     return Renewals(tiles)
 
 
-def _read(connection: sqlite3.Connection) -> Mapper:
+def _read(connection: sqlite3.Connection, model: MotionModel) -> Mapper:
     """Return a mapper with the newest state, in which keyframes are numbered from 0."""
     state = read_state(connection)
-    mapper = Mapper(state.farthest)
+    mapper = Mapper(state.farthest, model)
     mapper.version, mapper.renewals = state.version, state.renewals
-    graph = mapper.graph
-    graph.poses = state.poses
-    index = {number: k for k, number in enumerate(state.numbers)}
+    read_constraints(connection, state, mapper.graph)
     submap_of: dict[int, int] = {}
     for submap, first, last in _rows(connection, "submaps", "number"):
         if not type(first) is type(last) is int:
@@ -339,6 +363,16 @@ def _read(connection: sqlite3.Connection) -> Mapper:
         # A keyframe of the submap that was not finished is in none of these.
         submap = submap_of.get(frame.submap, len(mapper.submaps))
         mapper.keyframes.append(replace(_valid_part(frame, pose, state.renewals), submap=submap))
+    return mapper
+
+
+def read_constraints(connection: sqlite3.Connection, state: GraphState, graph: PoseGraph) -> None:
+    """Add to an empty graph the poses of a state, the constraints between them, and landmarks.
+
+    Raises `ValueError` if the file is damaged.
+    """
+    graph.poses = state.poses
+    index = {number: k for k, number in enumerate(state.numbers)}
     for edge in read_edges(connection, state.numbers):
         graph.edges.append(replace(edge, first=index[edge.first], second=index[edge.second]))
     landmarks = {}
@@ -346,13 +380,15 @@ def _read(connection: sqlite3.Connection) -> Mapper:
         if not max(abs(x), abs(y)) < _LARGEST:
             raise ValueError(f"landmark {landmark} is not in the map")
         landmarks[landmark] = (x, y)
-    for _, keyframe, landmark, measured in _rows(connection, "sightings", "number"):
+    for number, keyframe, landmark, measured in _rows(connection, "sightings", "number"):
         if landmark not in landmarks:
             raise ValueError(f"landmark {landmark} is missing")
+        sighting = Sighting(index.get(keyframe, -1), landmark, *_numbers(measured, 4))
+        if not min(sighting.range_sd, sighting.bearing_sd) > 0.0:
+            raise ValueError(f"the standard deviations of sighting {number} are wrong")
         if keyframe in index:
             graph.landmarks[landmark] = landmarks[landmark]
-            graph.sightings.append(Sighting(index[keyframe], landmark, *_numbers(measured, 4)))
-    return mapper
+            graph.sightings.append(sighting)
 
 
 def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:
@@ -469,6 +505,14 @@ def _floats(blob: object, kind: type, columns: int) -> NDArray[np.float64]:
     return values.astype(np.float64)
 
 
+def _is_information(matrix: Array) -> bool:
+    """Return whether a matrix (3, 3) is symmetric, and negative in no direction."""
+    size = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > _ROUNDED * size:
+        return False
+    return bool(np.linalg.eigvalsh(matrix)[0] >= -_ROUNDED * size)
+
+
 def _numbers(blob: object, count: int) -> list[float]:
     values = _floats(blob, np.float64, count)
     if len(values) != 1:
@@ -493,7 +537,8 @@ def create_differences(connection: sqlite3.Connection) -> None:
 def open_connection(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     """Connect to a graph file; raises `sqlite3.Error` if that fails."""
     if read_only:
-        uri = f"file:{quote(str(path.absolute()))}?mode=ro"
+        # A graph at rest may be in a folder where SQLite cannot make its lock files.
+        uri = f"{path.resolve().as_uri()}?{'immutable=1' if at_rest(path) else 'mode=ro'}"
         return sqlite3.connect(uri, uri=True, timeout=_LOCK_WAIT_S)
     # A component's handlers run one at a time, but not always on the same thread.
     connection = sqlite3.connect(path, timeout=_LOCK_WAIT_S, check_same_thread=False)

@@ -10,7 +10,7 @@ import hashlib
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -33,17 +33,19 @@ from cairn.components.slam.graph_file import (
     insert_keyframes,
     insert_tiles,
     open_connection,
+    read_constraints,
     read_edges,
     read_state,
 )
 from cairn.components.slam.keyframes import Keyframe
-from cairn.components.slam.pose_graph import Edge
+from cairn.components.slam.pose_graph import Edge, PoseGraph
 from cairn.errors import CairnError
 from cairn.files import replacing
 from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
+from cairn.visual_map.sqlite_file import side_files
 
 _STEPS: Final = 400_000_000
 _LONGEST_VALUE: Final = 2_000_000
@@ -172,12 +174,13 @@ class GraphHistory:
             self._connection.execute("PRAGMA journal_mode = DELETE")
 
     def state(self, version: int | None = None) -> GraphState:
-        """Return the graph at a version that the file keeps; None: the newest.
+        """Return the map at a version that the file keeps; None: the newest.
 
-        Raises `CairnError` if the file is damaged.
+        It is the largest island: others have no position in the map. Raises `CairnError` if the
+        file is damaged.
         """
         with self._reading():
-            return read_state(self._connection, version)
+            return _map_in(self._connection, read_state(self._connection, version))
 
     def edges(self, numbers: Sequence[int]) -> list[Edge]:
         """Return the constraints between some keyframes; raises `CairnError` as `state`."""
@@ -204,6 +207,7 @@ class GraphHistory:
         file is as it was.
         """
         with self._changing(before) as (connection, version):
+            _end_submap(connection)
             number, submap = _next(connection, "keyframes"), _next(connection, "submaps")
             last = number + len(renewal.keyframes) - 1
             if renewal.keyframes:
@@ -345,8 +349,8 @@ def copy_graph(original: Path, copy: Path) -> None:
         closing(open_connection(original, read_only=True)) as source,
     ):
         copy.parent.mkdir(parents=True, exist_ok=True)
-        for end in ("", "-wal", "-shm"):
-            copy.with_name(copy.name + end).unlink(missing_ok=True)
+        for old in (copy, *side_files(copy)):
+            old.unlink(missing_ok=True)
         with replacing(copy) as part, closing(sqlite3.connect(part)) as target:
             source.backup(target)
             with target:
@@ -546,6 +550,30 @@ def _replace_tiles(connection: sqlite3.Connection, renewals: Renewals, version: 
     )
     new = [key for key, blob in wanted.items() if known.get(key) != blob]
     insert_tiles(connection, renewals, sorted(new), version)
+
+
+def _end_submap(connection: sqlite3.Connection) -> None:
+    """Make a submap of the last keyframes if they are in none, as a robot that maps leaves them."""
+    ((first, last),) = connection.execute(
+        "SELECT min(number), max(number) FROM keyframes "
+        "WHERE number > (SELECT coalesce(max(last), -1) FROM submaps)"
+    ).fetchall()
+    if first is not None:
+        submap = _next(connection, "submaps")
+        connection.execute("INSERT INTO submaps VALUES (?, ?, ?)", (submap, first, last))
+
+
+def _map_in(connection: sqlite3.Connection, state: GraphState) -> GraphState:
+    """Return a state without the keyframes that do not belong to the map."""
+    graph = PoseGraph()
+    read_constraints(connection, state, graph)
+    kept = np.flatnonzero(graph.largest_island())
+    return replace(
+        state,
+        numbers=[state.numbers[k] for k in kept.tolist()],
+        keyframes=[state.keyframes[k] for k in kept.tolist()],
+        poses=state.poses[kept],
+    )
 
 
 def _next(connection: sqlite3.Connection, table: str) -> int:

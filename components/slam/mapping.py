@@ -273,9 +273,7 @@ class Mapper:
         # Each optimization makes new arrays; what else connects poses is only added in between.
         state = (id(graph.poses), id(graph.edges), len(graph.edges), len(graph.sightings))
         if state != self._in_map_of[0]:
-            islands = graph.islands()
-            numbers, sizes = np.unique(islands, return_counts=True)
-            largest = islands == numbers[np.argmax(sizes)] if numbers.size else islands == 0
+            largest = graph.largest_island()
             largest.flags.writeable = False
             # The arrays are kept, so that no other ones get their identities.
             self._in_map_of = state, largest, (graph.poses, graph.edges)
@@ -385,6 +383,8 @@ class Mapper:
         last = self.graph.pose(len(self.keyframes) - 1)
         self.graph.optimize()
         self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
+        # The next scan is aligned to where the keyframes are now.
+        self._set_surroundings()
 
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""

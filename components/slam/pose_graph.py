@@ -138,6 +138,13 @@ class PoseGraph:
         """
         return self._islands()[0]
 
+    def largest_island(self) -> NDArray[np.bool_]:
+        """Return which poses (n,) belong to the island with the most of them."""
+        islands = self.islands()
+        numbers, sizes = np.unique(islands, return_counts=True)
+        largest: NDArray[np.bool_] = islands == (numbers[np.argmax(sizes)] if numbers.size else 0)
+        return largest
+
     def _islands(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first pose of the island (n,), and of the part without landmarks (n,)."""
         parent = list(range(len(self.poses)))

@@ -107,7 +107,7 @@ def build_map(
         name: of the recording, for errors.
         settings: see there.
         progress: is called while the map is built.
-        mapper: a map that is continued; None: a new one.
+        mapper: a map that is continued, made with `settings.model`; None: a new one.
 
     Raises `CairnError` if the recording has neither scans nor observations, or no odometry unless
     `scan_only`, or if it has no place of the map that is continued.
@@ -127,10 +127,10 @@ def build_map(
             f"{name}: has no odometry; give --scan-only to build the map from the scans alone, "
             "which succeeds if the robot moved slowly for its scan rate"
         )
-    earlier = 0 if mapper is None else len(mapper.keyframes)
     if mapper is None:
         reach = min(settings.reach, float(scans.messages[0].range_max)) if scans else None
         mapper = Mapper(reach or _FARTHEST_LANDMARK_M, settings.model)
+    earlier = len(mapper.keyframes)
     mount = settings.mount or _recorded_mount(recording)
     _add_records(mapper, scans, seen, odometry, mount, progress)
     mapper.finish(progress)

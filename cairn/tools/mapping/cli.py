@@ -111,10 +111,6 @@ def build(
 
     files = map_files(out, _ENDINGS, force=force)
     mount = parse_mount(scanner) if scanner else None
-    mapper = None
-    if extend is not None:
-        mapper = read_graph(extend)
-        mapper.resume(here=False)
     named = {"scan": scan, "odom": odom}
     topics = {kind: topic for kind, topic in named.items() if topic is not None}
     opened = open_recording(recording, robot, topics)
@@ -134,6 +130,10 @@ def build(
         resolution=resolution,
         reach=reach,
     )
+    mapper = None
+    if extend is not None:
+        mapper = read_graph(extend, settings.model)
+        mapper.resume(here=False)
     with _shown_progress() as progress:
         built = build_map(opened, str(recording), settings, progress, mapper)
     source = f"built from {recording.name}"

@@ -62,6 +62,9 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     grid, mapper = read_map(grid_file), read_graph(graph_file)
     if len(mapper.keyframes) < reply["keyframes"]:
         raise elsewhere
+    target = files[".graph"]
+    if target.exists() and target.samefile(graph_file):
+        raise CairnError(f"{target} is the file that {slam} is writing to; give another name")
     with replacing_map(files) as parts:
         write_map(parts[".yaml"], grid)
         write_graph(parts[".graph"], mapper, f"saved from {slam}")

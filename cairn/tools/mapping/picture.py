@@ -40,8 +40,9 @@ def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
     if loops:
         label = "1 loop closed" if len(loops) == 1 else f"{len(loops)} loops closed"
         axes.plot([], [], color=_LOOPS, linewidth=1.0, label=label)
-    axes.plot(poses[0, 0], poses[0, 1], "o", color="tab:green", label="start")
-    axes.plot(poses[-1, 0], poses[-1, 1], "s", color="tab:red", label="end")
+    if len(poses):
+        axes.plot(poses[0, 0], poses[0, 1], "o", color="tab:green", label="start")
+        axes.plot(poses[-1, 0], poses[-1, 1], "s", color="tab:red", label="end")
     landmarks = built.landmarks.landmarks
     if landmarks:
         x, y = [one.position.x for one in landmarks], [one.position.y for one in landmarks]

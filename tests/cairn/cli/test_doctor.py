@@ -185,6 +185,15 @@ def test_file_that_is_missing_is_a_fault(tmp_path: Path) -> None:
     assert_words(row["remedy"], "create", f"--set {key}=PATH")
 
 
+def test_missing_graph_that_is_to_be_extended_is_a_fault(tmp_path: Path) -> None:
+    nowhere = tmp_path / "nowhere.graph"
+
+    answer = cairn("doctor", "mapping", "--set", f"extend={nowhere}", "--json")
+
+    missing = [row["found"] for row in answer.json if row["subject"] == str(nowhere)]
+    assert missing == ["slam.extend: does not exist"]
+
+
 def test_file_that_may_not_be_read_is_a_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,7 @@ from cairn.planar.odometry import (
     WheelLimits,
     is_jump,
 )
-from cairn.planar.poses import Pose
+from cairn.planar.poses import Pose, relative
 
 WHEELS = WheelLimits(2.0, 4.0)
 PERIOD = SECOND // 50
@@ -143,6 +143,22 @@ def test_late_poses_before_and_after_a_jump_stay_in_their_frames() -> None:
     # Without the jump and the step in which it occurred.
     driven = history.driven_at(records[12][0])[0] - history.driven_at(records[0][0])[0]
     assert driven == pytest.approx(0.012 * 11, abs=0.005)
+
+
+@pytest.mark.parametrize("restarted_too", [False, True])
+def test_way_without_jumps_continues_when_time_is_set_back(restarted_too: bool) -> None:
+    history = OdometryHistory[int](5 * SECOND, WHEELS)
+    history.add(BEGIN, (4.0, -3.0, 2.0))
+    assert history.add(BEGIN + PERIOD, (0.0, 0.0, 0.0)) is OdometryChange.JUMPED
+    history.add(BEGIN + 2 * PERIOD, (0.02, 0.0, 0.0))
+    before = history.driven_at(BEGIN + 2 * PERIOD)
+
+    after: Pose = (7.0, 0.0, 0.0) if restarted_too else (0.04, 0.0, 0.0)
+    assert history.add(BEGIN - 60 * SECOND, after) is OdometryChange.RESET
+
+    moved = 0.0 if restarted_too else 0.02
+    way = history.driven_at(BEGIN - 60 * SECOND)
+    assert relative(before, way) == pytest.approx((moved, 0.0, 0.0), abs=1e-9)
 
 
 @pytest.mark.parametrize("back", [SECOND * 6 // 10, 3600 * SECOND])

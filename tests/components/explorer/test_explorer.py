@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn import CairnError
+from cairn import SECOND, CairnError, from_ns
 from cairn.components.explorer.component import Explorer
 from cairn.planar.grid import OccupancyCells, map_message
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
@@ -23,6 +23,7 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from tests.components.path_planner.rooms import room
@@ -36,11 +37,19 @@ KNOWN = room()
 class ExplorerHarness(ComponentHarness[Explorer]):
     """An explorer, and the test as its supervisor, AutoMove and slam."""
 
-    def __init__(self, folder: Path, *, restarts: int = 0, **parameters: object) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        restarts: int = 0,
+        simulated_time: bool = False,
+        **parameters: object,
+    ) -> None:
         super().__init__(
             Explorer,
             {"state_file": str(folder / "exploration.json"), **parameters},
             restarts=restarts,
+            simulated_time=simulated_time,
             name="explorer",
         )
         self.mission = 0
@@ -177,7 +186,7 @@ def test_frontier_that_is_not_reached_is_given_up_after_three_tries(
     explorer.run_for(4.0)
     status = explorer.status
     assert (status.state, status.given_up) == (ExplorationStatus.FINISHED, 1)
-    assert "but for 1" in status.reason
+    assert "but for 1 frontier that" in status.reason
 
 
 def test_frontier_that_stays_unknown_after_arrival_counts_as_a_try(
@@ -210,6 +219,27 @@ def test_exploration_ends_if_what_is_unknown_is_behind_a_keepout_zone(
     explorer.request("explore")
     explorer.run_for(1.0)
     assert 4.0 < explorer.goal()[0] < 4.8
+
+
+def test_time_that_is_set_back_delays_no_decision(tmp_path: Path) -> None:
+    explorer = ExplorerHarness(tmp_path, simulated_time=True)
+
+    def pass_time(begin_s: int, end_s: int) -> None:
+        for tenths in range(10 * begin_s, 10 * end_s):
+            explorer.publish("clock", Clock(clock=from_ns(tenths * SECOND // 10)))
+
+    pass_time(1000, 1001)
+    explorer.see(HALF)
+    explorer.request("explore")
+    pass_time(1001, 1003)
+    explorer.accept(explorer.goal())
+    explorer.report(NavigationStatus.SUCCEEDED)
+    explorer.accept()
+
+    pass_time(50, 55)
+
+    assert explorer.goal()[0] > 4.0  # the next try
+    assert 0.0 < explorer.status.elapsed < 8.0
 
 
 def test_goal_that_nobody_accepts_is_sent_again_and_fails_in_the_end(

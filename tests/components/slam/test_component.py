@@ -11,17 +11,19 @@ import pytest
 
 from cairn import CairnError, from_ns
 from cairn.components.slam.component import Slam
-from cairn.components.slam.graph_file import read_graph
+from cairn.components.slam.graph_file import GraphFile, read_graph, write_graph
+from cairn.components.slam.mapping import Mapper
 from cairn.planar.grid import FREE, OCCUPIED, grid_of
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
-from tests.components.slam.box_room import ANGLES, scan
+from tests.components.slam.box_room import ANGLES, SECOND, drive, scan
 
 STEP_S = 0.1
 
@@ -33,6 +35,8 @@ class Driver:
         self._slam = slam
         self.true: Pose = (0.0, 0.0, 0.0)
         self.odometry: Pose = (0.0, 0.0, 0.0)
+        self.covered = False
+        self.time_s: float | None = None  # of topic `clock`, if slam takes its time from there
 
     def drive(self, steps: int, speed: float = 0.5) -> None:
         for _ in range(steps):
@@ -45,10 +49,17 @@ class Driver:
     def stand(self) -> None:
         """Publish odometry and a scan from where the robot is, a tenth of a second later."""
         self._slam.run_for(STEP_S)
-        header = Header(stamp=from_ns(self._slam.now_ns), frame_id="odom")
+        now = self._slam.now_ns
+        if self.time_s is not None:
+            self.time_s += STEP_S
+            now = round(self.time_s * SECOND)
+            self._slam.publish("clock", Clock(clock=from_ns(now)))
+        header = Header(stamp=from_ns(now), frame_id="odom")
         pose = PoseWithCovariance(pose=pose_message(self.odometry))
         self._slam.publish("odom", Odometry(header=header, child_frame_id="base_link", pose=pose))
         ranges = scan(self.true).ranges.astype(np.float32)
+        if self.covered:
+            ranges[:] = math.nan
         self._slam.publish(
             "scan",
             LaserScan(
@@ -203,3 +214,109 @@ def test_wrong_files_are_refused_before_the_robot_moves(tmp_path: Path) -> None:
     ):
         with pytest.raises(CairnError, match=fault):
             ComponentHarness(Slam, parameters)
+
+
+def test_graph_that_slam_writes_itself_is_not_extended(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    Driver(slam).drive(20)
+    slam.request("deactivate")
+    graph = tmp_path / "map.graph"
+
+    with pytest.raises(CairnError, match="extend a copy of it"):
+        ComponentHarness(Slam, {"map_file": str(tmp_path / "map.yaml"), "extend": str(graph)})
+
+    assert len(read_graph(graph).keyframes) > 3
+
+
+def test_new_run_keeps_the_graph_of_the_run_before_it(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    Driver(slam).drive(40)
+    slam.run_for(4.0)
+    left = tmp_path / "left"  # by a computer that was switched off
+    left.mkdir()
+    for file in tmp_path.glob("map.*"):
+        shutil.copy(file, left)
+    saved = len(read_graph(left / "map.graph").keyframes)
+
+    files = {"map_file": str(left / "map.yaml")}
+    ComponentHarness(Slam, files)  # is killed before its first scan
+    again = ComponentHarness(Slam, files, restarts=1)
+    Driver(again).stand()
+
+    assert len(read_graph(left / "map.before.graph").keyframes) == saved > 3
+    assert again.request("status")["keyframes"] == 1
+
+
+def test_map_goes_on_being_saved_and_published_after_time_was_set_back(tmp_path: Path) -> None:
+    slam = ComponentHarness(Slam, {"map_file": str(tmp_path / "map.yaml")}, simulated_time=True)
+    robot = Driver(slam)
+    robot.time_s = 100.0
+    robot.drive(40)
+    saved = len(read_graph(tmp_path / "map.graph").keyframes)
+    slam.take("map")
+    robot.time_s = 50.0
+
+    robot.drive(60, speed=-0.25)
+
+    assert len(read_graph(tmp_path / "map.graph").keyframes) > saved
+    assert slam.take("map")
+
+
+def test_pose_stays_when_time_is_set_back_after_odometry_has_restarted(tmp_path: Path) -> None:
+    slam = ComponentHarness(Slam, {"map_file": str(tmp_path / "map.yaml")}, simulated_time=True)
+    robot = Driver(slam)
+    robot.time_s = 100.0
+    robot.odometry = (4.0, -3.0, 2.0)
+    robot.stand()
+    robot.odometry = (0.0, 0.0, 0.0)
+    robot.drive(30)
+    robot.time_s = 50.0
+
+    robot.drive(5)
+
+    assert last_pose(slam) == pytest.approx(robot.true, abs=0.03)
+
+
+def test_reactivated_component_goes_on_saving_the_map(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    robot = Driver(slam)
+    robot.drive(20)
+    slam.request("deactivate")
+    saved = len(read_graph(tmp_path / "map.graph").keyframes)
+    slam.request("activate")
+
+    robot.drive(20)
+    keyframes = slam.request("save")["keyframes"]
+
+    assert keyframes > saved
+    assert len(read_graph(tmp_path / "map.graph").keyframes) == keyframes
+
+
+def test_killed_component_extends_the_map_if_nothing_was_saved_yet(tmp_path: Path) -> None:
+    mapper = Mapper(10.0)
+    drive(mapper, 0, 30)
+    write_graph(tmp_path / "old.graph", mapper, "a test")
+    GraphFile.create(tmp_path / "map.graph", 10.0, "killed").close()
+    files = {"map_file": str(tmp_path / "map.yaml"), "extend": str(tmp_path / "old.graph")}
+    slam = ComponentHarness(Slam, files, restarts=1)
+
+    Driver(slam).stand()
+
+    assert slam.request("status")["keyframes"] == len(mapper.keyframes) + 1
+
+
+def test_map_of_a_covered_scanner_is_not_written(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    robot = Driver(slam)
+    robot.covered = True
+    robot.stand()
+
+    with pytest.raises(CairnError, match="nothing covers the scanner"):
+        slam.request("save")
+    slam.request("deactivate")
+
+    assert not (tmp_path / "map.yaml").exists()

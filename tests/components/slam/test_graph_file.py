@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cairn import CairnError
+from cairn.components.slam import graph_file
 from cairn.components.slam.graph_file import GraphFile, read_graph, write_graph
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.pose_graph import Sighting
@@ -166,3 +167,48 @@ def test_other_files_are_refused_by_name(tmp_path: Path) -> None:
     ):
         with pytest.raises(CairnError, match=fault):
             read_graph(path)
+
+
+def test_file_is_created_completely_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A component that is killed meanwhile could not continue half of a file."""
+    monkeypatch.setitem(graph_file._TABLES, "landmarks", "landmark INTEGER PRIMARY KEY, x x y,")
+
+    with pytest.raises(CairnError, match="syntax error"):
+        GraphFile.create(tmp_path / "map.graph", 10.0, "a test")
+
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("damage", "fault"),
+    [
+        ("UPDATE edges SET information = :numbers WHERE number = 1", "information"),
+        ("INSERT INTO landmarks VALUES (1, 0, 0)", "deviations of sighting 0"),
+    ],
+)
+def test_uncertainties_that_are_not_possible_are_refused(
+    mapper: Mapper, tmp_path: Path, damage: str, fault: str
+) -> None:
+    path = tmp_path / "room.graph"
+    write_graph(path, mapper, "a test")
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(damage, {"numbers": (-np.eye(3)).tobytes()})
+        connection.execute("INSERT INTO sightings VALUES (0, 0, 1, ?)", (np.zeros(4).tobytes(),))
+
+    with pytest.raises(CairnError, match=f"damaged graph: .*{fault}"):
+        read_graph(path)
+
+
+def test_graph_that_slam_has_closed_is_read_without_writing_beside_it(
+    mapper: Mapper, tmp_path: Path
+) -> None:
+    """So it can be read in a folder in which only others may write."""
+    file = GraphFile.create(tmp_path / "map.graph", 10.0, "a test")
+    file.save(mapper)
+    file.close()
+
+    assert len(read_graph(tmp_path / "map.graph").keyframes) == len(mapper.keyframes)
+
+    assert [one.name for one in tmp_path.iterdir()] == ["map.graph"]

@@ -24,11 +24,16 @@ from cairn.components.slam.graph_history import (
     read_log,
 )
 from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays
+from cairn.components.slam.lifelong import bridging
+from cairn.components.slam.map_grid import MapGrid
+from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.pose_graph import Edge, EdgeKind
 from cairn.errors import CairnError
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, relative
+from cairn.planar.scans import Rays
 from tests.components.localizer.room import room
+from tests.components.slam.box_room import drive, scan
 from tests.components.slam.changing_room import REACH, ROUND, TABLE, scan_at, write_room_graph
 
 FEW = ROUND[::4]
@@ -59,6 +64,9 @@ def renew(history: GraphHistory, seed: int, retired: Sequence[int] = ()) -> int:
         anchor = state.numbers[-1]
         x, y, theta = state.poses[-1].tolist()
         edges = [Edge(EdgeKind.MATCH, anchor, number, relative((x, y, theta), pose), np.eye(3))]
+        poses = {k: (x, y, t) for k, (x, y, t) in zip(state.numbers, state.poses, strict=True)}
+        known = [*history.edges(state.numbers), *edges]
+        edges += bridging(known, retired, {**poses, number: pose})
     renewals = state.renewals.renewed(np.unique(patches, axis=0), state.version + 1)
     change = change_at(100.0 * (state.version + 1))
     renewal = Renewal(change, [pose], [frame], renewals, retired, edges)
@@ -71,6 +79,41 @@ def drawing(history: GraphHistory, version: int | None = None) -> OccupancyCells
 
 def same(first: OccupancyCells, second: OccupancyCells) -> bool:
     return first.frame == second.frame and np.array_equal(first.values, second.values)
+
+
+def test_keyframes_of_an_unfinished_submap_stay_a_submap_of_their_own(tmp_path: Path) -> None:
+    """Otherwise a robot that extends the map would not search for what they have seen."""
+    path = tmp_path / "room.graph"
+    mapper = Mapper(10.0)
+    drive(mapper, 0, 60)
+    open_from = mapper.submaps[-1].last + 1
+    assert open_from < len(mapper.keyframes)
+    write_graph(path, mapper, "a robot that maps")
+
+    with GraphHistory(path) as history:
+        renew(history, 1)
+
+    ends = [(submap.first, submap.last) for submap in read_graph(path).submaps]
+    count = len(mapper.keyframes)
+    assert ends[-2:] == [(open_from, count - 1), (count, count)]
+
+
+def test_parts_that_nothing_joins_to_the_map_are_not_drawn(tmp_path: Path) -> None:
+    path = tmp_path / "room.graph"
+    mapper = Mapper(10.0)
+    drive(mapper, 0, 60)
+    for k in range(20):  # the robot was carried into a smaller room
+        seen = scan((0.1 * k / 0.6, 0.0, 0.0))
+        rays = Rays(seen.starts, seen.angles, 0.6 * seen.ranges, seen.reach)
+        mapper.add_scan((60 + k) * SECOND, (5.9 + 0.1 * k, 0.0, 0.0), rays)
+    mapper.finish()
+    assert len(mapper.islands) == 2
+    write_graph(path, mapper, "a test")
+    grid = MapGrid(0.1, 10.0)
+    grid.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
+
+    with GraphHistory(path) as history:
+        assert same(drawing(history), grid.grid())
 
 
 STEPS = st.lists(

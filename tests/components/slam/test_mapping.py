@@ -1,6 +1,7 @@
 """The map of a simulated drive: loops are closed, a moved robot is found, nothing is ever bent."""
 
 import hashlib
+import math
 import os
 import subprocess
 import sys
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 
 from cairn.components.slam.mapping import Mapper
-from tests.components.slam import courses
+from cairn.planar.scans import Rays
+from cairn.visual_map.observations import Observation
+from tests.components.slam import box_room, courses
 from tests.components.slam.map_errors import map_errors
 from tests.components.slam.recordings import SCANNERS, Leg, Recording, record
 
@@ -124,3 +127,47 @@ def test_the_same_recording_gives_the_same_map_in_every_process() -> None:
         )  # fmt: skip
         results.add(done.stdout.strip())
     assert len(results) == 1
+
+
+def test_a_robot_is_recognized_where_it_was_just_before_it_was_carried_away() -> None:
+    """The smaller room in which it is then must not count as a part of the place."""
+    mapper = Mapper(10.0)
+    there_and_back = np.concatenate((np.arange(0.0, 3.5, 0.1), np.arange(3.5, 0.0, -0.1)))
+
+    odometry = 0.0
+    for ahead, size in (
+        (np.arange(0.0, 2.0, 0.1), 1.0),
+        (np.arange(0.0, 2.0, 0.1), 0.6),
+        (np.tile(there_and_back, 3), 1.0),
+    ):
+        for k, x in enumerate(ahead.tolist()):
+            rays = box_room.scan((x / size, 0.0, 0.0))
+            rays = Rays(rays.starts, rays.angles, size * rays.ranges, rays.reach)
+            odometry += x - float(ahead[k - 1]) if k else 0.0
+            stamp = len(mapper.trajectory) * box_room.SECOND
+            mapper.add_scan(stamp, (odometry, 0.0, 0.0), rays)
+    mapper.finish()
+
+    assert [len(island.keyframes) for island in mapper.islands] == [len(mapper.keyframes)]
+
+
+def test_scans_follow_a_map_that_an_object_has_corrected() -> None:
+    mapper = Mapper(10.0)
+    nothing = np.full(box_room.ANGLES.size, np.inf)
+    blind = Rays(np.zeros((nothing.size, 2)), box_room.ANGLES, nothing, 10.0)
+    x = odometry = 0.0
+    for k in range(180):
+        is_blind = 6 <= k < 166  # meanwhile odometry overestimates the way ahead
+        stamp = k * box_room.SECOND // 10
+        rays = blind if is_blind else box_room.scan((x, 0.0, 0.0))
+        mapper.add_scan(stamp, (odometry, 0.0, 0.0), rays)
+        if k < 3 or k > 176:
+            way, bearing = math.hypot(3.5 - x, 0.4), math.atan2(0.4, 3.5 - x)
+            seen = Observation(1, way, bearing, 0.01**2, 0.003**2)
+            mapper.add_observations(stamp, (odometry, 0.0, 0.0), [seen])
+        step = (0.1 if k % 8 < 4 else -0.1) if is_blind else 0.05
+        x += step
+        odometry += 1.06 * step if is_blind and step > 0 else step
+    assert odometry - x > 0.4
+
+    assert mapper.pose == pytest.approx((x - 0.05, 0.0, 0.0), abs=0.05)
