@@ -80,6 +80,7 @@ class Proposals:
         self._is_saved = True
         if path.exists():
             self._read()
+        self._last = max(self._all, default=0)
 
     @property
     def waiting(self) -> list[Proposal]:
@@ -103,7 +104,7 @@ class Proposals:
 
     def add(self, hypothesis: Hypothesis) -> Proposal:
         """Propose a hypothesis."""
-        number = max(self._all, default=0) + 1
+        self._last = number = self._last + 1
         (x, y), spread = hypothesis.place()
         model = replace(hypothesis.model, object_id=number, name=f"found {number}")
         position = MapPosition(

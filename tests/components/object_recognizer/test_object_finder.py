@@ -32,6 +32,7 @@ Placed = tuple[int, float, float, float]
 """A picture by its seed, at x, y [m] in the map, seen from direction [rad]."""
 
 WALL: Placed = (UNKNOWN, 3.0, 0.0, math.pi)
+OTHER: Placed = (79, 3.0, 0.1, math.pi)
 # Poses from which it is seen, on two visits.
 FIRST = [(0.8, -0.6, 0.25), (1.0, -0.2, 0.1), (1.2, 0.2, -0.1), (1.4, 0.6, -0.35)]
 AGAIN = [(0.9, 0.0, 0.0), (1.1, 0.5, -0.25)]
@@ -132,6 +133,9 @@ def test_unknown_thing_is_proposed_accepted_and_not_found_again(
     assert model.size == pytest.approx((one.width, one.height))
     assert robot.visit([*FIRST, *AGAIN]) == []
     assert robot.finder.request("proposals") == {"proposals": []}
+    robot.visit(FIRST, [OTHER])
+    (other,) = robot.visit(AGAIN, [OTHER])
+    assert other.number == 2
 
 
 def test_rejected_thing_is_not_proposed_again_after_a_restart(
