@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from cairn.bounded_files import too_large
 from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
-from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap
+from cairn.components.slam.keyframes import Keyframe, ScanRays, ScanSurfaces, Submap
 from cairn.components.slam.mapping import Mapper
-from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, Sighting
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
@@ -344,12 +343,11 @@ def _read(connection: sqlite3.Connection) -> Mapper:
 
 def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:
     """Return a keyframe without the points that lie where newer keyframes alone count."""
-    if not renewals.tiles or not frame.cloud.count:
+    if not renewals.tiles or not frame.surfaces.count:
         return frame
     x, y, theta = pose.tolist()
     valid = renewals.since(frame.cloud.placed((x, y, theta)).points) <= frame.version
-    cloud = PointCloud(frame.cloud.points[valid], frame.cloud.normals[valid])
-    return replace(frame, cloud=cloud)
+    return replace(frame, surfaces=ScanSurfaces(frame.surfaces.values[valid]))
 
 
 def _keyframe(
@@ -363,14 +361,13 @@ def _keyframe(
 ) -> Keyframe:
     if not (type(stamp_ns) is type(submap) is type(version) is int and 0 <= version < _VERSIONS):
         raise ValueError("numbers of a keyframe are wrong")
-    points = _floats(cloud, np.float32, 4)
+    surfaces = ScanSurfaces(_floats(cloud, np.float32, 4).astype(np.float32))
     x, y, theta = _numbers(odometry, 3)
     rays = None
     if geometry is not None:
         x1, y1, angle1, x2, y2, angle2, reach = _numbers(geometry, 7)
         beams = np.frombuffer(ranges, "<f4")
         rays = ScanRays((x1, y1, angle1), (x2, y2, angle2), beams, reach)
-    surfaces = PointCloud(points[:, :2].copy(), points[:, 2:].copy())
     return Keyframe(stamp_ns, (x, y, theta), surfaces, rays, submap, version)
 
 
@@ -405,7 +402,6 @@ def insert_tiles(
 
 def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[object, ...]]:
     for number, frame in numbered:
-        cloud = np.concatenate((frame.cloud.points, frame.cloud.normals), axis=1)
         rays = frame.rays
         geometry = None
         if rays is not None:
@@ -416,7 +412,7 @@ def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[o
             frame.submap,
             frame.version,
             np.array(frame.odometry, "<f8").tobytes(),
-            cloud.astype("<f4").tobytes(),
+            frame.surfaces.values.astype("<f4").tobytes(),
             geometry,
             None if rays is None else rays.ranges.astype("<f4").tobytes(),
         )

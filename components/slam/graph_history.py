@@ -10,7 +10,7 @@ import hashlib
 import sqlite3
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -494,7 +494,7 @@ def _next(connection: sqlite3.Connection, table: str) -> int:
 
 
 def _of(frame: Keyframe, submap: int) -> Keyframe:
-    return Keyframe(frame.stamp_ns, frame.odometry, frame.cloud, frame.rays, submap, frame.version)
+    return replace(frame, submap=submap)
 
 
 def _rollback_change(then: GraphState, now: GraphState, stamp_ns: int, reason: str) -> GraphChange:

@@ -23,7 +23,7 @@ THIN_M = 0.03
 DENSE_M = 0.04
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ScanRays:
     """The rays of a scan in few numbers: starts and directions change evenly from first to last.
 
@@ -59,6 +59,31 @@ def scan_rays(rays: Rays) -> ScanRays:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class ScanSurfaces:
+    """The surfaces of a scan in few bytes, as they are in the graph file.
+
+    `values` (n, 4) are the points x, y [m] and the normals of a `PointCloud`.
+    """
+
+    values: Float32Array
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return len(self.values)
+
+    def cloud(self) -> PointCloud:
+        """Return the points with their normals."""
+        values = self.values.astype(np.float64)
+        return PointCloud(np.ascontiguousarray(values[:, :2]), np.ascontiguousarray(values[:, 2:]))
+
+
+def scan_surfaces(cloud: PointCloud) -> ScanSurfaces:
+    """Return the surfaces of a scan in few bytes."""
+    return ScanSurfaces(np.hstack((cloud.points, cloud.normals), dtype=np.float32))
+
+
 def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
     """Return the surfaces that a scan shows, up to `farthest` [m]: thinned points with normals."""
     with np.errstate(invalid="ignore"):
@@ -74,14 +99,14 @@ def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
     return cloud.thinned(THIN_M)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Keyframe:
     """A scan of the map, or a pose from which landmarks were observed.
 
     Attributes:
         stamp_ns: time of the scan's first beam [ns].
         odometry: pose of the base in the odometry frame then.
-        cloud: its surfaces, in the frame of the base.
+        surfaces: those that it shows, in the frame of the base.
         rays: what it saw; None without a scan.
         submap: number of the submap that it belongs to.
         version: of the map when it was added; it does not count where the map was renewed later.
@@ -90,10 +115,15 @@ class Keyframe:
 
     stamp_ns: int
     odometry: Pose
-    cloud: PointCloud
+    surfaces: ScanSurfaces
     rays: ScanRays | None
     submap: int
     version: int = 0
+
+    @property
+    def cloud(self) -> PointCloud:
+        """The points of its surfaces, in the frame of the base."""
+        return self.surfaces.cloud()
 
 
 @dataclass

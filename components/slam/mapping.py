@@ -21,6 +21,7 @@ from cairn.components.slam.keyframes import (
     cloud_in,
     scan_cloud,
     scan_rays,
+    scan_surfaces,
 )
 from cairn.components.slam.landmarks import LandmarkBuilder, LandmarkReport
 from cairn.components.slam.odometry_calibration import (
@@ -83,7 +84,7 @@ Progress = Callable[[str, float], None]
 """Called with the name of a stage and its completed share, from 0 to 1."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Step:
     """A scan of the trajectory: its time [ns], the keyframe before it, and the pose from there."""
 
@@ -195,8 +196,9 @@ class Mapper:
         # If a scan that does not fit became a keyframe, those after it would fit to it.
         if is_first or (has_moved and not tracked.is_misfit):
             frame = Keyframe(
-                stamp_ns, odometry, cloud, scan_rays(rays), self._open.number, self.version
-            )
+                stamp_ns, odometry, scan_surfaces(cloud), scan_rays(rays), self._open.number,
+                self.version,
+            )  # fmt: skip
             self._add_keyframe(frame, None if is_first else (offset, tracked))
             last, offset = last + 1, (0.0, 0.0, 0.0)
         if tracked.is_lost:
@@ -371,7 +373,7 @@ class Mapper:
             self._pose = compose(self.graph.pose(last), offset)
         self._odometry = odometry
         if is_first or apart(offset, (0.0, 0.0, 0.0), meters, radians):
-            nothing = PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+            nothing = scan_surfaces(PointCloud(np.zeros((0, 2)), np.zeros((0, 2))))
             self._add_keyframe(Keyframe(stamp_ns, odometry, nothing, None, self._open.number), None)
             last, offset = last + 1, (0.0, 0.0, 0.0)
         self.trajectory.append(Step(stamp_ns, last, offset))
@@ -383,7 +385,7 @@ class Mapper:
 
     def _optimize(self) -> None:
         last = self.graph.pose(len(self.keyframes) - 1)
-        self.graph.optimize()
+        self.graph.optimize_quickly()
         self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
 
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
