@@ -134,10 +134,8 @@ def _sampled(run: Run, seconds: float) -> LiveLoad:
         shares.append((used - used_before) / (begin - before))
         peak = max(peak, process.memory_info().rss / 2**20)
     with cairn.client.connect(run.endpoint) as robot:
-        name = robot.component_of("slam")
-        assert name is not None
-        keyframes = int(robot.request(name, "status")["keyframes"])
-        (scan,) = (port for port in robot.components()[name].ports if port.port == "scan")
+        keyframes = int(robot.request("slam", "status")["keyframes"])
+        (scan,) = (port for port in robot.components()["slam"].ports if port.port == "scan")
     return LiveLoad(shares, peak, keyframes, scan.messages, scan.dropped)
 
 

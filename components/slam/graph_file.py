@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from cairn.bounded_files import too_large
 from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
-from cairn.components.slam.keyframes import Keyframe, ScanRays, ScanSurfaces, Submap
+from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap, scan_surfaces
 from cairn.components.slam.mapping import Mapper
+from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, Sighting
 from cairn.errors import CairnError
 from cairn.files import explain_os_error, replacing
@@ -347,7 +348,7 @@ def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:
         return frame
     x, y, theta = pose.tolist()
     valid = renewals.since(frame.cloud.placed((x, y, theta)).points) <= frame.version
-    return replace(frame, surfaces=ScanSurfaces(frame.surfaces.values[valid]))
+    return replace(frame, surfaces=frame.surfaces.part(valid))
 
 
 def _keyframe(
@@ -361,7 +362,8 @@ def _keyframe(
 ) -> Keyframe:
     if not (type(stamp_ns) is type(submap) is type(version) is int and 0 <= version < _VERSIONS):
         raise ValueError("numbers of a keyframe are wrong")
-    surfaces = ScanSurfaces(_floats(cloud, np.float32, 4).astype(np.float32))
+    points = _floats(cloud, np.float32, 4)
+    surfaces = scan_surfaces(PointCloud(points[:, :2], points[:, 2:]))
     x, y, theta = _numbers(odometry, 3)
     rays = None
     if geometry is not None:
@@ -402,6 +404,8 @@ def insert_tiles(
 
 def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[object, ...]]:
     for number, frame in numbered:
+        cloud = frame.cloud
+        surfaces = np.concatenate((cloud.points, cloud.normals), axis=1)
         rays = frame.rays
         geometry = None
         if rays is not None:
@@ -412,7 +416,7 @@ def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[o
             frame.submap,
             frame.version,
             np.array(frame.odometry, "<f8").tobytes(),
-            frame.surfaces.values.astype("<f4").tobytes(),
+            surfaces.astype("<f4").tobytes(),
             geometry,
             None if rays is None else rays.ranges.astype("<f4").tobytes(),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 
@@ -17,6 +18,8 @@ Float32Array = NDArray[np.float32]
 
 # Size of the cells by which scans of the same surfaces find each other [m].
 _PLACE = 0.5
+# Whole numbers of `ScanSurfaces`.
+_STEPS, _NO_SURFACE = 32767, -32768
 # Points of one scan nearer than this to each other are one [m].
 THIN_M = 0.03
 # Points of several scans together: a little more than the range noise of scanners.
@@ -61,12 +64,15 @@ def scan_rays(rays: Rays) -> ScanRays:
 
 @dataclass(frozen=True, slots=True)
 class ScanSurfaces:
-    """The surfaces of a scan in few bytes, as they are in the graph file.
+    """The surfaces of a scan in few bytes: a `PointCloud` in whole numbers.
 
-    `values` (n, 4) are the points x, y [m] and the normals of a `PointCloud`.
+    `values` (n, 3) are x and y in steps of `step` [m], and the direction of the normal in 32767ths
+    of a half turn, or -32768 without a surface. The farthest point has 32767 steps: the error of
+    a point is at most 1/65000 of that distance, 0.5 mm at 30 m.
     """
 
-    values: Float32Array
+    values: NDArray[np.int16]
+    step: float
 
     @property
     def count(self) -> int:
@@ -75,13 +81,25 @@ class ScanSurfaces:
 
     def cloud(self) -> PointCloud:
         """Return the points with their normals."""
-        values = self.values.astype(np.float64)
-        return PointCloud(np.ascontiguousarray(values[:, :2]), np.ascontiguousarray(values[:, 2:]))
+        direction = self.values[:, 2].astype(np.float64) * (math.pi / _STEPS)
+        normals = np.column_stack((np.cos(direction), np.sin(direction)))
+        normals[self.values[:, 2] == _NO_SURFACE] = 0.0
+        return PointCloud(self.values[:, :2].astype(np.float64) * self.step, normals)
+
+    def part(self, chosen: NDArray[np.bool_]) -> ScanSurfaces:
+        """Return some of the points: those that are `chosen` (n,)."""
+        return ScanSurfaces(self.values[chosen], self.step)
 
 
 def scan_surfaces(cloud: PointCloud) -> ScanSurfaces:
     """Return the surfaces of a scan in few bytes."""
-    return ScanSurfaces(np.hstack((cloud.points, cloud.normals), dtype=np.float32))
+    step = float(np.abs(cloud.points).max(initial=0.0)) / _STEPS or 1.0
+    nx, ny = cloud.normals.T
+    values = np.empty((cloud.count, 3), np.int16)
+    values[:, :2] = np.rint(cloud.points / step)
+    values[:, 2] = np.rint(np.arctan2(ny, nx) * (_STEPS / math.pi))
+    values[(nx == 0.0) & (ny == 0.0), 2] = _NO_SURFACE
+    return ScanSurfaces(values, step)
 
 
 def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
