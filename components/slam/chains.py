@@ -19,8 +19,10 @@ from cairn.planar.compiled import compiled
 
 Array = NDArray[np.float64]
 
-# A chain has at most so many steps, so that its error is nearly linear in the errors of its steps.
-_LONGEST = 50
+# A chain has at most so many steps, so that its error is nearly linear in the errors of its steps:
+# where a loop moves poses by 1 to 2.6 m, they are 0.2 to 0.6 mm beside those of the whole graph,
+# with 50 steps 3 to 18 mm.
+_LONGEST = 10
 # Added to the information of each step, so that it has an inverse [1/m^2], [1/rad^2].
 _LEAST_INFORMATION = 1e-6
 

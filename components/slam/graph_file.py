@@ -82,9 +82,12 @@ class GraphFile:
         self._has_tiles = False
 
     @classmethod
-    def create(cls, path: Path, farthest: float, source: str) -> GraphFile:
+    def create(
+        cls, path: Path, farthest: float, source: str, created_s: float | None = None
+    ) -> GraphFile:
         """Make a new file; `source` says in words what the map is made from.
 
+        `created_s` is the time of creation in the file [s since 1970], None: the system's.
         Raises `CairnError` if it exists or cannot be made.
         """
         if path.exists():
@@ -96,7 +99,8 @@ class GraphFile:
                 for name, columns in _TABLES.items():
                     connection.execute(f"CREATE TABLE {name} ({columns})")
                 connection.execute(
-                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0)", (farthest, time.time(), source)
+                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0)",
+                    (farthest, time.time() if created_s is None else created_s, source),
                 )
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {_FORMAT}")
