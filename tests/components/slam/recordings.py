@@ -192,9 +192,16 @@ def sweeps(
             measured.append(odometry)
         times = np.asarray(clock + _TICK_S * np.arange(len(track)), np.float64)
         moves = np.array(measured)
+        for one in (track, moves):
+            one[:, 2] = np.unwrap(one[:, 2])
         last = clock
         while due + sweep_s < times[-1]:
-            at = sensor_times(times, track, np.asarray(due + beams.times, np.float64))
+            # Only what lies around the sweep: a drive may last for hours.
+            first = max(0, int((due - clock) / _TICK_S) - 1)
+            window = slice(first, first + int(sweep_s / _TICK_S) + 5)
+            at = sensor_times(
+                times[window], track[window], np.asarray(due + beams.times, np.float64)
+            )
             for walker in walkers:
                 walker.step(max(0.0, due - last), tuple(at[0, :2].tolist()), _ROBOT_RADIUS_M,
                             solid.segments)  # fmt: skip
@@ -203,7 +210,7 @@ def sweeps(
             poses = sensor_poses(at, scanner.mount)
             ranges = simulate_sweep(model, beams, _FAULTS, poses, targets, random)
             begin, end = sensor_times(
-                times, moves, np.array((due, due + sweep_s), np.float64)
+                times[window], moves[window], np.array((due, due + sweep_s), np.float64)
             ).tolist()
             scan = LaserScan(
                 header=Header(frame_id="laser"),
