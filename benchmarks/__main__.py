@@ -18,6 +18,7 @@ BENCHMARKS = (
     "localization_logs",
     "slam",
     "slam_landmarks",
+    "slam_live",
     "lifelong",
     "world",
     "recognition",

@@ -71,21 +71,8 @@ def measure_world(world: str, scanner: str, seed: int = 0) -> list[Metric]:
 
 def measure_log(log: Path, relations: Path) -> list[Metric]:
     """Return the metrics of a recorded log, by the relations of the SLAM benchmark."""
-    recording = CarmenRecording(log, 0.0)
-    track = recording.odometry()
-    scans = recording.scans()
-    if track is None or scans is None:
-        raise ValueError(f"{log} has no odometry or no scans")
-    stamps, poses = np.array(track.stamps), track.poses.copy()
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    mapper = Mapper(FARTHEST_M)
-    times = []
     begin = time.process_time()
-    for stamp, scan in zip(scans.stamps, scans.messages, strict=True):
-        x, y, theta = (float(np.interp(stamp, stamps, column)) for column in poses.T)
-        mapper.add_scan(stamp, (x, y, theta), rays_of(scan, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-        times.append(stamp)
-    mapper.finish()
+    mapper, times = map_log(log, FARTHEST_M)
     spent = time.process_time() - begin
     found = [(x, y, theta) for x, y, theta in mapper.poses().tolist()]
     meters, degrees = relation_errors(times, found, relations)
@@ -99,6 +86,27 @@ def measure_log(log: Path, relations: Path) -> list[Metric]:
         Metric(f"{log.name}: speed", seconds / spent, "x real time", at_least=20.0,
                note=f"{len(mapper.keyframes)} keyframes, {memory:.0f} MiB at most"),
     ]  # fmt: skip
+
+
+def map_log(log: Path, farthest: float, seconds: float = math.inf) -> tuple[Mapper, list[int]]:
+    """Map a log, or its first `seconds` [s]; return the finished map and the scans' times [ns]."""
+    recording = CarmenRecording(log, 0.0)
+    track = recording.odometry()
+    scans = recording.scans()
+    if track is None or scans is None:
+        raise ValueError(f"{log} has no odometry or no scans")
+    stamps, poses = np.array(track.stamps), track.poses.copy()
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    mapper = Mapper(farthest)
+    times: list[int] = []
+    for stamp, scan in zip(scans.stamps, scans.messages, strict=True):
+        if times and stamp - times[0] > seconds * 1e9:
+            break
+        x, y, theta = (float(np.interp(stamp, stamps, column)) for column in poses.T)
+        mapper.add_scan(stamp, (x, y, theta), rays_of(scan, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        times.append(stamp)
+    mapper.finish()
+    return mapper, times
 
 
 def relation_errors(

@@ -190,9 +190,12 @@ class LandmarkStore:
             raise
 
 
-def create_landmarks(path: Path, source: str) -> LandmarkStore:
-    """Make a new, empty map file; `source` says in words where the map comes from."""
-    return LandmarkStore(path, create(path, source))
+def create_landmarks(path: Path, source: str, created_s: float | None = None) -> LandmarkStore:
+    """Make a new, empty map file; `source` says in words where the map comes from.
+
+    `created_s` is the time of creation in the file [s since 1970], None: the system's.
+    """
+    return LandmarkStore(path, create(path, source, created_s=created_s))
 
 
 def open_landmarks(path: Path, *, read_only: bool = False) -> LandmarkStore:

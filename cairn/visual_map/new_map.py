@@ -19,13 +19,15 @@ def write_map(
     landmarks: Sequence[LandmarkRecord],
     stamp_ns: int = 0,
     models: Sequence[ObjectModel] = (),
+    created_s: float | None = None,
 ) -> None:
     """Write a new map file with these landmarks, each with a change IMPORTED.
 
+    `created_s` is the time of creation in the file [s since 1970], None: the system's.
     The models of these landmarks are written as well, so robots recognize them at once.
     """
     with replacing(path) as part:
-        with create_landmarks(part, source) as store:
+        with create_landmarks(part, source, created_s) as store:
             changes = [
                 (
                     version,

@@ -157,9 +157,12 @@ class MapNotWritable(MapFileError):
     """The disk of a map file takes no data now: full, over quota, at a size limit, read-only."""
 
 
-def create(path: Path, source: str, digest: str = "") -> sqlite3.Connection:
+def create(
+    path: Path, source: str, digest: str = "", created_s: float | None = None
+) -> sqlite3.Connection:
     """Make a new, empty map file; `source` says in words where the map comes from.
 
+    `created_s` is the time of creation in the file [s since 1970], None: the system's.
     Raises `MapFileError` if the file exists or cannot be made.
     """
     if path.exists():
@@ -173,7 +176,7 @@ def create(path: Path, source: str, digest: str = "") -> sqlite3.Connection:
                 connection.execute("BEGIN IMMEDIATE")
                 _add_formats(connection, since=0)
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
-                origin = (source, digest, time.time())
+                origin = (source, digest, time.time() if created_s is None else created_s)
                 connection.execute("INSERT INTO origin VALUES (?, ?, ?)", origin)
                 connection.execute("COMMIT")
     return connection

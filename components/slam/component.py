@@ -307,7 +307,8 @@ class Slam(Component):
             self.log.info("extending the map of %d scans: searching it", len(mapper.keyframes))
         else:
             mapper = Mapper(farthest)
-        self._file = GraphFile.create(path, mapper.farthest, f"mapped by {self.name}")
+        created_s = self.clock.now() / SECOND
+        self._file = GraphFile.create(path, mapper.farthest, f"mapped by {self.name}", created_s)
         return mapper
 
     def _draw(self, most: int | None) -> None:
@@ -373,11 +374,14 @@ class Slam(Component):
         assert mapper is not None
         landmarks = mapper.landmarks().landmarks
         self._has_landmarks = bool(landmarks)
+        created_s = self.clock.now() / SECOND
 
         def write() -> None:
             write_map(file, grid)
             if landmarks:
-                write_landmarks(file.with_suffix(".cairn"), f"mapped by {self.name}", landmarks)
+                write_landmarks(
+                    file.with_suffix(".cairn"), f"mapped by {self.name}", landmarks, created_s
+                )
 
         lost = "the grid map and the visual map are not written; the graph has all of them"
         self._saved_maps.attempt(write, lambda: lost, now=True)

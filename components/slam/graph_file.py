@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from cairn.bounded_files import too_large
 from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
-from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap
+from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap, scan_surfaces
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Sighting
@@ -91,12 +91,18 @@ class GraphFile:
 
     @classmethod
     def create(
-        cls, path: Path, farthest: float, source: str, *, called: Path | None = None
+        cls,
+        path: Path,
+        farthest: float,
+        source: str,
+        created_s: float | None = None,
+        *,
+        called: Path | None = None,
     ) -> GraphFile:
         """Make a new file; `source` says in words what the map is made from.
 
-        Raises `CairnError` if it exists or cannot be made. Errors name it `called`, by default
-        `path`.
+        `created_s` is the time of creation in the file [s since 1970], None: the system's. Raises
+        `CairnError` if it exists or cannot be made. Errors name it `called`, by default `path`.
         """
         if path.exists():
             raise CairnError(f"{path} exists already; remove it, or give another name")
@@ -107,7 +113,8 @@ class GraphFile:
                 for name, columns in _TABLES.items():
                     connection.execute(f"CREATE TABLE {name} ({columns})")
                 connection.execute(
-                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0)", (farthest, time.time(), source)
+                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0)",
+                    (farthest, time.time() if created_s is None else created_s, source),
                 )
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {_FORMAT}")
@@ -393,12 +400,11 @@ def read_constraints(connection: sqlite3.Connection, state: GraphState, graph: P
 
 def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:
     """Return a keyframe without the points that lie where newer keyframes alone count."""
-    if not renewals.tiles or not frame.cloud.count:
+    if not renewals.tiles or not frame.surfaces.count:
         return frame
     x, y, theta = pose.tolist()
     valid = renewals.since(frame.cloud.placed((x, y, theta)).points) <= frame.version
-    cloud = PointCloud(frame.cloud.points[valid], frame.cloud.normals[valid])
-    return replace(frame, cloud=cloud)
+    return replace(frame, surfaces=frame.surfaces.part(valid))
 
 
 def _keyframe(
@@ -413,13 +419,13 @@ def _keyframe(
     if not (type(stamp_ns) is type(submap) is type(version) is int and 0 <= version < _VERSIONS):
         raise ValueError("numbers of a keyframe are wrong")
     points = _floats(cloud, np.float32, 4)
+    surfaces = scan_surfaces(PointCloud(points[:, :2], points[:, 2:]))
     x, y, theta = _numbers(odometry, 3)
     rays = None
     if geometry is not None:
         x1, y1, angle1, x2, y2, angle2, reach = _numbers(geometry, 7)
         beams = np.frombuffer(ranges, "<f4")
         rays = ScanRays((x1, y1, angle1), (x2, y2, angle2), beams, reach)
-    surfaces = PointCloud(points[:, :2].copy(), points[:, 2:].copy())
     return Keyframe(stamp_ns, (x, y, theta), surfaces, rays, submap, version)
 
 
@@ -454,7 +460,8 @@ def insert_tiles(
 
 def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[object, ...]]:
     for number, frame in numbered:
-        cloud = np.concatenate((frame.cloud.points, frame.cloud.normals), axis=1)
+        cloud = frame.cloud
+        surfaces = np.concatenate((cloud.points, cloud.normals), axis=1)
         rays = frame.rays
         geometry = None
         if rays is not None:
@@ -465,7 +472,7 @@ def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[o
             frame.submap,
             frame.version,
             np.array(frame.odometry, "<f8").tobytes(),
-            cloud.astype("<f4").tobytes(),
+            surfaces.astype("<f4").tobytes(),
             geometry,
             None if rays is None else rays.ranges.astype("<f4").tobytes(),
         )

@@ -582,7 +582,7 @@ def _next(connection: sqlite3.Connection, table: str) -> int:
 
 
 def _of(frame: Keyframe, submap: int) -> Keyframe:
-    return Keyframe(frame.stamp_ns, frame.odometry, frame.cloud, frame.rays, submap, frame.version)
+    return replace(frame, submap=submap)
 
 
 def _rollback_change(then: GraphState, now: GraphState, stamp_ns: int, reason: str) -> GraphChange:

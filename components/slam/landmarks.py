@@ -299,8 +299,16 @@ class LandmarkBuilder:
         return np.array([math.hypot(s.range_sd, s.range_m * s.bearing_sd) for s in chosen])
 
 
-def write_landmarks(path: Path, source: str, landmarks: Sequence[MappedLandmark]) -> None:
-    """Write a new visual map of landmarks, each with neutral reliability."""
+def write_landmarks(
+    path: Path,
+    source: str,
+    landmarks: Sequence[MappedLandmark],
+    created_s: float | None = None,
+) -> None:
+    """Write a new visual map of landmarks, each with neutral reliability.
+
+    `created_s` is the time of creation in the file [s since 1970], None: the system's.
+    """
     write_map(
         path,
         source,
@@ -310,6 +318,7 @@ def write_landmarks(path: Path, source: str, landmarks: Sequence[MappedLandmark]
             )
             for one in landmarks
         ],
+        created_s=created_s,
     )
 
 

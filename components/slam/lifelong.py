@@ -24,7 +24,7 @@ from cairn.components.slam.graph_history import (
     Renewal,
     change_between,
 )
-from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays
+from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays, scan_surfaces
 from cairn.components.slam.map_differences import BLOCK_M, Block, MapDifferences, differing
 from cairn.components.slam.pose_graph import Edge, EdgeKind
 from cairn.planar.grid import UNKNOWN, OccupancyCells
@@ -402,8 +402,8 @@ class LifelongMap:
             pose = one.scan.pose
             frames.append(
                 Keyframe(
-                    one.scan.stamp_ns, pose, scan_cloud(rays, self._farthest), scan_rays(rays), 0,
-                    self.version + 1,
+                    one.scan.stamp_ns, pose, scan_surfaces(scan_cloud(rays, self._farthest)),
+                    scan_rays(rays), 0, self.version + 1,
                 )
             )  # fmt: skip
             poses.append(pose)
@@ -418,7 +418,7 @@ class LifelongMap:
         return Renewal(change, poses, frames, renewals, outdated, [*edges, *bridges])
 
     def _is_outdated(self, number: int, frame: Keyframe, renewals: Renewals) -> bool:
-        if not frame.cloud.count:
+        if not frame.surfaces.count:
             return False
         points = frame.cloud.placed(self._poses[number]).points
         return bool(np.mean(renewals.since(points) > frame.version) >= _OUTDATED)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cairn.components.slam.keyframes import Keyframe
 from cairn.planar.grid import OccupancyCells
-from cairn.planar.poses import Pose, apart
+from cairn.planar.poses import Pose, wrap_all
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
 
@@ -25,7 +25,7 @@ class MapGrid:
     def __init__(self, resolution: float, reach: float) -> None:
         """Make an empty map with cells of `resolution` [m] of rays up to `reach` [m]."""
         self._counts = ScanGrid(resolution, reach)
-        self._drawn: dict[int, Pose] = {}
+        self._drawn = np.zeros((0, 3))  # where each keyframe is drawn; NaN: nowhere
 
     @property
     def counts(self) -> ScanGrid:
@@ -55,28 +55,29 @@ class MapGrid:
             Whether anything was drawn. Raises `ValueError` if the map became too large.
 
         """
-        left = len(keyframes) if most is None else most
-        drew = False
-        for number in range(len(keyframes) - 1, -1, -1):
+        new = np.full((len(keyframes) - len(self._drawn), 3), np.nan)
+        self._drawn = np.concatenate((self._drawn, new))
+        is_drawn = ~np.isnan(self._drawn[:, 0])
+        moved = np.hypot(*(poses - self._drawn)[:, :2].T) > _MOVED_M
+        moved |= np.abs(wrap_all(poses[:, 2] - self._drawn[:, 2])) > _MOVED_RAD
+        outdated = np.flatnonzero(np.where(is_drawn, moved | ~shown, shown))
+        outdated = outdated[[keyframes[k].rays is not None for k in outdated.tolist()]]
+        for number in outdated[::-1][:most].tolist():
             rays, version = keyframes[number].rays, keyframes[number].version
-            if rays is None or left == 0:
-                continue
-            drawn = self._drawn.get(number)
-            x, y, theta = poses[number].tolist()
-            if drawn is not None:
-                if shown[number] and not apart(drawn, (x, y, theta), _MOVED_M, _MOVED_RAD):
-                    continue
-                self._counts.remove(drawn, rays.rays(), version)
-                del self._drawn[number]
-            elif not shown[number]:
-                continue
+            assert rays is not None
+            if is_drawn[number]:
+                self._counts.remove(_pose(self._drawn, number), rays.rays(), version)
+                self._drawn[number] = np.nan
             if shown[number]:
-                self._counts.add((x, y, theta), rays.rays(), version)
-                self._drawn[number] = (x, y, theta)
-            left -= 1
-            drew = True
-        return drew
+                self._counts.add(_pose(poses, number), rays.rays(), version)
+                self._drawn[number] = poses[number]
+        return bool(outdated[:most].size)
 
     def grid(self) -> OccupancyCells:
         """Return the map; raises `ValueError` while nothing is drawn."""
         return self._counts.grid()
+
+
+def _pose(poses: Array, number: int) -> Pose:
+    x, y, theta = poses[number].tolist()
+    return x, y, theta

@@ -11,7 +11,7 @@ import numpy as np
 from cairn.clock import SECOND
 from cairn.components.slam.graph_file import write_graph
 from cairn.components.slam.graph_history import GraphChange
-from cairn.components.slam.keyframes import Keyframe, Submap, scan_cloud, scan_rays
+from cairn.components.slam.keyframes import Keyframe, Submap, scan_cloud, scan_rays, scan_surfaces
 from cairn.components.slam.lifelong import LifelongMap
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.pose_graph import Edge, EdgeKind
@@ -55,7 +55,14 @@ def write_room_graph(path: Path, boxes: Sequence[Box], poses: Sequence[Pose] = R
         rays = scan_at(world, pose, random)
         submap = number // 8
         mapper.keyframes.append(
-            Keyframe(number * SECOND, pose, scan_cloud(rays, REACH), scan_rays(rays), submap, 0)
+            Keyframe(
+                number * SECOND,
+                pose,
+                scan_surfaces(scan_cloud(rays, REACH)),
+                scan_rays(rays),
+                submap,
+                0,
+            )
         )
         mapper.graph.add_pose(pose)
         if number:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -109,6 +109,30 @@ class Recording:
         return (self.stamps[-1] - self.stamps[0]) / 1e9
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """A scan of a simulated drive.
+
+    Attributes:
+        start_ns: time of the first beam [ns]; the scan's stamp is not set.
+        end_ns: time of the last beam [ns].
+        scan: what the scanner measured.
+        start: pose of the base in the odometry frame at the first beam.
+        end: the same at the last beam.
+        truth: true pose of the base at the last beam.
+        leg: number of the leg.
+
+    """
+
+    start_ns: int
+    end_ns: int
+    scan: LaserScan
+    start: Pose
+    end: Pose
+    truth: Pose
+    leg: int
+
+
 def record(
     course: Course,
     scanner: Scanner,
@@ -117,6 +141,25 @@ def record(
     legs: Sequence[Leg] | None = None,
 ) -> Recording:
     """Drive along the course's stops, or through `legs`, and return what the robot records."""
+    recording = Recording(course)
+    for sweep in sweeps(course, scanner, seed, errors, legs):
+        recording.stamps.append(sweep.end_ns)
+        recording.odometry.append(sweep.end)
+        moved = relative(sweep.start, sweep.end)
+        recording.rays.append(rays_of(sweep.scan, scanner.mount, moved))
+        recording.truth.append(sweep.truth)
+        recording.legs.append(sweep.leg)
+    return recording
+
+
+def sweeps(
+    course: Course,
+    scanner: Scanner,
+    seed: int = 0,
+    errors: OdometryErrors | None = None,
+    legs: Sequence[Leg] | None = None,
+) -> Iterator[Sweep]:
+    """Drive along the course's stops, or through `legs`, and yield the scans one by one."""
     errors = errors or OdometryErrors()
     random = np.random.default_rng(seed)
     layout = WorldLayout.of(course.world)
@@ -125,7 +168,6 @@ def record(
     model = scanner.model
     beams = BeamPattern.of(model, -math.pi, math.pi, scanner.skip)
     sweep_s = float(beams.times[-1])
-    recording = Recording(course)
     odometry: Pose = (0.0, 0.0, 0.0)
     clock, due, number = 0.0, 0.0, 0
     slip, slip_left = 0.0, 0.0
@@ -150,9 +192,16 @@ def record(
             measured.append(odometry)
         times = np.asarray(clock + _TICK_S * np.arange(len(track)), np.float64)
         moves = np.array(measured)
+        for one in (track, moves):
+            one[:, 2] = np.unwrap(one[:, 2])
         last = clock
         while due + sweep_s < times[-1]:
-            at = sensor_times(times, track, np.asarray(due + beams.times, np.float64))
+            # Only what lies around the sweep: a drive may last for hours.
+            first = max(0, int((due - clock) / _TICK_S) - 1)
+            window = slice(first, first + int(sweep_s / _TICK_S) + 5)
+            at = sensor_times(
+                times[window], track[window], np.asarray(due + beams.times, np.float64)
+            )
             for walker in walkers:
                 walker.step(max(0.0, due - last), tuple(at[0, :2].tolist()), _ROBOT_RADIUS_M,
                             solid.segments)  # fmt: skip
@@ -161,7 +210,7 @@ def record(
             poses = sensor_poses(at, scanner.mount)
             ranges = simulate_sweep(model, beams, _FAULTS, poses, targets, random)
             begin, end = sensor_times(
-                times, moves, np.array((due, due + sweep_s), np.float64)
+                times[window], moves[window], np.array((due, due + sweep_s), np.float64)
             ).tolist()
             scan = LaserScan(
                 header=Header(frame_id="laser"),
@@ -173,15 +222,17 @@ def record(
                 range_max=model.most,
                 ranges=ranges,
             )
-            recording.stamps.append(round((due + sweep_s) * 1e9))
-            recording.odometry.append(tuple(end))
-            moved = relative(tuple(begin), tuple(end))
-            recording.rays.append(rays_of(scan, scanner.mount, moved))
-            recording.truth.append(tuple(at[-1].tolist()))
-            recording.legs.append(number)
+            yield Sweep(
+                start_ns=round(due * 1e9),
+                end_ns=round((due + sweep_s) * 1e9),
+                scan=scan,
+                start=tuple(begin),
+                end=tuple(end),
+                truth=tuple(at[-1].tolist()),
+                leg=number,
+            )
             due += 1.0 / scanner.rate
         clock = float(times[-1])
-    return recording
 
 
 def sensor_times(times: Array, poses: Array, at: Array) -> Array:

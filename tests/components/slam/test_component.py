@@ -17,6 +17,7 @@ from cairn.planar.grid import FREE, OCCUPIED, grid_of
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose
+from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock
@@ -140,6 +141,29 @@ def test_map_is_written_on_request_and_at_the_end(
     robot.drive(20)
     slam.request("deactivate")
     assert len(read_graph(tmp_path / "map.graph").keyframes) >= 9
+
+
+def mapped_files(folder: Path) -> dict[str, bytes]:
+    """Return the files of a drive along walls and an object."""
+    folder.mkdir()
+    slam = ComponentHarness(Slam, {"map_file": str(folder / "map.yaml")}, start_s=100.0, seed=1)
+    robot = Driver(slam)
+    for _ in range(50):
+        robot.drive(1)
+        dx, dy = 3.0 - robot.true[0], 0.5 - robot.true[1]
+        seen = RecognizedObject(object_id=7, range=math.hypot(dx, dy), bearing=math.atan2(dy, dx))
+        header = Header(stamp=from_ns(slam.now_ns), frame_id="base_link")
+        slam.publish("objects", RecognizedObjectArray(header=header, objects=(seen,)))
+    slam.request("save")
+    slam.request("deactivate")
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def test_same_drive_gives_the_same_files_byte_for_byte(tmp_path: Path) -> None:
+    first, second = mapped_files(tmp_path / "first"), mapped_files(tmp_path / "second")
+
+    assert set(first) == {"map.yaml", "map.pgm", "map.graph", "map.cairn"}
+    assert first == second
 
 
 def test_killed_component_continues_where_it_was(

@@ -23,7 +23,7 @@ from cairn.components.slam.graph_history import (
     graph_digest,
     read_log,
 )
-from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays
+from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays, scan_surfaces
 from cairn.components.slam.lifelong import bridging
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
@@ -57,7 +57,9 @@ def renew(history: GraphHistory, seed: int, retired: Sequence[int] = ()) -> int:
     pose: Pose = ROUND[seed % len(ROUND)]
     rays = scan_at(room(()), pose, random)
     patches = random.integers(20, 60, (30, 2))
-    frame = Keyframe(seed, pose, scan_cloud(rays, REACH), scan_rays(rays), 0, state.version + 1)
+    frame = Keyframe(
+        seed, pose, scan_surfaces(scan_cloud(rays, REACH)), scan_rays(rays), 0, state.version + 1
+    )
     number = history.next_number()
     edges = []
     if state.numbers:

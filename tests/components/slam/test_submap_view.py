@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from cairn.components.slam.keyframes import Keyframe, Submap, scan_cloud, scan_rays
+from cairn.components.slam.keyframes import Keyframe, Submap, scan_cloud, scan_rays, scan_surfaces
 from cairn.components.slam.submap_view import SubmapView, conflicts, view_of
 from cairn.planar.scans import Rays
 
@@ -21,7 +21,8 @@ def view(walls: list[float], person: float | None = None) -> SubmapView:
         if person is not None and number == 0:
             ranges[np.abs(ANGLES) < 0.1] = person
         rays = Rays(np.zeros((len(ANGLES), 2)), ANGLES, ranges, 20.0)
-        frames.append(Keyframe(number, STILL, scan_cloud(rays, 20.0), scan_rays(rays), 0))
+        surfaces = scan_surfaces(scan_cloud(rays, 20.0))
+        frames.append(Keyframe(number, STILL, surfaces, scan_rays(rays), 0))
     return view_of(Submap(0, 0, len(walls) - 1), frames, np.zeros((len(walls), 3)))
 
 
