@@ -54,6 +54,9 @@ _WORTH = 0.2
 # A match in a window wider than this [m] is accepted only with so many in all that agree with it up
 # to this [m], [rad].
 _SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
+# Submaps that join an island show surfaces in so many cells of this size [m] together, each side of
+# a wall counted: one room of a building has up to 60, and others look like it.
+_SURFACE_CELL, _LEAST_SURFACE = 0.5, 90
 _REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.
 _MOST_CANDIDATES = 24
@@ -264,6 +267,17 @@ class LoopCloser:
                     return True
         return False
 
+    def _surface(self, origin: int, middles: set[int], graph: PoseGraph) -> int:
+        """Return how many cells of surfaces some submaps, given by their middles, show together."""
+        base = graph.pose(origin)
+        clouds = [
+            self._views[bisect_right(self._firsts, middle) - 1]
+            .nearby(REACH_M, _SEARCH_CELL)
+            .placed(relative(base, graph.pose(middle)))
+            for middle in sorted(middles)
+        ]
+        return joined(clouds).thinned(_SURFACE_CELL).count
+
     def _confirmed(self, graph: PoseGraph) -> list[Edge]:
         """Return the closures that others confirm, of those that were found in wide windows.
 
@@ -284,7 +298,11 @@ class LoopCloser:
                 for i, other in enumerate(self._waiting)
                 if other.second in submaps and not _agree(edge, other, islands, graph)
             ]
-            if 2 * max(rivals, default=0) > len(submaps):
+            is_rivaled = 2 * max(rivals, default=0) > len(submaps)
+            is_island = islands[edge.first] != islands[edge.second]
+            if is_rivaled or (
+                is_island and self._surface(edge.second, submaps, graph) < _LEAST_SURFACE
+            ):
                 continue
             accepted = [e for e in self._waiting if _agree(edge, e, islands, graph)]
             self._waiting = [e for e in self._waiting if e.second not in submaps]

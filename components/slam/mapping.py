@@ -31,6 +31,7 @@ from cairn.components.slam.odometry_calibration import (
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
+from cairn.components.slam.recent_surfaces import RecentSurfaces
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.poses import Pose, apart, compose, distance, relative
@@ -143,6 +144,7 @@ class Mapper:
         self._model = model
         self._log = OdometryLog()
         self._scanned_ns: int | None = None
+        self._recent = RecentSurfaces()
         self._builder = LandmarkBuilder(self.graph)
         self._contradicted = False  # by an observation since the last optimization
         self._optimized = 0  # number of keyframes then
@@ -178,12 +180,12 @@ class Mapper:
         cloud = scan_cloud(rays, self.farthest)
         if self._continues:
             self._continues = False
-            tracked = self._find_near(stamp_ns, odometry, cloud)
+            tracked = self._find_near(stamp_ns, odometry, cloud, rays)
         elif self._odometry is None:
             tracked = Tracked(self._pose, np.zeros((3, 3)), None)
         else:
             step = relative(self._odometry, odometry)
-            tracked = self.tracker.track(self._pose, step, cloud)
+            tracked = self.tracker.track(self._pose, step, cloud, rays)
         self._odometry = odometry
         self._pose = tracked.pose
         if tracked.is_lost:
@@ -386,7 +388,7 @@ class Mapper:
         self.graph.optimize()
         self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
 
-    def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
+    def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud, rays: Rays) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""
         last = self.keyframes[-1]
         age_s = (stamp_ns - last.stamp_ns) / SECOND
@@ -394,9 +396,10 @@ class Mapper:
         moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
         tracked = Tracked(self._pose, np.zeros((3, 3)), 0.0, is_misfit=True)
         if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
-            tracked = self.tracker.track(self._pose, relative(last.odometry, odometry), cloud)
+            step = relative(last.odometry, odometry)
+            tracked = self.tracker.track(self._pose, step, cloud, rays)
         if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
-            tracked = self.tracker.locate(self._pose, cloud, _NEAR_M)
+            tracked = self.tracker.locate(self._pose, cloud, rays, _NEAR_M)
         is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
         return replace(tracked, is_lost=is_lost)
 
@@ -431,9 +434,9 @@ class Mapper:
 
     def _set_surroundings(self) -> None:
         count = len(self.keyframes)
-        members = list(range(max(self._island, count - _SURROUNDINGS), count))
-        cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
-        self.tracker.set_surroundings(cloud.thinned(DENSE_M))
+        members = range(max(self._island, count - _SURROUNDINGS), count)
+        self._recent.show(members, self.keyframes, self.graph.poses)
+        self.tracker.set_surroundings(self._recent)
 
     def _edge_to(self, number: int, step: tuple[Pose, Tracked] | None) -> Edge:
         """Return the constraint from the keyframe before: by scans if both have one that fits."""
