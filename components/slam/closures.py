@@ -120,7 +120,10 @@ class LoopCloser:
         for submap in submaps[len(self._views) :]:  # several, if the map was read from a file
             self._firsts.append(submap.first)
             self._views.append(view_of(submap, keyframes, graph.poses))
+        if self._views[new.number].cloud.count < _LEAST_POINTS:
+            return
         islands = graph.islands()
+        submaps = [one for one in submaps if self._views[one.number].cloud.count >= _LEAST_POINTS]
         here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
         elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]
         # A place in the own island is more urgent than those where the robot may have been.
