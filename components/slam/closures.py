@@ -60,8 +60,8 @@ _SURFACE_CELL, _LEAST_SURFACE = 0.5, 90
 # A match of a submap with fewer such cells needs confirmation in narrow windows, too: a pillar with
 # a piece of a wall fits beside each pillar.
 _LEAST_SURFACE_ALONE = 30
-# A match says where the robot is if its least certain direction has this deviation [m]; along a wall
-# without features it has more. Others count as no match of the place.
+# A match says where the robot is if its least certain direction has this deviation [m]; along a
+# wall without features it has more. Others count as no match of the place.
 _COMPLETE_SD_M = 0.3
 _REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.

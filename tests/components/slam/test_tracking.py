@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays
+from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays, scan_surfaces
 from cairn.components.slam.recent_surfaces import RecentSurfaces
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.poses import Pose, apart
@@ -17,7 +17,9 @@ STILL: Pose = (0.0, 0.0, 0.0)
 
 def surroundings(rays: list[Rays]) -> RecentSurfaces:
     """What scans from the origin show."""
-    frames = [Keyframe(0, STILL, scan_cloud(one, 30.0), scan_rays(one), 0) for one in rays]
+    frames = [
+        Keyframe(0, STILL, scan_surfaces(scan_cloud(one, 30.0)), scan_rays(one), 0) for one in rays
+    ]
     recent = RecentSurfaces()
     recent.show(range(len(frames)), frames, np.zeros((len(frames), 3)))
     return recent
