@@ -54,7 +54,7 @@ _WORTH = 0.2
 # A match in a window wider than this [m] is accepted only with so many in all that agree with it up
 # to this [m], [rad].
 _SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
-# Submaps that join an island show surfaces in so many cells of this size [m] together, each side of
+# Submaps that confirm each other show surfaces in so many cells of this size [m] together, each side of
 # a wall counted: one room of a building has up to 60, and others look like it.
 _SURFACE_CELL, _LEAST_SURFACE = 0.5, 90
 # A match of a submap with fewer such cells needs confirmation in narrow windows, too: a pillar with
@@ -318,10 +318,7 @@ class LoopCloser:
                 if other.second in submaps and not _agree(edge, other, islands, graph)
             ]
             is_rivaled = 2 * max(rivals, default=0) > len(submaps)
-            is_island = islands[edge.first] != islands[edge.second]
-            if is_rivaled or (
-                is_island and self._surface(edge.second, submaps, graph) < _LEAST_SURFACE
-            ):
+            if is_rivaled or self._surface(edge.second, submaps, graph) < _LEAST_SURFACE:
                 continue
             accepted = [e for e in self._waiting if _agree(edge, e, islands, graph)]
             self._waiting = [e for e in self._waiting if e.second not in submaps]

@@ -51,6 +51,8 @@ _SUBMAP_M, _SUBMAP_KEYFRAMES = 4.0, 40
 # It ends earlier where no scan shows the motion, after a drift of so much [m], [rad, standard
 # deviations]: a closure says where its middle is, so its parts must be known relative to that.
 _SUBMAP_DRIFT_M, _SUBMAP_DRIFT_RAD = 0.1, 0.02
+# Steps whose heading is less certain than this [rad] count: scans show others by tenths of it.
+_WEAK_STEP_RAD = 0.01
 # Pairs of submaps that are compared while a keyframe is added: about 10 ms each.
 _COMPARED = 2
 # The graph is optimized once per so many new keyframes: the number of all divided by this. It takes
@@ -427,8 +429,9 @@ class Mapper:
         edge = None
         if len(self.keyframes) > self._island:
             edge = self._edge_to(frame, step)
-            if edge.kind is EdgeKind.ODOMETRY:
-                self._unseen += np.linalg.inv(edge.information)
+            covariance = np.linalg.inv(edge.information)
+            if covariance[2, 2] > _WEAK_STEP_RAD**2:
+                self._unseen += covariance
                 if self._has_drifted() and self._open.last >= self._open.first:
                     self._close_submap()
                     frame = replace(frame, submap=self._open.number)

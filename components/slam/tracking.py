@@ -44,8 +44,8 @@ _FIT_MEMORY = 0.1  # share of the newest scan in the usual fit
 # times the square root of the number of its points: few points fit by chance.
 _LEAST_SCORE, _BETTER = 0.3, 2.0
 # A slip must show in so many cells of surfaces of this size [m], 4 m of wall: a person fills three
-# to five, a pillar five.
-_SLIP_CELLS, _SLIP_CELL_M = 16, 0.25
+# to five, a pillar five. The points of fewer cells share their errors: they say less.
+_SURFACE_CELLS, _SURFACE_CELL_M = 16, 0.25
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # A scan that fits worse than this, or than this share of the usual fit, is not of this place, or
@@ -187,7 +187,8 @@ class ScanTracker:
         fit = seen.fit
         gain = _FIT_MEMORY if self._usual_fit else 1.0
         self._usual_fit += gain * (fit - self._usual_fit)
-        return self._at(found.pose, noise, found.information, fit)
+        share = min(1.0, _surface_cells(recent, cloud, found) / _SURFACE_CELLS)
+        return self._at(found.pose, noise, share**2 * found.information, fit)
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
@@ -236,10 +237,15 @@ def _shows_slip(recent: RecentSurfaces, cloud: PointCloud, found: Alignment, ray
 
     A few points, as of a person or a pillar, fit anywhere.
     """
+    cells = _surface_cells(recent, cloud, found)
+    return cells >= _SURFACE_CELLS and recent.passed_share(found.pose, rays) < _PASSED
+
+
+def _surface_cells(recent: RecentSurfaces, cloud: PointCloud, found: Alignment) -> int:
+    """Return in how many cells a scan shows surfaces that stand still."""
     points = cloud.placed(found.pose).points
     surface = cloud.points[recent.known(points) & ~recent.moving(points)]
-    cells = np.unique(np.floor(surface / _SLIP_CELL_M).astype(np.int64), axis=0)
-    return len(cells) >= _SLIP_CELLS and recent.passed_share(found.pose, rays) < _PASSED
+    return len(np.unique(np.floor(surface / _SURFACE_CELL_M).astype(np.int64), axis=0))
 
 
 def _look(recent: RecentSurfaces, cloud: PointCloud, found: Alignment) -> _Look:
