@@ -13,7 +13,7 @@ from cairn.planar.compiled import compiled
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
-from cairn.planar.scans import Rays, rays_of
+from cairn.planar.scans import SURE_SHARE, Rays, rays_of
 from cairn.schemas.nav_msgs import MOST_CELLS
 from cairn.schemas.sensor_msgs import LaserScan
 
@@ -43,11 +43,12 @@ class ScanGrid:
     """Counts how many rays ended in each cell, and how many passed it.
 
     A cell is occupied by the share of rays that ended there, among those that reached it (the
-    counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] only pass. A ray
-    is not evidence about cells before its end that are within a cell's size of the surface that it
-    hit: where it grazes a wall, errors of a few centimeters lead it through many cells of that
-    wall. A scan can be removed again, to be added with a better pose. Where the map was renewed,
-    only scans from a version on count.
+    counting model: Haehnel, Burgard, Thrun 2003). Rays longer than `reach` [m] only pass, and those
+    without a return only where also dark surfaces would return them. A ray is not evidence about
+    cells before its end that are within a cell's size of the surface that it hit: where it grazes a
+    wall, errors of a few centimeters lead it through many cells of that wall. A scan can be removed
+    again, to be added with a better pose. Where the map was renewed, only scans from a version on
+    count.
     """
 
     def __init__(self, resolution: float, reach: float) -> None:
@@ -338,7 +339,8 @@ def _segments(
     ignored = resolution / _sines(rays)
     ranges, angles = rays.ranges[valid], rays.angles[valid]
     hit = ranges <= reach
-    length = np.where(hit, ranges, reach)
+    passed = np.where(np.isinf(ranges), min(reach, SURE_SHARE * rays.reach), reach)
+    length = np.where(hit, ranges, passed)
     free_share = np.where(hit, 1.0 - ignored[valid] / np.maximum(length, resolution), 1.0)
     starts = rays.starts[valid]
     ends = starts + np.column_stack((length * np.cos(angles), length * np.sin(angles)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from cairn.planar.poses import Pose, inverse
 from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
+
+SURE_SHARE: Final = 0.35
+"""Up to this share of the reach even dark surfaces return a ray. Chosen by hand."""
 
 # A scan is uninformative if less than this share of its rays measures anything; single beams fail.
 _LEAST_INFORMATIVE = 0.1

@@ -21,7 +21,7 @@ from cairn.planar.grid import (
 )
 from cairn.planar.poses import Pose
 from cairn.planar.scan_grid import first_step
-from cairn.planar.scans import Rays
+from cairn.planar.scans import SURE_SHARE, Rays
 
 # With the increments below, mapped glass that returns one beam in ten stays while it is observed
 # from up to 3 m (docs/concepts/architecture.md, limits). Where no other reason is given,
@@ -43,8 +43,6 @@ _CONTRADICTS, _FORGETS = -0.2, -0.4
 _NEAR = 2
 # An end this near confirms it [cells].
 _BESIDE = 1
-# Up to this share of the reach even dark objects return a ray. Chosen by hand.
-_SURE_SHARE = 0.35
 # While an obstacle is younger than this [s], ends beside it belong to it and are added as well: the
 # robot sees its other sides in this time. Chosen by hand.
 _YOUNG_S = 60.0
@@ -249,7 +247,7 @@ def _pass(
         if length <= ignored[i]:
             continue
         until = 1.0 - ignored[i] / length
-        certain = 1.0 if hit[i] else _SURE_SHARE
+        certain = 1.0 if hit[i] else SURE_SHARE
         column, row = math.floor(x), math.floor(y)
         step_x, next_x, every_x = first_step(x, dx)
         step_y, next_y, every_y = first_step(y, dy)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from cairn.planar.grid import OCCUPIED, OccupancyCells, distance_field
+from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, OccupancyCells, distance_field
 from cairn.planar.poses import Pose
 from cairn.planar.scan_grid import SEEN_FREE, ScanGrid, build_grid
 from cairn.planar.scans import Rays, rays_of
@@ -61,6 +61,23 @@ def test_corridor_walls_are_complete_and_the_space_between_is_free() -> None:
     rows = np.clip((found[:, 1] / 0.05).astype(int), 0, grid.values.shape[0] - 1)
     columns = np.clip((found[:, 0] / 0.05).astype(int), 0, grid.values.shape[1] - 1)
     assert to_wall[rows, columns].max() < 0.2
+
+
+def test_dark_surface_makes_no_free_space_behind_it() -> None:
+    grid = ScanGrid(0.1, 20.0)
+    wall = Rays(np.zeros((2, 2)), np.array([-0.3, 0.3]), np.array([8.0, 8.0]), 10.0)
+    dark = Rays(np.zeros((1, 2)), np.zeros(1), np.array([np.inf]), 10.0)
+    grid.add((0.0, 0.0, 0.0), wall)
+    grid.add((0.0, 0.0, 0.0), dark)
+
+    drawn = grid.grid()
+
+    def value(x: float, y: float) -> int:
+        column, row = np.floor(drawn.frame.cells(x, y)).astype(int)
+        return int(drawn.values[row, column])
+
+    assert value(3.0, 0.0) == FREE
+    assert [value(x, 0.0) for x in (4.0, 6.0, 8.0)] == [UNKNOWN] * 3
 
 
 def test_passing_people_leave_no_trace() -> None:
