@@ -35,7 +35,8 @@ _HITS = 3  # ends of rays from which a cell counts when conflicts are counted
 NOT_SEEN, SEEN, SEEN_FREE = 0, 1, 2
 """What rays say of a cell: none came there, some did, or it is free for certain."""
 
-# The counts grow by blocks of so many cells, so that they are rarely copied.
+# The counts grow by blocks of so many cells, so that they are rarely copied. So many rows of the
+# map are computed at a time.
 _BLOCK = 128
 
 
@@ -126,8 +127,9 @@ class ScanGrid:
         It is that of a ray's end or passage, so it is 0 in a map in which each cell was always
         passed, or always hit, and grows where walls are blurred or double (Shannon).
         """
-        reached = (self._ended + self._passed).astype(np.float64)
-        share = self._ended[reached > 0] / reached[reached > 0]
+        reached = self._ended + self._passed
+        is_known = reached > 0
+        share = self._ended[is_known] / reached[is_known]
         between = share[(share > 0.0) & (share < 1.0)]
         bits = -between * np.log2(between) - (1.0 - between) * np.log2(1.0 - between)
         return float(bits.sum() / max(1, share.size))
@@ -237,10 +239,14 @@ class ScanGrid:
 
     def _cells(self, window: tuple[slice, slice]) -> NDArray[np.int8]:
         ended, passed = self._ended[window], self._passed[window]
-        reached = ended + passed
-        cells = np.full(reached.shape, UNKNOWN, np.int8)
-        cells[reached > 0] = FREE
-        cells[(ended > 0) & (ended >= _OCCUPIED_SHARE * reached)] = OCCUPIED
+        cells = np.full(ended.shape, UNKNOWN, np.int8)
+        for first in range(0, len(cells), _BLOCK):
+            # Some rows at a time: for a map of a hectare, the shares alone would take 60 MB.
+            rows = slice(first, first + _BLOCK)
+            reached = ended[rows] + passed[rows]
+            cells[rows][reached > 0] = FREE
+            is_occupied = (ended[rows] > 0) & (ended[rows] >= _OCCUPIED_SHARE * reached)
+            cells[rows][is_occupied] = OCCUPIED
         return cells
 
     def _count(self, base: Pose, rays: Rays, times: int, version: int) -> None:
