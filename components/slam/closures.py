@@ -54,14 +54,14 @@ _WORTH = 0.2
 # A match in a window wider than this [m] is accepted only with so many in all that agree with it up
 # to this [m], [rad].
 _SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
-# Submaps that confirm each other show surfaces in so many cells of this size [m] together, each side of
-# a wall counted: one room of a building has up to 60, and others look like it.
+# Submaps that confirm each other show surfaces in so many cells of this size [m] together, each
+# side of a wall counted: more than one room or corner, which others may look like.
 _SURFACE_CELL, _LEAST_SURFACE = 0.5, 90
 # A match of a submap with fewer such cells needs confirmation in narrow windows, too: a pillar with
 # a piece of a wall fits beside each pillar.
 _LEAST_SURFACE_ALONE = 30
-# A match says where the robot is if its least certain direction has this deviation [m]; along a wall
-# without features it has more. Others count as no match of the place.
+# A match says where the robot is if its least certain direction has this deviation [m]; along a
+# wall without features it has more. Others count as no match of the place.
 _COMPLETE_SD_M = 0.3
 _REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.
