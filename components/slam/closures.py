@@ -55,7 +55,7 @@ _WORTH = 0.2
 # to this [m], [rad].
 _SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
 # Submaps that confirm each other show surfaces in so many cells of this size [m] together, each
-# side of a wall counted: one room of a building has up to 60, and others look like it.
+# side of a wall counted: more than one room or corner, which others may look like.
 _SURFACE_CELL, _LEAST_SURFACE = 0.5, 90
 # A match of a submap with fewer such cells needs confirmation in narrow windows, too: a pillar with
 # a piece of a wall fits beside each pillar.

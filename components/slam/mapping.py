@@ -406,9 +406,9 @@ class Mapper:
         if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
             step = relative(last.odometry, odometry)
             tracked = self.tracker.track(self._pose, step, cloud, rays)
-        if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
+        if tracked.fit is not None and tracked.fit_of_all < _CONTINUED_FIT and is_recent:
             tracked = self.tracker.locate(self._pose, cloud, rays, _NEAR_M)
-        is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
+        is_lost = tracked.fit is not None and tracked.fit_of_all < _CONTINUED_FIT
         return replace(tracked, is_lost=is_lost)
 
     def _start_island(self) -> None:

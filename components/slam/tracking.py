@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,7 @@ class Tracked:
             keyframes have seen anything.
         is_misfit: whether the scan fits nowhere near, and the pose is that of odometry.
         is_lost: whether so many scans in a row did that the robot was moved by hand.
+        fit_of_all: how well all points fit, also those that are new or move, from 0 to 1.
 
     """
 
@@ -79,6 +80,7 @@ class Tracked:
     fit: float | None
     is_misfit: bool = False
     is_lost: bool = False
+    fit_of_all: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -181,14 +183,18 @@ class ScanTracker:
             # Better a wrong step of odometry than one to where nothing fits.
             return self._at(guess, noise, None, seen.fit)
         self._elsewhere = 0
+        found_points = cloud.count
         still = PointCloud(cloud.points[~seen.moving], cloud.normals[~seen.moving])
         if _LEAST_POINTS <= still.count < cloud.count:
             found = reference.align(still, *how)
+            found_points = still.count
         fit = seen.fit
+        fit_of_all = found.fit * found_points / cloud.count
         gain = _FIT_MEMORY if self._usual_fit else 1.0
         self._usual_fit += gain * (fit - self._usual_fit)
         share = min(1.0, _surface_cells(recent, cloud, found) / _SURFACE_CELLS)
-        return self._at(found.pose, noise, share**2 * found.information, fit)
+        tracked = self._at(found.pose, noise, share**2 * found.information, fit)
+        return replace(tracked, fit_of_all=fit_of_all)
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
