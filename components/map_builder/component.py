@@ -102,6 +102,7 @@ class MapBuilder(Component):
     request_max_bytes = MappingProxyType({"set_zones": 256 << 10, "add_zone": 256 << 10})
 
     object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200), optional=True)
+    accepted_objects: In[VisualMap] = In(qos=LATCHED, optional=True)
     relocalized: In[Relocalization] = In(optional=True)
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
@@ -234,6 +235,27 @@ class MapBuilder(Component):
             self._publish(stamp_ns, counted, changes)
             if keeper.refused:
                 self._warn_of_refused(keeper, keeper.refused[-1])
+
+    @on("accepted_objects")
+    def on_accepted_objects(self, message: VisualMap) -> None:
+        """Add the accepted proposals that are not in the map yet."""
+        keeper = self._open_landmarks()
+        if keeper is None or not self.config.update_objects:
+            return
+        stamp_ns = self.clock.now()
+        changes = keeper.add(
+            stamp_ns, map(landmark_of, message.objects), "accepted as a new landmark"
+        )
+        if changes:  # on the disk before they are published
+            self._save_landmarks(keeper)
+        self._publish(stamp_ns, bool(changes), changes)
+        if keeper.refused:
+            self._warnings.warn(
+                "accepted object",
+                f"refused the accepted object {keeper.refused[-1]}: the visual map is full "
+                f"(max_landmarks is {self.config.max_landmarks}), or its name or place is not "
+                "valid",
+            )
 
     @on("relocalized")
     def on_relocalized(self, message: Relocalization) -> None:
@@ -441,6 +463,13 @@ def evidence_of(message: ObjectEvidenceArray) -> list[LandmarkEvidence]:
         )
         for piece in message.evidence
     ]
+
+
+def landmark_of(message: VisualObject) -> LandmarkRecord:
+    """Return the landmark of a message, as new in the map."""
+    xx, xy, _, yy = message.covariance.tolist()
+    position = MapPosition(message.x, message.y, xx, xy, yy)
+    return LandmarkRecord(message.object_id, message.name, position, message.reliability)
 
 
 def map_message(stamp: Time, version: int, landmarks: Iterable[LandmarkRecord]) -> VisualMap:

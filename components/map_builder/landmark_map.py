@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cairn import SECOND
+from cairn import SECOND, CairnError
 from cairn.components.map_builder.landmark_rule import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
 from cairn.visual_map.evidence_history import EvidenceSummaries, Row
@@ -28,7 +28,7 @@ from cairn.visual_map.landmarks import (
     MapPosition,
     new_landmark,
 )
-from cairn.visual_map.object_models import read_model_name
+from cairn.visual_map.object_models import check_name, read_model_name
 from cairn.visual_map.sqlite_file import MapFileError, MapNotWritable, copy_map, digest_of
 from cairn.working_copy import is_reusable
 
@@ -59,6 +59,14 @@ class AppliedEvidence:
     """
 
     after: tuple[tuple[LandmarkRecord, bool] | None, ...]
+    changes: tuple[LandmarkChange, ...]
+    refused: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class AppliedAdditions:
+    """What the addition of landmarks changed; `refused` as in `AppliedEvidence`."""
+
     changes: tuple[LandmarkChange, ...]
     refused: tuple[int, ...] = ()
 
@@ -120,6 +128,31 @@ class LandmarkMap:
             if change is not None:
                 changes.append(change)
         return AppliedEvidence(tuple(after), tuple(changes), tuple(refused))
+
+    def add(self, landmarks: Iterable[LandmarkRecord], reason: str) -> AppliedAdditions:
+        """Add landmarks with positions, except objects that the map has already."""
+        added: list[LandmarkChange] = []
+        refused: list[int] = []
+        for one in landmarks:
+            if one.object_id in self.landmarks:
+                continue
+            # Also where unknown objects are not learned: an operator has accepted these.
+            most = self._most_learned or MOST_LEARNED
+            if len(self.landmarks) >= most or not (_is_near(one) and _is_valid(one)):
+                refused.append(one.object_id)
+                continue
+            self.landmarks[one.object_id] = one
+            added.append(
+                LandmarkChange(
+                    one.object_id,
+                    ChangeKind.REGISTERED,
+                    None,
+                    one.position,
+                    one.reliability,
+                    reason,
+                )
+            )
+        return AppliedAdditions(tuple(added), tuple(refused))
 
     def undo(self, since_s: float) -> tuple[list[LandmarkRecord], list[LandmarkChange]]:
         """Undo the judgments after `since_s` [s]: the robot turned out to have been lost.
@@ -218,6 +251,15 @@ class LandmarkKeeper:
                 counted |= after[1]
         return counted, self._number(stamp_ns, applied.changes)
 
+    def add(
+        self, stamp_ns: int, landmarks: Iterable[LandmarkRecord], reason: str
+    ) -> list[NumberedChange]:
+        """Add landmarks that the map does not have yet, at `stamp_ns`; return the changes."""
+        applied = self._map.add(landmarks, reason)
+        self.refused = applied.refused
+        self._unsaved.landmarks |= bool(applied.changes)
+        return self._number(stamp_ns, applied.changes)
+
     def undo(self, stamp_ns: int, since_ns: int) -> tuple[bool, list[NumberedChange]]:
         """Undo at `stamp_ns` what was judged after `since_ns`, because the robot was lost."""
         restored, changes = self._map.undo(since_ns / SECOND)
@@ -267,7 +309,7 @@ class _Unsaved:
         self.evidence: deque[Row] = deque()
         self.summaries = EvidenceSummaries()
         self.changes: deque[tuple[int, int, LandmarkChange]] = deque()
-        self.landmarks = False  # an undo changed landmarks without evidence
+        self.landmarks = False  # changed without evidence: undone, or added
         self._summarized = 0
         self._dropped = 0
 
@@ -315,6 +357,18 @@ def _is_near(landmark: LandmarkRecord) -> bool:
         if one is not None
         for value in (one.x, one.y, one.xx, one.xy, one.yy)
     )
+
+
+def _is_valid(landmark: LandmarkRecord) -> bool:
+    """Return whether the file of a map takes the name and the covariance of a landmark."""
+    at = landmark.position
+    if at is None or min(at.xx, at.yy) < 0.0 or at.xy**2 > at.xx * at.yy:
+        return False
+    try:
+        check_name(landmark.name)
+    except CairnError:
+        return False
+    return True
 
 
 # A smaller difference of positions [m] is not a change that readers of the map need.

@@ -52,7 +52,7 @@ from cairn.components.object_recognizer.patches import find_patches
 from cairn.components.object_recognizer.proposals import Proposal, Proposals, accept
 from cairn.planar.messages import planar_covariance, planar_pose
 from cairn.planar.poses import Pose, apart, between
-from cairn.schemas.cairn_msgs import ObjectProposals
+from cairn.schemas.cairn_msgs import ObjectProposals, VisualMap, VisualObject
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
@@ -93,6 +93,7 @@ class ObjectFinder(Component):
     right_info: In[CameraInfo] = In(qos=SENSOR)
     localization: In[LocalizationEstimate] = In(qos=RELIABLE.with_depth(200))
     object_proposals: Out[ObjectProposals] = Out(qos=LATCHED)
+    accepted_objects: Out[VisualMap] = Out(qos=LATCHED)
 
     def on_configure(self) -> None:
         """Read the files, so that a damaged one is reported before anything moves."""
@@ -107,6 +108,7 @@ class ObjectFinder(Component):
             Requirements(config.least_poses, config.least_visits, config.away_s)
         )
         self._accepted: list[ObjectModel] = []  # until the library has them
+        self._landmarks: list[VisualObject] = []  # that the map builder is told of
         self._next_id = _HYPOTHESES
         self._recognizer: Recognizer | None = None
         self._warnings = RateLimitedLog(self.log)
@@ -375,6 +377,7 @@ class ObjectFinder(Component):
         map_file = self.config.map_file
         model = accept(one, name, map_file)
         self._accepted.append(model)
+        self._landmarks.append(one.landmark(model))
         self._proposals.remove(one.model.object_id)
         self.log.info("accepted %s as object %d, %s", one.model.name, model.object_id, model.name)
         self._changed()
@@ -398,6 +401,11 @@ class ObjectFinder(Component):
                 header=Header(stamp=stamp, frame_id="map"),
                 proposals=tuple(one.message() for one in self._proposals.waiting),
             )
+        )
+        header = Header(stamp=stamp, frame_id="map")
+        version = len(self._landmarks)
+        self.accepted_objects.publish(
+            VisualMap(header=header, version=version, objects=tuple(self._landmarks))
         )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cairn import CairnError, from_ns
 from cairn.components.object_recognizer.hypotheses import MOST_PROPOSALS, Hypothesis
-from cairn.schemas.cairn_msgs import ObjectProposal
+from cairn.schemas.cairn_msgs import ObjectProposal, VisualObject
 from cairn.vision.images import Gray
 from cairn.vision.object_model import ObjectModel
 from cairn.visual_map.landmark_store import open_landmarks
@@ -51,6 +51,18 @@ class Proposal:
             "seen": self.seen,
             "first_s": self.first_ns / 1e9,
         }
+
+    def landmark(self, accepted: ObjectModel) -> VisualObject:
+        """Return the landmark that it becomes with its model as an object."""
+        p = self.position
+        return VisualObject(
+            object_id=accepted.object_id,
+            name=accepted.name,
+            x=p.x,
+            y=p.y,
+            covariance=np.array([p.xx, p.xy, p.xy, p.yy]),
+            reliability=INITIAL_RELIABILITY,
+        )
 
     def message(self) -> ObjectProposal:
         """Return it as a message."""

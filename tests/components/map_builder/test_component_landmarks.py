@@ -13,6 +13,7 @@ from cairn.components.map_builder.component import MapBuilder
 from cairn.schemas.cairn_msgs import (
     ObjectEvidence,
     ObjectEvidenceArray,
+    VisualMap,
     VisualMapChange,
     VisualObject,
 )
@@ -114,6 +115,49 @@ def test_restarted_map_builder_keeps_its_changes(map_file: Path) -> None:
     again = ComponentHarness(MapBuilder, parameters, start_s=1001.0)
 
     assert states(again)[7] == VisualObject.RELOCATING
+
+
+def accepted(
+    object_id: int, name: str = "found 1", x: float = 4.0, variance: float = 0.01
+) -> VisualObject:
+    covariance = np.array([variance, 0.0, 0.0, 0.01])
+    return VisualObject(
+        object_id=object_id, name=name, x=x, y=1.0, covariance=covariance, reliability=0.5
+    )
+
+
+def test_accepted_objects_become_landmarks_once(map_file: Path) -> None:
+    parameters = {"map_file": str(map_file), "learn_unknown": False}
+    it = ComponentHarness(MapBuilder, parameters, start_s=1000.0)
+    it.take("visual_map")
+
+    it.publish("accepted_objects", VisualMap(objects=(accepted(9), accepted(7, x=5.0))))
+
+    (newest,) = it.take("visual_map")
+    (change,) = it.take("visual_map_changes")
+    assert [(o.object_id, o.name, o.x, o.reliability) for o in newest.objects if o.x > 2] == [
+        (9, "found 1", 4.0, 0.5)
+    ]
+    assert (change.object_id, change.kind, change.new_x) == (9, VisualMapChange.REGISTERED, 4.0)
+    assert np.isnan(change.old_x)
+    with open_landmarks(map_file, read_only=True) as store:  # on the disk before it is published
+        assert [one.object_id for one in store.landmarks()] == [6, 7, 9]
+    it.publish("accepted_objects", VisualMap(objects=(accepted(9, x=5.0),)))
+    assert it.take("visual_map") == it.take("visual_map_changes") == []
+
+
+@pytest.mark.parametrize(
+    "wrong", [accepted(9, x=1e9), accepted(9, name="a" * 2000), accepted(9, variance=1e9)]
+)
+def test_accepted_object_that_the_file_cannot_hold_is_refused(
+    map_file: Path, wrong: VisualObject
+) -> None:
+    it = ComponentHarness(MapBuilder, {"map_file": str(map_file)}, start_s=1000.0)
+
+    it.publish("accepted_objects", VisualMap(objects=(wrong,)))
+
+    assert 9 not in states(it)
+    open_landmarks(map_file, read_only=True).close()
 
 
 def test_judgments_of_a_lost_robot_are_undone(map_file: Path) -> None:

@@ -128,6 +128,10 @@ def test_unknown_thing_is_proposed_accepted_and_not_found_again(
     answer = robot.finder.request("accept", number=1, name="poster")
 
     assert answer["name"] == "poster"
+    (landmark,) = robot.finder.take("accepted_objects")[-1].objects
+    assert (landmark.object_id, landmark.name) == (answer["object_id"], "poster")
+    assert (landmark.x, landmark.y, landmark.reliability) == (one.x, one.y, 0.5)
+    assert list(landmark.covariance) == list(one.covariance)
     model = read_models(robot.map_file).named("poster")
     assert model is not None
     assert model.size == pytest.approx((one.width, one.height))
