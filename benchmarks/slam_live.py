@@ -56,8 +56,8 @@ def repeated(course: Course, times: int) -> Course:
 
 
 COURSES: dict[str, Callable[[], Course]] = {
-    "two wings": lambda: repeated(courses.two_wings(), 10),
-    "large ring": lambda: courses.ring(rooms=12, turns=6.0),
+    "two wings": lambda: repeated(courses.two_wings(), 7),
+    "large ring": lambda: courses.ring(rooms=12, turns=3.0),
 }
 
 

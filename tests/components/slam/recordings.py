@@ -178,8 +178,9 @@ def sweeps(
             odometry = compose(odometry, leg.odometry_moved)
             clock += leg.carried_s
             due = clock
-        measured = [odometry]
-        for before, after in pairwise(track):
+        moves = np.zeros_like(track)
+        moves[0] = odometry
+        for tick, (before, after) in enumerate(pairwise(track), start=1):
             step = relative(tuple(before.tolist()), tuple(after.tolist()))
             forward = math.copysign(math.hypot(step[0], step[1]), step[0])
             slip_left -= _TICK_S
@@ -189,9 +190,8 @@ def sweeps(
             turn += errors.wander * math.sqrt(abs(forward)) * random.standard_normal()
             counted = abs(forward) if errors.mirrors_reverse else forward
             odometry = compose(odometry, ((1.0 + errors.scale) * counted, 0.0, turn))
-            measured.append(odometry)
+            moves[tick] = odometry
         times = np.asarray(clock + _TICK_S * np.arange(len(track)), np.float64)
-        moves = np.array(measured)
         for one in (track, moves):
             one[:, 2] = np.unwrap(one[:, 2])
         last = clock
