@@ -23,7 +23,7 @@ _CELL, _REACH_M, _PASSES = 0.1, 15.0, 3
 _STANDING_SHARE = 0.25
 # A keyframe is drawn again if its pose has changed by more than this [m], [rad].
 _MOVED_M, _MOVED_RAD = 0.03, 0.01
-# The grid, which only grows, starts anew after so many keyframes.
+# The grid, which only grows, is replaced after so many keyframes.
 _RENEWED = 100
 # A beam that ends so far behind a surface has passed it [m]; one that ends so near has seen it.
 _BEHIND_M, _SEEN_M = 0.4, 0.2
