@@ -44,7 +44,7 @@ class _Drawn:
 class RecentSurfaces:
     """The surfaces and the free space that the last keyframes have seen, in the map.
 
-    What appears where space was free moves, as people do. It is no part of the surfaces.
+    What appears where space was free moves, as people do; the surfaces do not include it.
     """
 
     def __init__(self) -> None:
