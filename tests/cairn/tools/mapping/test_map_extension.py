@@ -22,7 +22,7 @@ from tests.commands import cairn
 from tests.components.slam.box_room import SECOND, drive
 from tests.wording import assert_words
 
-EARLIER = 45  # scans of the map that is extended; 19 of them are keyframes
+EARLIER = 45  # scans of the map that is extended
 
 
 @pytest.fixture
@@ -107,7 +107,9 @@ def test_map_is_not_saved_over_the_files_that_slam_is_writing_to(
     with pytest.raises(CairnError, match=r"map.graph is the file .* give another name"):
         save_map(robot, tmp_path / "map", force=True)
 
-    assert save_map(robot, tmp_path / "copy", force=False).quality["keyframes"] == 19
+    assert save_map(robot, tmp_path / "copy", force=False).quality["keyframes"] == len(
+        room.keyframes
+    )
     drive(room, EARLIER, EARLIER + 10)
     slam.file.save(room)
     assert len(read_graph(tmp_path / "map.graph").keyframes) == len(room.keyframes)
