@@ -159,20 +159,6 @@ class ScanGrid:
         values[(self._passed >= passes) & (beside == 0)] = SEEN_FREE
         return Grid(values, self.frame)
 
-    def evidence_at(self, points: Array, passes: int) -> NDArray[np.uint8]:
-        """Return what `evidence` says of the cell of each point (n, 2) [m]."""
-        cells = np.floor(points / self._resolution).astype(np.int64) - (self._column, self._row)
-        rows, columns = self._ended.shape
-        inside = (cells >= 1).all(axis=1) & (cells[:, 1] < rows - 1) & (cells[:, 0] < columns - 1)
-        column, row = cells[inside].T
-        ended = sum(self._ended[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1))
-        passed = self._passed[row, column]
-        values = np.full(len(points), NOT_SEEN, np.uint8)
-        values[inside] = np.where(
-            ended > 0, SEEN, np.where(passed >= passes, SEEN_FREE, np.where(passed > 0, SEEN, 0))
-        )
-        return values
-
     def ended_share(self, points: Array) -> Array:
         """Return for each point (n, 2) [m] the share of rays that ended around it.
 

@@ -54,15 +54,6 @@ _WORTH = 0.2
 # A match in a window wider than this [m] is accepted only with so many in all that agree with it up
 # to this [m], [rad].
 _SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
-# Submaps that confirm each other show surfaces in so many cells of this size [m] together, each
-# side of a wall counted: more than one room or corner, which others may look like.
-_SURFACE_CELL, _LEAST_SURFACE = 0.5, 90
-# A match of a submap with fewer such cells needs confirmation in narrow windows, too: a pillar with
-# a piece of a wall fits beside each pillar.
-_LEAST_SURFACE_ALONE = 30
-# A match says where the robot is if its least certain direction has this deviation [m]; along a
-# wall without features it has more. Others count as no match of the place.
-_COMPLETE_SD_M = 0.3
 _REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.
 _MOST_CANDIDATES = 24
@@ -128,9 +119,6 @@ class LoopCloser:
             self._firsts.append(submap.first)
             self._views.append(view_of(submap, keyframes, graph.poses))
         islands = self._islands = graph.islands()
-        if self._views[new.number].cloud.count < _LEAST_POINTS:
-            return
-        submaps = [one for one in submaps if self._views[one.number].cloud.count >= _LEAST_POINTS]
         here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
         elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]
         # A place in the own island is more urgent than those where the robot may have been.
@@ -154,15 +142,13 @@ class LoopCloser:
                 done += 1
                 self.counts.searched += 1
                 edge = self._compare(task, submaps, graph)
-                if edge is not None and task.is_sure and self._is_distinctive(edge, graph):
+                if edge is not None and task.is_sure:
                     accepted.append(edge)
                 elif edge is not None:
                     self._waiting = [*self._waiting, edge][-_REMEMBERED:]
             if not any(other.new == task.new for other in self._tasks):
                 accepted += self._confirmed(graph)
         for edge in accepted:
-            if not _is_complete(edge):
-                continue
             number = bisect_right(self._firsts, edge.second) - 1
             self._found[number] = self._found.get(number, 0) + 1
         self.counts.accepted += len(accepted)
@@ -196,11 +182,7 @@ class LoopCloser:
         found = self._only_alignment(peaks, query, cloud)
         if found is None:
             return None
-        information = turned(_WORTH * found.information, found.pose[2])
-        edge = Edge(EdgeKind.CLOSURE, old.middle, new.middle, found.pose, information)
-        if not task.is_sure and (
-            not _is_complete(edge) or self._is_repeated(task, found, center, submaps, graph)
-        ):
+        if not task.is_sure and self._is_repeated(task, found, center, submaps, graph):
             self.counts.ambiguous += 1
             return None
         if (
@@ -209,7 +191,8 @@ class LoopCloser:
         ):
             self.counts.conflicting += 1
             return None
-        return edge
+        information = turned(_WORTH * found.information, found.pose[2])
+        return Edge(EdgeKind.CLOSURE, old.middle, new.middle, found.pose, information)
 
     def _only_alignment(
         self, peaks: list[Peak], query: PointCloud, cloud: PointCloud
@@ -282,21 +265,6 @@ class LoopCloser:
                     return True
         return False
 
-    def _is_distinctive(self, edge: Edge, graph: PoseGraph) -> bool:
-        """Return whether a match in a narrow window needs no other one that agrees."""
-        return self._surface(edge.second, {edge.second}, graph) >= _LEAST_SURFACE_ALONE
-
-    def _surface(self, origin: int, middles: set[int], graph: PoseGraph) -> int:
-        """Return how many cells of surfaces some submaps, given by their middles, show together."""
-        base = graph.pose(origin)
-        clouds = [
-            self._views[bisect_right(self._firsts, middle) - 1]
-            .nearby(REACH_M, _SEARCH_CELL)
-            .placed(relative(base, graph.pose(middle)))
-            for middle in sorted(middles)
-        ]
-        return joined(clouds).thinned(_SURFACE_CELL).count
-
     def _confirmed(self, graph: PoseGraph) -> list[Edge]:
         """Return the closures that others confirm, of those that were found in wide windows.
 
@@ -317,8 +285,7 @@ class LoopCloser:
                 for i, other in enumerate(self._waiting)
                 if other.second in submaps and not _agree(edge, other, islands, graph)
             ]
-            is_rivaled = 2 * max(rivals, default=0) > len(submaps)
-            if is_rivaled or self._surface(edge.second, submaps, graph) < _LEAST_SURFACE:
+            if 2 * max(rivals, default=0) > len(submaps):
                 continue
             accepted = [e for e in self._waiting if _agree(edge, e, islands, graph)]
             self._waiting = [e for e in self._waiting if e.second not in submaps]
@@ -358,12 +325,6 @@ def turned(information: Array, heading: float) -> Array:
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     result: Array = rotation.T @ information @ rotation
     return result
-
-
-def _is_complete(edge: Edge) -> bool:
-    """Return whether a match shows the position in all directions."""
-    covariance = np.linalg.inv(edge.information + 1e-9 * np.eye(3))
-    return bool(np.linalg.eigvalsh(covariance[:2, :2])[-1] < _COMPLETE_SD_M**2)
 
 
 def _agree(edge: Edge, other: Edge, islands: NDArray[np.int64], graph: PoseGraph) -> bool:

@@ -32,7 +32,6 @@ from cairn.components.slam.odometry_calibration import (
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
-from cairn.components.slam.recent_surfaces import RecentSurfaces
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.poses import Pose, apart, compose, distance, relative
@@ -48,11 +47,6 @@ _KEYFRAME_M, _KEYFRAME_RAD = 0.2, 0.2
 _SURROUNDINGS = 30
 # A submap ends after so much motion [m], and after so many keyframes.
 _SUBMAP_M, _SUBMAP_KEYFRAMES = 4.0, 40
-# It ends earlier where no scan shows the motion, after a drift of so much [m], [rad, standard
-# deviations]: a closure says where its middle is, so its parts must be known relative to that.
-_SUBMAP_DRIFT_M, _SUBMAP_DRIFT_RAD = 0.1, 0.02
-# Steps whose heading is less certain than this [rad] count: scans show others by tenths of it.
-_WEAK_STEP_RAD = 0.01
 # Pairs of submaps that are compared while a keyframe is added: about 10 ms each.
 _COMPARED = 2
 # The graph is optimized once per so many new keyframes: the number of all divided by this. It takes
@@ -147,11 +141,9 @@ class Mapper:
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
         self._way = 0.0
-        self._unseen = np.zeros((3, 3))  # covariance of the submap's motion that no scan shows
         self._model = model
         self._log = OdometryLog()
         self._scanned_ns: int | None = None
-        self._recent = RecentSurfaces()
         self._builder = LandmarkBuilder(self.graph)
         self._contradicted = False  # by an observation since the last optimization
         self._optimized = 0  # number of keyframes then
@@ -187,12 +179,12 @@ class Mapper:
         cloud = scan_cloud(rays, self.farthest)
         if self._continues:
             self._continues = False
-            tracked = self._find_near(stamp_ns, odometry, cloud, rays)
+            tracked = self._find_near(stamp_ns, odometry, cloud)
         elif self._odometry is None:
             tracked = Tracked(self._pose, np.zeros((3, 3)), None)
         else:
             step = relative(self._odometry, odometry)
-            tracked = self.tracker.track(self._pose, step, cloud, rays)
+            tracked = self.tracker.track(self._pose, step, cloud)
         self._odometry = odometry
         self._pose = tracked.pose
         if tracked.is_lost:
@@ -396,7 +388,7 @@ class Mapper:
         # The next scan is aligned to where the keyframes are now.
         self._set_surroundings()
 
-    def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud, rays: Rays) -> Tracked:
+    def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""
         last = self.keyframes[-1]
         age_s = (stamp_ns - last.stamp_ns) / SECOND
@@ -404,11 +396,10 @@ class Mapper:
         moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
         tracked = Tracked(self._pose, np.zeros((3, 3)), 0.0, is_misfit=True)
         if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
-            step = relative(last.odometry, odometry)
-            tracked = self.tracker.track(self._pose, step, cloud, rays)
-        if tracked.fit is not None and tracked.fit_of_all < _CONTINUED_FIT and is_recent:
-            tracked = self.tracker.locate(self._pose, cloud, rays, _NEAR_M)
-        is_lost = tracked.fit is not None and tracked.fit_of_all < _CONTINUED_FIT
+            tracked = self.tracker.track(self._pose, relative(last.odometry, odometry), cloud)
+        if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
+            tracked = self.tracker.locate(self._pose, cloud, _NEAR_M)
+        is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
         return replace(tracked, is_lost=is_lost)
 
     def _start_island(self) -> None:
@@ -426,20 +417,12 @@ class Mapper:
             self.trajectory[k] = Step(step.stamp_ns, keyframe, offset)
 
     def _add_keyframe(self, frame: Keyframe, step: tuple[Pose, Tracked] | None) -> None:
-        edge = None
-        if len(self.keyframes) > self._island:
-            edge = self._edge_to(frame, step)
-            covariance = np.linalg.inv(edge.information)
-            if covariance[2, 2] > _WEAK_STEP_RAD**2:
-                self._unseen += covariance
-                if self._has_drifted() and self._open.last >= self._open.first:
-                    self._close_submap()
-                    frame = replace(frame, submap=self._open.number)
-            self._way += math.hypot(edge.measured[0], edge.measured[1])
         number = self.graph.add_pose(self._pose)
         self.keyframes.append(frame)
-        if edge is not None:
+        if number > self._island:
+            edge = self._edge_to(number, step)
             self.graph.edges.append(edge)
+            self._way += math.hypot(edge.measured[0], edge.measured[1])
         self._open.last = number
         length = number - self._open.first + 1
         if self._way > _SUBMAP_M or length > _SUBMAP_KEYFRAMES:
@@ -448,35 +431,23 @@ class Mapper:
         if frame.rays is not None:
             self._set_surroundings()
 
-    def _has_drifted(self) -> bool:
-        """Return whether the open submap, of which a part has scans, has drifted too far."""
-        x, y, turn = np.sqrt(np.diag(self._unseen)).tolist()
-        members = self.keyframes[self._open.first : self._open.last + 1]
-        return (math.hypot(x, y) > _SUBMAP_DRIFT_M or turn > _SUBMAP_DRIFT_RAD) and any(
-            member.cloud.count for member in members
-        )
-
     def _set_surroundings(self) -> None:
         count = len(self.keyframes)
-        members = range(max(self._island, count - _SURROUNDINGS), count)
-        self._recent.show(members, self.keyframes, self.graph.poses)
-        self.tracker.set_surroundings(self._recent)
+        members = list(range(max(self._island, count - _SURROUNDINGS), count))
+        cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
+        self.tracker.set_surroundings(cloud.thinned(DENSE_M))
 
-    def _edge_to(self, frame: Keyframe, step: tuple[Pose, Tracked] | None) -> Edge:
-        """Return the constraint to a new keyframe from the one before.
-
-        It is by scans if both have one that fits.
-        """
-        last = len(self.keyframes) - 1
-        if step is None or step[1].fit is None or self.keyframes[last].rays is None:
-            start_ns = self.keyframes[last].stamp_ns
-            stamps = np.array([start_ns, frame.stamp_ns], np.int64)
+    def _edge_to(self, number: int, step: tuple[Pose, Tracked] | None) -> Edge:
+        """Return the constraint from the keyframe before: by scans if both have one that fits."""
+        if step is None or step[1].fit is None or self.keyframes[number - 1].rays is None:
+            start_ns = self.keyframes[number - 1].stamp_ns
+            stamps = np.array([start_ns, self.keyframes[number].stamp_ns], np.int64)
             path = self._log.path(self.calibration.calibration, start_ns)
             edge = odometry_edge(0, 1, stamps, path, self._model)
-            return replace(edge, first=last, second=last + 1)
+            return replace(edge, first=number - 1, second=number)
         offset, tracked = step
         information = turned(tracked.information, self._pose[2])
-        return Edge(EdgeKind.STEP, last, last + 1, offset, information)
+        return Edge(EdgeKind.STEP, number - 1, number, offset, information)
 
     def _close_submap(self) -> None:
         self.submaps.append(self._open)
@@ -484,7 +455,7 @@ class Mapper:
         if any(frame.rays is not None for frame in members):
             self.closer.add(self.submaps, self.keyframes, self.graph)
         self._open = Submap(len(self.submaps), len(self.keyframes), len(self.keyframes) - 1)
-        self._way, self._unseen = 0.0, np.zeros((3, 3))
+        self._way = 0.0
 
     def _close_loops(self, most: int) -> None:
         found = self.closer.work(most, self.submaps, self.graph)

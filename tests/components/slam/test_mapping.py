@@ -71,14 +71,6 @@ def test_a_robot_carried_to_another_room_is_joined_to_the_map(
 
 
 @pytest.mark.slow
-def test_a_carried_robot_with_a_short_range_does_not_bend_the_map() -> None:
-    course = courses.shipped("office")
-    stops = course.stops[: len(course.stops) // 2]
-    recording = record(course, SCANNERS["PBS-03JN"], legs=[Leg(stops), Leg(stops[4:])])
-    assert not map_errors(mapped(recording), recording).is_broken
-
-
-@pytest.mark.slow
 def test_an_unrecognized_place_stays_an_island_of_its_own() -> None:
     course = courses.shipped("office")
     first, second = [(1.0, 6.0), (3.0, 6.0), (2.0, 6.0)], [(17.5, 9.0), (17.5, 8.0), (18.0, 9.0)]
