@@ -108,7 +108,7 @@ class ObjectFinder(Component):
             Requirements(config.least_poses, config.least_visits, config.away_s)
         )
         self._accepted: list[ObjectModel] = []  # until the library has them
-        self._landmarks: list[VisualObject] = []  # that the map builder is told of
+        self._landmarks: list[VisualObject] = []  # that the map builder adds
         self._next_id = _HYPOTHESES
         self._recognizer: Recognizer | None = None
         self._warnings = RateLimitedLog(self.log)
