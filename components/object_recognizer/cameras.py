@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cairn import SECOND, CairnError
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.vision.features import Features
+from cairn.vision.images import gray_of
 from cairn.vision.rectification import CameraModel, Rectifier
 from cairn.vision.stereo import StereoRig, are_swapped, disparities
 
@@ -65,6 +66,14 @@ def is_same_calibration(one: CameraInfo | None, other: CameraInfo | None) -> boo
     if one is None or other is None:
         return one is other
     return _content(one) == _content(other)
+
+
+def gray_image(image: Image, topic: str) -> Gray:
+    """Return an image of a topic as gray levels; `CairnError` names the topic."""
+    try:
+        return gray_of(image)
+    except CairnError as error:
+        raise CairnError(f"{topic}: {error}") from error
 
 
 def why_blind(gray: Gray) -> str:

@@ -27,6 +27,7 @@ from cairn.components.object_recognizer.cameras import (
     StereoImages,
     StereoSynchronizer,
     cameras_are_swapped,
+    gray_image,
     is_same_calibration,
     make_cameras,
     shows_little,
@@ -48,7 +49,7 @@ from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.features import Features, extract
-from cairn.vision.images import Gray, gray_of
+from cairn.vision.images import Gray
 from cairn.vision.recognition import Detection
 from cairn.visual_map.sqlite_file import MapFileError
 
@@ -203,7 +204,7 @@ class ObjectRecognizer(Component):
     def _recognize(self, images: StereoImages) -> tuple[FieldOfView, list[RecognizedObject]]:
         """Return where objects could have been recognized, and the observations."""
         config, cameras = self.config, self._calibrated_cameras()
-        left = cameras.left.apply(self._gray(images.left, self.left_image.topic))
+        left = cameras.left.apply(gray_image(images.left, self.left_image.topic))
         features = extract(left, config.most_features)
         blind = why_blind(left)
         if blind:
@@ -285,16 +286,9 @@ class ObjectRecognizer(Component):
                     f"{self.right_image.topic} shows the same image as {self.left_image.topic}, "
                     "bit for bit; have the right camera's driver publish its own images"
                 )
-            right = cameras.right.apply(self._gray(images.right, self.right_image.topic))
+            right = cameras.right.apply(gray_image(images.right, self.right_image.topic))
             self._warnings.resolved("right image", f"{self.right_image.topic} is processed again")
             return right
         except CairnError as error:
             self._warnings.warn("right image", f"objects are ranged by size only: {error}")
             return None
-
-    @staticmethod
-    def _gray(image: Image, topic: str) -> Gray:
-        try:
-            return gray_of(image)
-        except CairnError as error:
-            raise CairnError(f"{topic}: {error}") from error

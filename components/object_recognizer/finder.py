@@ -34,6 +34,7 @@ from cairn.components.object_recognizer.cameras import (
     Cameras,
     StereoImages,
     StereoSynchronizer,
+    gray_image,
     is_same_calibration,
     make_cameras,
     shows_little,
@@ -57,7 +58,7 @@ from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.features import Features, extract
-from cairn.vision.images import Gray, gray_of
+from cairn.vision.images import Gray
 from cairn.vision.object_model import ObjectModel
 from cairn.vision.recognition import Detection, Recognizer
 from cairn.visual_map.sqlite_file import MapFileError
@@ -234,7 +235,10 @@ class ObjectFinder(Component):
             )
             return
         self._warnings.resolved("right", f"images arrive again on {self.right_image.topic}")
-        self._images = images
+        # Newer ones do not replace those that wait: else the pose would always be older than them.
+        waiting = self._images
+        if waiting is None or not 0 <= images.stamp_ns - waiting.stamp_ns < _GAP_NS:
+            self._images = images
 
     def _pose_at(self, stamp: int) -> tuple[Pose, Array] | None:
         """Return the robot's pose, with its covariance (3, 3), at an image; None if unreliable."""
@@ -267,8 +271,8 @@ class ObjectFinder(Component):
         cameras = self._calibrated_cameras()
         assert images.right is not None
         assert cameras.right is not None
-        left = cameras.left.apply(_gray(images.left, self.left_image.topic))
-        right = cameras.right.apply(_gray(images.right, self.right_image.topic))
+        left = cameras.left.apply(gray_image(images.left, self.left_image.topic))
+        right = cameras.right.apply(gray_image(images.right, self.right_image.topic))
         features = extract(left, self.config.most_features)
         if why_blind(left) or shows_little(features):
             return
@@ -407,10 +411,3 @@ class ObjectFinder(Component):
         self.accepted_objects.publish(
             VisualMap(header=header, version=version, objects=tuple(self._landmarks))
         )
-
-
-def _gray(image: Image, topic: str) -> Gray:
-    try:
-        return gray_of(image)
-    except CairnError as error:
-        raise CairnError(f"{topic}: {error}") from error

@@ -61,17 +61,17 @@ class Robot:
         for noise, pose in enumerate(poses):
             self.finder.run_for(1.5)
             left, right = pair([in_camera(thing, pose) for thing in things], noise)
-            self._locate(pose, health, -0.05)
+            self.locate(pose, health, -0.05)
             self.finder.publish("left_image", message(left, self.finder.now))
             self.finder.publish("right_image", message(right, self.finder.now))
-            self._locate(pose, health, 0.05)
+            self.locate(pose, health, 0.05)
         return self.proposals()
 
     def proposals(self) -> list[ObjectProposal]:
         published = self.finder.take("object_proposals")
         return list(published[-1].proposals) if published else []
 
-    def _locate(self, pose: Pose, health: float, later_s: float) -> None:
+    def locate(self, pose: Pose, health: float, later_s: float) -> None:
         stamp = from_ns(round((self.finder.now + later_s) * 1e9))
         self.finder.publish(
             "localization",
@@ -183,6 +183,27 @@ def test_nothing_is_found_while_the_pose_is_not_reliable(start: Callable[..., Ro
     robot.visit(FIRST, health=0.3)
 
     assert robot.visit([*FIRST, *AGAIN], health=0.3) == []
+
+
+def test_poses_may_be_older_than_the_newest_images(start: Callable[..., Robot]) -> None:
+    robot = start()
+
+    def look(poses: Sequence[Pose]) -> None:
+        robot.finder.run_for(30.0)
+        for noise, pose in enumerate(poses):
+            robot.finder.run_for(1.5)
+            images = pair([in_camera(WALL, pose)], noise)
+            # Three pairs arrive before the pose of the first one.
+            robot.locate(pose, 1.0, -0.05)
+            for later in (0.0, 0.03, 0.06):
+                for side, image in zip(("left", "right"), images, strict=True):
+                    robot.finder.publish(f"{side}_image", message(image, robot.finder.now + later))
+            robot.locate(pose, 1.0, 0.02)
+
+    look(FIRST)
+    look(AGAIN)
+
+    assert len(robot.proposals()) == 1
 
 
 def test_requests_are_checked(start: Callable[..., Robot]) -> None:
