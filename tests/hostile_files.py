@@ -1168,8 +1168,8 @@ GRAPHS: Final[Mapping[str, HostileFile]] = {
         ),
         "more than 500000",
     ),
-    "zeros": HostileFile(device("/dev/zero", "map.graph"), "no such file"),
-    "fifo": HostileFile(fifo("map.graph"), "no such file"),
+    "zeros": HostileFile(device("/dev/zero", "map.graph"), "is not a file"),
+    "fifo": HostileFile(fifo("map.graph"), "is not a file"),
     "sparse": HostileFile(sparse("map.graph", 5_000 * MB, b"SQLite format 3\0"), "MB"),
 }
 

@@ -57,10 +57,13 @@ def test_shipped_overlays_name_a_deployment_that_they_fit(
     overlay: tuple[str, bool, str, Path],
 ) -> None:
     name, _, _, file = overlay
-    quoted = re.search(rf"cairn up (\w+) --overlay {name}\b", file.read_text(encoding="utf-8"))
+    quoted = re.search(
+        rf"cairn up (\w+)((?: --overlay \w+)*) --overlay {name}\b", file.read_text(encoding="utf-8")
+    )
 
     assert quoted is not None
-    load_deployment(deployment_file(quoted[1]), [file])
+    others = re.findall(r"--overlay (\w+)", quoted[2])
+    load_deployment(deployment_file(quoted[1]), [*map(deployment_file, others), file])
 
 
 def test_deployments_are_listed_with_their_purpose() -> None:
