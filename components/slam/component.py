@@ -138,6 +138,7 @@ class Slam(Component):
             grid = self._drawn()
             if grid is not None:
                 self._save_maps(grid)
+            self._warn_unless_extended()
         self._close()
 
     def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
@@ -170,6 +171,7 @@ class Slam(Component):
             self._save_maps(grid)
             if self._saved.has_failed or self._saved_maps.has_failed:
                 raise CairnError(f"{self.name}: the map is not saved; `cairn ps` has the reason")
+            self._warn_unless_extended()
             file = self.config.map_file.absolute()
             written = [".yaml", ".pgm", ".graph", *([".cairn"] if self._has_landmarks else [])]
             return {
@@ -385,6 +387,16 @@ class Slam(Component):
 
         lost = "the grid map and the visual map are not written; the graph has all of them"
         self._saved_maps.attempt(write, lambda: lost, now=True)
+
+    def _warn_unless_extended(self) -> None:
+        mapper = self._mapper
+        assert mapper is not None
+        extended = mapper.graph.extended
+        if extended and not mapper.in_map()[extended:].any():
+            self.log.warning(
+                "no place of the map that is extended was recognized, so it was saved as it was; "
+                "drive where it was mapped"
+            )
 
     def _close(self) -> None:
         if self._file is not None:

@@ -39,12 +39,14 @@ APPLICATION: Final = 0x4361_7267
 FILE_BYTES: Final = 4_000_000_000
 """Largest graph file [bytes]."""
 
-_FORMAT: Final = 2
+_FORMAT: Final = 3
 # Lives and places have a row for each span of versions, from `since` until before `until`; NULL:
-# until now. A keyframe belongs to the map in its lives. A place is a tile of `Renewals`.
+# until now. A keyframe belongs to the map in its lives. A place is a tile of `Renewals`. Keyframes
+# with a number below `extended` are of the map that this one extends.
 _TABLES: Final = {
     "graph": "farthest REAL NOT NULL, created_s REAL NOT NULL, source TEXT NOT NULL, "
-    "origin TEXT NOT NULL, version INTEGER NOT NULL, oldest INTEGER NOT NULL",
+    "origin TEXT NOT NULL, version INTEGER NOT NULL, oldest INTEGER NOT NULL, "
+    "extended INTEGER NOT NULL",
     "keyframes": "number INTEGER PRIMARY KEY, stamp_ns INTEGER NOT NULL, submap INTEGER NOT NULL, "
     "version INTEGER NOT NULL, odometry BLOB NOT NULL, cloud BLOB NOT NULL, geometry BLOB, "
     "ranges BLOB",
@@ -113,7 +115,7 @@ class GraphFile:
                 for name, columns in _TABLES.items():
                     connection.execute(f"CREATE TABLE {name} ({columns})")
                 connection.execute(
-                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0)",
+                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0, 0)",
                     (farthest, time.time() if created_s is None else created_s, source),
                 )
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
@@ -175,7 +177,8 @@ class GraphFile:
                 ],
             )
             connection.execute(
-                "UPDATE graph SET version = ?, oldest = ?", (mapper.version, mapper.version)
+                "UPDATE graph SET version = ?, oldest = ?, extended = ?",
+                (mapper.version, mapper.version, graph.extended),
             )
             if not self._has_tiles:
                 insert_tiles(connection, mapper.renewals, mapper.renewals.tiles, mapper.version)
@@ -379,6 +382,10 @@ def read_constraints(connection: sqlite3.Connection, state: GraphState, graph: P
     Raises `ValueError` if the file is damaged.
     """
     graph.poses = state.poses
+    ((extended,),) = connection.execute("SELECT extended FROM graph").fetchall()
+    if type(extended) is not int:
+        raise ValueError("the number of keyframes that it extends is wrong")
+    graph.extended = bisect_left(state.numbers, extended)
     index = {number: k for k, number in enumerate(state.numbers)}
     for edge in read_edges(connection, state.numbers):
         graph.edges.append(replace(edge, first=index[edge.first], second=index[edge.second]))

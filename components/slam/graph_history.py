@@ -567,7 +567,7 @@ def _map_in(connection: sqlite3.Connection, state: GraphState) -> GraphState:
     """Return a state without the keyframes that do not belong to the map."""
     graph = PoseGraph()
     read_constraints(connection, state, graph)
-    kept = np.flatnonzero(graph.largest_island())
+    kept = np.flatnonzero(graph.in_map())
     return replace(
         state,
         numbers=[state.numbers[k] for k in kept.tolist()],

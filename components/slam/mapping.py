@@ -157,7 +157,7 @@ class Mapper:
 
     @property
     def is_located(self) -> bool:
-        """Whether the robot is on the largest island, the map."""
+        """Whether the robot is on the map, and on no island beside it."""
         return bool(self.keyframes) and bool(self.in_map()[-1])
 
     @property
@@ -249,7 +249,7 @@ class Mapper:
         """Continue a map that was read from a file.
 
         With `here`, the robot is near the last keyframe if its next scan fits there. Otherwise it
-        may be anywhere: it is on a new island until a place of the map is recognized.
+        may be anywhere: it extends the map, on a new island until a place of it is recognized.
         """
         first = self.submaps[-1].last + 1 if self.submaps else 0
         self._open = Submap(len(self.submaps), first, len(self.keyframes) - 1)
@@ -264,21 +264,22 @@ class Mapper:
             self._set_surroundings()
             self._continues = True
         else:
+            self.graph.extended = len(self.keyframes)
             self._start_island()
 
     def in_map(self) -> NDArray[np.bool_]:
-        """Return which keyframes (n,) belong to the map: those of its largest island.
+        """Return which keyframes (n,) belong to the map: see `PoseGraph.in_map`.
 
-        An island that no recognized place joins to the others has no position in the map.
+        An island that no recognized place joins to it has no position in the map.
         """
         graph = self.graph
         # Each optimization makes new arrays; what else connects poses is only added in between.
         state = (id(graph.poses), id(graph.edges), len(graph.edges), len(graph.sightings))
         if state != self._in_map_of[0]:
-            largest = graph.largest_island()
-            largest.flags.writeable = False
+            within = graph.in_map()
+            within.flags.writeable = False
             # The arrays are kept, so that no other ones get their identities.
-            self._in_map_of = state, largest, (graph.poses, graph.edges)
+            self._in_map_of = state, within, (graph.poses, graph.edges)
         return self._in_map_of[1]
 
     @property

@@ -99,6 +99,8 @@ class PoseGraph:
         self.sightings: list[Sighting] = []
         self.rejected = 0
         """Number of closures that turned out to be wrong and were removed."""
+        self.extended = 0
+        """Number of poses of the map that this one extends, which come first."""
 
     def add_pose(self, pose: Pose) -> int:
         """Add a pose; return its number."""
@@ -139,12 +141,16 @@ class PoseGraph:
         """
         return self._islands()[0]
 
-    def largest_island(self) -> NDArray[np.bool_]:
-        """Return which poses (n,) belong to the island with the most of them."""
+    def in_map(self) -> NDArray[np.bool_]:
+        """Return which poses (n,) belong to the map: the island with the most of them.
+
+        If it extends another map, it is that map and what is joined to it: a robot that does not
+        recognize the place replaces nothing.
+        """
         islands = self.islands()
-        numbers, sizes = np.unique(islands, return_counts=True)
-        largest: NDArray[np.bool_] = islands == (numbers[np.argmax(sizes)] if numbers.size else 0)
-        return largest
+        numbers, sizes = np.unique(islands[: self.extended or None], return_counts=True)
+        within: NDArray[np.bool_] = islands == (numbers[np.argmax(sizes)] if numbers.size else 0)
+        return within
 
     def _islands(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first pose of the island (n,), and of the part without landmarks (n,)."""

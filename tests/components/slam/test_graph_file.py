@@ -59,6 +59,20 @@ def test_graph_is_read_as_it_was_written(mapper: Mapper, tmp_path: Path) -> None
     assert [file.name for file in tmp_path.iterdir()] == ["room.graph"]
 
 
+def test_extension_that_recognizes_no_place_leaves_the_map_as_it_is(
+    mapper: Mapper, tmp_path: Path
+) -> None:
+    old = len(mapper.keyframes)
+    mapper.resume(here=False)
+    drive(mapper, 100, 190, boxes=((9.0, -2.0, 20.0, 2.5), (12.0, 0.5, 15.0, 1.0)))
+    mapper.finish()
+    write_graph(tmp_path / "room.graph", mapper, "a test")
+
+    for read in (mapper, read_graph(tmp_path / "room.graph")):
+        assert len(read.keyframes) > 2 * old
+        assert read.in_map().tolist() == [k < old for k in range(len(read.keyframes))]
+
+
 def test_killed_writer_loses_only_what_was_not_saved(mapper: Mapper, tmp_path: Path) -> None:
     path, copy = tmp_path / "room.graph", tmp_path / "killed"
     file = GraphFile.create(path, mapper.farthest, "a test")
