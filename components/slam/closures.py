@@ -54,6 +54,16 @@ _WORTH = 0.2
 # A match in a window wider than this [m] is accepted only with so many in all that agree with it up
 # to this [m], [rad].
 _SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
+# Submaps that confirm each other show surfaces in so many cells of this size [m] together, each
+# side of a wall counted: more than one room or corner, which others may look like. Less is enough
+# if it is this share of all that the other island shows.
+_SURFACE_CELL, _LEAST_SURFACE, _MOST_OF_ISLAND = 0.5, 90, 0.7
+# A match of a submap with fewer such cells needs confirmation in narrow windows, too: a pillar with
+# a piece of a wall fits beside each pillar.
+_LEAST_SURFACE_ALONE = 30
+# A match says where the robot is if the position deviates by at most this in any direction [m]:
+# along a wall without features it deviates more. Others are not counted as matches.
+_COMPLETE_SD_M = 0.3
 _REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.
 _MOST_CANDIDATES = 24
@@ -119,13 +129,16 @@ class LoopCloser:
             self._firsts.append(submap.first)
             self._views.append(view_of(submap, keyframes, graph.poses))
         islands = self._islands = graph.islands()
+        if self._views[new.number].cloud.count < _LEAST_POINTS:
+            return
+        submaps = [one for one in submaps if self._views[one.number].cloud.count >= _LEAST_POINTS]
         here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
         elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]
         # A place in the own island is more urgent than those where the robot may have been.
         self._tasks = [task for task in self._tasks if not task.anywhere] + [
             *_near_tasks(new, here, graph),
             *(task for task in self._tasks if task.anywhere),
-            *_anywhere_tasks(new, elsewhere, graph),
+            *_anywhere_tasks(new, elsewhere, islands, graph),
         ]
 
     def work(self, most: int, submaps: list[Submap], graph: PoseGraph) -> list[Edge]:
@@ -142,13 +155,15 @@ class LoopCloser:
                 done += 1
                 self.counts.searched += 1
                 edge = self._compare(task, submaps, graph)
-                if edge is not None and task.is_sure:
+                if edge is not None and task.is_sure and self._is_distinctive(edge, graph):
                     accepted.append(edge)
                 elif edge is not None:
                     self._waiting = [*self._waiting, edge][-_REMEMBERED:]
             if not any(other.new == task.new for other in self._tasks):
-                accepted += self._confirmed(graph)
+                accepted += self._confirmed(submaps, graph)
         for edge in accepted:
+            if not _is_complete(edge):
+                continue
             number = bisect_right(self._firsts, edge.second) - 1
             self._found[number] = self._found.get(number, 0) + 1
         self.counts.accepted += len(accepted)
@@ -182,7 +197,11 @@ class LoopCloser:
         found = self._only_alignment(peaks, query, cloud)
         if found is None:
             return None
-        if not task.is_sure and self._is_repeated(task, found, center, submaps, graph):
+        information = turned(_WORTH * found.information, found.pose[2])
+        edge = Edge(EdgeKind.CLOSURE, old.middle, new.middle, found.pose, information)
+        if not task.is_sure and (
+            not _is_complete(edge) or self._is_repeated(task, found, center, submaps, graph)
+        ):
             self.counts.ambiguous += 1
             return None
         if (
@@ -191,8 +210,7 @@ class LoopCloser:
         ):
             self.counts.conflicting += 1
             return None
-        information = turned(_WORTH * found.information, found.pose[2])
-        return Edge(EdgeKind.CLOSURE, old.middle, new.middle, found.pose, information)
+        return edge
 
     def _only_alignment(
         self, peaks: list[Peak], query: PointCloud, cloud: PointCloud
@@ -265,7 +283,34 @@ class LoopCloser:
                     return True
         return False
 
-    def _confirmed(self, graph: PoseGraph) -> list[Edge]:
+    def _is_distinctive(self, edge: Edge, graph: PoseGraph) -> bool:
+        """Return whether a match in a narrow window needs no other one that agrees."""
+        return self._surface(edge.second, {edge.second}, graph) >= _LEAST_SURFACE_ALONE
+
+    def _surface(self, origin: int, middles: set[int], graph: PoseGraph) -> int:
+        """Return how many cells of surfaces some submaps, given by their middles, show together."""
+        base = graph.pose(origin)
+        clouds = [
+            self._views[bisect_right(self._firsts, middle) - 1]
+            .nearby(REACH_M, _SEARCH_CELL)
+            .placed(relative(base, graph.pose(middle)))
+            for middle in sorted(middles)
+        ]
+        return joined(clouds).thinned(_SURFACE_CELL).count
+
+    def _shows_enough(
+        self, edge: Edge, middles: set[int], submaps: list[Submap], graph: PoseGraph
+    ) -> bool:
+        """Return whether submaps that agree with a match show so much that it is no coincidence."""
+        shown = self._surface(edge.second, middles, graph)
+        islands = graph.islands()
+        if shown >= _LEAST_SURFACE or islands[edge.first] == islands[edge.second]:
+            return shown >= _LEAST_SURFACE
+        others = submaps[: len(self._views)]
+        island = {one.middle for one in others if islands[one.middle] == islands[edge.first]}
+        return shown >= _MOST_OF_ISLAND * self._surface(edge.first, island, graph)
+
+    def _confirmed(self, submaps: list[Submap], graph: PoseGraph) -> list[Edge]:
         """Return the closures that others confirm, of those that were found in wide windows.
 
         They put at least two submaps in the same place, and twice as many as any other place of
@@ -277,18 +322,19 @@ class LoopCloser:
             for edge in self._waiting
         ]
         for k in sorted(range(len(support)), key=lambda k: -len(support[k])):
-            edge, submaps = self._waiting[k], support[k]
-            if len(submaps) < _CONFIRMATIONS:
+            edge, seen = self._waiting[k], support[k]
+            if len(seen) < _CONFIRMATIONS:
                 break
             rivals = [
                 len(support[i])
                 for i, other in enumerate(self._waiting)
-                if other.second in submaps and not _agree(edge, other, islands, graph)
+                if other.second in seen and not _agree(edge, other, islands, graph)
             ]
-            if 2 * max(rivals, default=0) > len(submaps):
+            is_rivaled = 2 * max(rivals, default=0) > len(seen)
+            if is_rivaled or not self._shows_enough(edge, seen, submaps, graph):
                 continue
             accepted = [e for e in self._waiting if _agree(edge, e, islands, graph)]
-            self._waiting = [e for e in self._waiting if e.second not in submaps]
+            self._waiting = [e for e in self._waiting if e.second not in seen]
             return accepted
         return []
 
@@ -309,12 +355,17 @@ def _near_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]
     return [task for _, task in planned[:_MOST_CANDIDATES]]
 
 
-def _anywhere_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]:
+def _anywhere_tasks(
+    new: Submap, olds: list[Submap], islands: NDArray[np.int64], graph: PoseGraph
+) -> list[Task]:
     """Return the comparisons with submaps of other islands: one for each place, newest first."""
     chosen: list[Submap] = []
     for old in reversed(olds):
-        at = graph.pose(old.middle)
-        if all(distance(at, graph.pose(other.middle)) > _PLACES_M for other in chosen):
+        at, island = graph.pose(old.middle), islands[old.middle]
+        if all(
+            islands[other.middle] != island or distance(at, graph.pose(other.middle)) > _PLACES_M
+            for other in chosen
+        ):
             chosen.append(old)
     return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in chosen[:_MOST_PLACES]]
 
@@ -325,6 +376,12 @@ def turned(information: Array, heading: float) -> Array:
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     result: Array = rotation.T @ information @ rotation
     return result
+
+
+def _is_complete(edge: Edge) -> bool:
+    """Return whether a match shows the position in all directions."""
+    covariance = np.linalg.inv(edge.information + 1e-9 * np.eye(3))
+    return bool(np.linalg.eigvalsh(covariance[:2, :2])[-1] < _COMPLETE_SD_M**2)
 
 
 def _agree(edge: Edge, other: Edge, islands: NDArray[np.int64], graph: PoseGraph) -> bool:

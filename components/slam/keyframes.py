@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.point_cloud import PointCloud, cloud_of, joined
+from cairn.components.slam.point_cloud import PointCloud, cloud_of
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import Rays
 
@@ -158,15 +158,14 @@ class Submap:
         return (self.first + self.last) // 2
 
 
-def cloud_in(
+def clouds_in(
     origin: Pose, members: list[int], keyframes: list[Keyframe], poses: Array
-) -> PointCloud:
-    """Return the points of some keyframes together, in the frame `origin`."""
-    placed = [
+) -> list[PointCloud]:
+    """Return the points of each of some keyframes, in the frame `origin`."""
+    return [
         keyframes[k].cloud.placed(relative(origin, (poses[k, 0], poses[k, 1], poses[k, 2])))
         for k in members
     ]
-    return joined(placed)
 
 
 class PlaceIndex:

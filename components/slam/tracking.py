@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.alignment import Reference
+from cairn.components.slam.contradiction import contradicts, standing, surface_cells
 from cairn.components.slam.correlation import CorrelationMap
-from cairn.components.slam.point_cloud import PointCloud
+from cairn.components.slam.keyframes import DENSE_M
+from cairn.components.slam.point_cloud import PointCloud, joined
 from cairn.planar.poses import Pose, apart, compose
 
 Array = NDArray[np.float64]
@@ -22,7 +25,9 @@ _LEAST_POINTS = 20
 # constant [m], per meter, and per radian [m/rad]; of the heading, constant [rad], per radian, and
 # per meter [rad/m]. If wheels slip, they turn the robot by tenths of a radian.
 _NOISE: Noise = ((0.005, 0.05, 0.01), (0.003, 0.05, 0.02))
-_SLIP: Noise = ((0.1, 0.2, 0.02), (0.1, 0.2, 0.05))
+_SLIP: Noise = ((0.05, 0.3, 0.02), (0.1, 0.2, 0.05))
+# Wheels slip by at most so many of their standard deviations: the robot does not jump.
+_MOST_SLIP = 3.0
 # A scan is aligned with so many times the noise first, as the noise of successive steps has a
 # common sign.
 _TRUSTED = 2.5
@@ -38,11 +43,14 @@ _FIT_MEMORY = 0.1  # share of the newest scan in the usual fit
 # Least score of a searched pose. How much better a scan must fit for the wheels to have slipped,
 # times the square root of the number of its points: few points fit by chance.
 _LEAST_SCORE, _BETTER = 0.3, 2.0
+# A scan shows where the robot is with so many cells of surfaces, 2 m of wall, and that wheels have
+# slipped with so many that fit: a person fills three to five, and fits anywhere.
+_LEAST_SURFACE, _SLIP_SURFACE = 8, 16
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
-# A scan that fits worse than this, or than this share of the usual fit, is not of this place; so
-# many in a row mean that the robot was moved. In simulated drives through doors and among people,
-# at most two in a row fit worse than 0.6 of the usual fit.
+# A scan that fits worse than this, or than this share of the usual fit, is not of this place. So
+# many in a row mean that the robot was moved if they contradict what was seen, else that the place
+# is new or hidden.
 _NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
 
 
@@ -54,9 +62,11 @@ class Tracked:
         pose: of the base in the map.
         information: (3, 3) of the pose relative to the surroundings that were set last, over x, y
             [m] and heading [rad] in the map's frame.
-        fit: how well the scan fits, from 0 to 1; None if it has too few points.
+        fit: how well the scan fits, from 0 to 1; None if it shows too little, or nothing that was
+            seen before.
         is_misfit: whether the scan fits nowhere near, and the pose is that of odometry.
-        is_lost: whether so many scans in a row did that the robot was moved by hand.
+        is_lost: whether so many scans in a row contradict the place that the robot was moved by
+            hand.
 
     """
 
@@ -74,10 +84,11 @@ class ScanTracker:
     """
 
     def __init__(self) -> None:
+        self._clouds: Sequence[PointCloud] = ()
         self._reference: Reference | None = None
         self._search_map: CorrelationMap | None = None
         self._usual_fit = 0.0
-        self._misfits = 0
+        self._misfits = self._contradictions = 0  # scans in a row
         self._covariance = np.zeros((3, 3))  # since the surroundings were set
 
     @property
@@ -88,24 +99,30 @@ class ScanTracker:
     def start(self) -> None:
         """Forget the keyframes: the robot is somewhere else."""
         self._reference = self._search_map = None
-        self._usual_fit, self._misfits = 0.0, 0
+        self._usual_fit, self._misfits, self._contradictions = 0.0, 0, 0
 
-    def set_surroundings(self, cloud: PointCloud) -> None:
-        """Set the points, in the map, of the last keyframes."""
-        self._reference, self._search_map = Reference(cloud), None
+    def set_surroundings(self, clouds: Sequence[PointCloud]) -> None:
+        """Set the points, in the map, of each of the last keyframes."""
+        self._clouds = clouds
+        self._reference, self._search_map = Reference(joined(clouds).thinned(DENSE_M)), None
         self._covariance = np.zeros((3, 3))
 
     def track(self, pose: Pose, step: Pose, cloud: PointCloud) -> Tracked:
         """Return where a scan was taken, `step` after a scan at `pose` by odometry.
 
         If the scan fits where odometry puts it, odometry is right about what the scan does not
-        show. Otherwise the wheels may have slipped.
+        show. Otherwise the wheels may have slipped, the place may be new, or the robot was moved.
         """
         guess = compose(pose, step)
         noise = _covariance(step, _NOISE)
         reference = self._reference
-        if reference is None or min(cloud.count, reference.cloud.count) < _LEAST_POINTS:
-            self._misfits = 0
+        surfaces = surface_cells(cloud.points)
+        if (
+            reference is None
+            or min(cloud.count, reference.cloud.count) < _LEAST_POINTS
+            or surfaces < _LEAST_SURFACE
+        ):
+            self._misfits = self._contradictions = 0
             return self._at(guess, noise, None, None)
         trusted = _inverse(_TRUSTED**2 * noise + np.diag([0.0, 0.0, _STAMPED_LATE_RAD**2]))
         found = reference.align(cloud, guess, trusted, _REACH_M)
@@ -120,10 +137,20 @@ class ScanTracker:
             if searched is not None:
                 others.append(reference.align(cloud, searched, 0.1 * prior, _REACH_AFTER_SEARCH_M))
             other = max(others, key=lambda one: one.fit)
-            if other.fit > found.fit + _BETTER / math.sqrt(cloud.count):
+            is_better = other.fit > found.fit + _BETTER / math.sqrt(cloud.count)
+            is_possible = not apart(other.pose, guess, _MOST_SLIP * sd_m, _MOST_SLIP * sd_rad)
+            if is_better and is_possible and surfaces * other.paired >= _SLIP_SURFACE:
                 found, noise = other, slip
         is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self._usual_fit)
         self._misfits = self._misfits + 1 if is_misfit else 0
+        if not is_misfit:
+            self._contradictions = 0
+        elif contradicts(standing(self._clouds), cloud, guess):
+            self._contradictions += 1
+        elif not self._contradictions and self._misfits >= _NO_FIT_IN_A_ROW:
+            # The place is new, or people stand around: only odometry shows the way.
+            self._misfits = 0
+            return self._at(guess, noise, None, None)
         if self._misfits:
             # Better a wrong step of odometry than one to where nothing fits.
             return self._at(guess, noise, None, found.fit)
@@ -140,7 +167,9 @@ class ScanTracker:
         if information is not None:
             known += information
             self._covariance = _inverse(known)
-        return Tracked(pose, known, fit, self._misfits > 0, self._misfits >= _NO_FIT_IN_A_ROW)
+        return Tracked(
+            pose, known, fit, self._misfits > 0, self._contradictions >= _NO_FIT_IN_A_ROW
+        )
 
     def locate(self, pose: Pose, cloud: PointCloud, reach: float) -> Tracked:
         """Search for where a scan was taken: up to `reach` [m] around a pose, facing anywhere."""

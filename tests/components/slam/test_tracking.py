@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from cairn.components.slam.keyframes import scan_cloud
-from cairn.components.slam.point_cloud import PointCloud
+from cairn.components.slam.point_cloud import PointCloud, joined
 from cairn.components.slam.tracking import ScanTracker
 from cairn.planar.poses import Pose, apart
 from tests.components.slam import courses
@@ -19,8 +19,20 @@ def started() -> tuple[ScanTracker, list[PointCloud]]:
     clouds = [scan_cloud(rays, 30.0) for rays in recording.rays]
     elsewhere = recording.legs.index(1)
     tracker = ScanTracker()
-    tracker.set_surroundings(clouds[0])
+    tracker.set_surroundings(clouds[:1])
     return tracker, [clouds[0], clouds[elsewhere]]
+
+
+def wall(begin: float, end: float) -> PointCloud:
+    """A wall 2 m before the robot, from `begin` to `end` [m] on its left."""
+    y = np.arange(begin, end, 0.04)
+    return PointCloud(
+        np.column_stack((np.full(y.size, 2.0), y)), np.tile((-1.0, 0.0), (y.size, 1))
+    )
+
+
+def turned(cloud: PointCloud) -> PointCloud:
+    return cloud.placed((0.0, 0.0, math.pi / 2))
 
 
 def test_wheels_that_slipped_do_not_lead_astray() -> None:
@@ -38,6 +50,33 @@ def test_a_robot_that_was_moved_is_lost_after_four_scans() -> None:
     assert all(tracked.is_misfit for tracked in misfits)
     assert [tracked.is_lost for tracked in misfits] == [False, False, False, True]
     assert misfits[0].pose == still
+
+
+def test_a_new_place_does_not_mean_that_the_robot_was_moved() -> None:
+    tracker = ScanTracker()
+    tracker.set_surroundings([wall(-3.0, 3.0)])
+    step: Pose = (0.0, 0.0, 0.0)
+    tracker.track(step, step, wall(-3.0, 3.0))
+    new = joined([wall(2.0, 3.0), wall(5.0, 16.0)])
+
+    tracked = [tracker.track(step, step, new) for _ in range(4)]
+
+    assert [one.is_misfit for one in tracked] == [True, True, True, False]
+    assert tracked[-1].fit is None
+    assert not any(one.is_lost for one in tracked)
+
+
+def test_few_surfaces_do_not_show_that_wheels_have_slipped() -> None:
+    moved = []
+    for length in (1.2, 3.0):
+        corner = joined([wall(0.0, length), turned(wall(0.0, length))])
+        tracker = ScanTracker()
+        tracker.set_surroundings([corner])
+        tracker.track((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), corner)
+        moved.append(tracker.track((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), corner).pose[0])
+
+    assert moved[0] > 0.1
+    assert abs(moved[1]) < 0.05
 
 
 def test_the_uncertainty_of_steps_without_a_fit_adds_up() -> None:
