@@ -301,7 +301,7 @@ class LoopCloser:
     def _shows_enough(
         self, edge: Edge, middles: set[int], submaps: list[Submap], graph: PoseGraph
     ) -> bool:
-        """Return whether submaps that agree with a match show so much that it is no coincidence."""
+        """Return whether submaps that agree with a match show too much for a coincidence."""
         shown = self._surface(edge.second, middles, graph)
         islands = graph.islands()
         if shown >= _LEAST_SURFACE or islands[edge.first] == islands[edge.second]:

@@ -49,8 +49,8 @@ _LEAST_SURFACE, _SLIP_SURFACE = 8, 16
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # A scan that fits worse than this, or than this share of the usual fit, is not of this place. So
-# many in a row mean that the robot was moved if they contradict what was seen, else that the place
-# is new or hidden.
+# many in a row mean that the robot was moved, if one did not fit the scan before it either, or they
+# contradict what was seen. Else the place is new, or people hide it.
 _NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
 
 
@@ -85,6 +85,7 @@ class ScanTracker:
 
     def __init__(self) -> None:
         self._clouds: Sequence[PointCloud] = ()
+        self._before: PointCloud | None = None  # what the last scan showed, in the map
         self._reference: Reference | None = None
         self._search_map: CorrelationMap | None = None
         self._usual_fit = 0.0
@@ -113,6 +114,11 @@ class ScanTracker:
         If the scan fits where odometry puts it, odometry is right about what the scan does not
         show. Otherwise the wheels may have slipped, the place may be new, or the robot was moved.
         """
+        tracked = self._track(pose, step, cloud)
+        self._before = cloud.placed(tracked.pose)
+        return tracked
+
+    def _track(self, pose: Pose, step: Pose, cloud: PointCloud) -> Tracked:
         guess = compose(pose, step)
         noise = _covariance(step, _NOISE)
         reference = self._reference
@@ -145,9 +151,13 @@ class ScanTracker:
         self._misfits = self._misfits + 1 if is_misfit else 0
         if not is_misfit:
             self._contradictions = 0
-        elif contradicts(standing(self._clouds), cloud, guess):
+        elif (
+            self._contradictions
+            or not self._follows(cloud, guess, trusted)
+            or contradicts(standing(self._clouds), cloud, guess)
+        ):
             self._contradictions += 1
-        elif not self._contradictions and self._misfits >= _NO_FIT_IN_A_ROW:
+        elif self._misfits >= _NO_FIT_IN_A_ROW:
             # The place is new, or people stand around: only odometry shows the way.
             self._misfits = 0
             return self._at(guess, noise, None, None)
@@ -157,6 +167,13 @@ class ScanTracker:
         gain = _FIT_MEMORY if self._usual_fit else 1.0
         self._usual_fit += gain * (found.fit - self._usual_fit)
         return self._at(found.pose, noise, found.information, found.fit)
+
+    def _follows(self, cloud: PointCloud, guess: Pose, prior: Array) -> bool:
+        """Return whether a scan shows the same as the one before, where odometry puts it."""
+        before = self._before
+        if before is None or before.count < _LEAST_POINTS:
+            return True
+        return Reference(before).align(cloud, guess, prior, _REACH_M).fit >= _NO_FIT
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None

@@ -26,9 +26,7 @@ def started() -> tuple[ScanTracker, list[PointCloud]]:
 def wall(begin: float, end: float) -> PointCloud:
     """A wall 2 m before the robot, from `begin` to `end` [m] on its left."""
     y = np.arange(begin, end, 0.04)
-    return PointCloud(
-        np.column_stack((np.full(y.size, 2.0), y)), np.tile((-1.0, 0.0), (y.size, 1))
-    )
+    return PointCloud(np.column_stack((np.full(y.size, 2.0), y)), np.tile((-1.0, 0.0), (y.size, 1)))
 
 
 def turned(cloud: PointCloud) -> PointCloud:
@@ -54,15 +52,15 @@ def test_a_robot_that_was_moved_is_lost_after_four_scans() -> None:
 
 def test_a_new_place_does_not_mean_that_the_robot_was_moved() -> None:
     tracker = ScanTracker()
+    still = (0.0, 0.0, 0.0)
     tracker.set_surroundings([wall(-3.0, 3.0)])
-    step: Pose = (0.0, 0.0, 0.0)
-    tracker.track(step, step, wall(-3.0, 3.0))
-    new = joined([wall(2.0, 3.0), wall(5.0, 16.0)])
 
-    tracked = [tracker.track(step, step, new) for _ in range(4)]
+    # What the robot sees changes little by little, as where people stand around, or a wall ends.
+    tracked = [tracker.track(still, still, wall(-3.0 + 0.3 * k, 3.0 + 0.3 * k)) for k in range(20)]
 
-    assert [one.is_misfit for one in tracked] == [True, True, True, False]
-    assert tracked[-1].fit is None
+    misfits = [one.is_misfit for one in tracked]
+    assert any(misfits[k : k + 4] == [True, True, True, False] for k in range(16))
+    assert tracked[-1].fit is None or tracked[-1].is_misfit
     assert not any(one.is_lost for one in tracked)
 
 
@@ -77,6 +75,19 @@ def test_few_surfaces_do_not_show_that_wheels_have_slipped() -> None:
 
     assert moved[0] > 0.1
     assert abs(moved[1]) < 0.05
+
+
+def test_a_robot_that_sees_nothing_where_it_saw_something_before_was_moved() -> None:
+    tracker = ScanTracker()
+    still = (0.0, 0.0, 0.0)
+    ahead = wall(-1.0, 1.0)
+    behind = ahead.placed((0.0, 0.0, math.pi))
+    tracker.set_surroundings([ahead])
+    tracker.track(still, still, ahead)
+
+    tracked = [tracker.track(still, still, behind) for _ in range(4)]
+
+    assert [one.is_lost for one in tracked] == [False, False, False, True]
 
 
 def test_the_uncertainty_of_steps_without_a_fit_adds_up() -> None:
