@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.point_cloud import PointCloud, cloud_of
+from cairn.components.slam.point_cloud import PointCloud, cloud_of, joined
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import Rays
 
@@ -158,14 +158,15 @@ class Submap:
         return (self.first + self.last) // 2
 
 
-def clouds_in(
+def cloud_in(
     origin: Pose, members: list[int], keyframes: list[Keyframe], poses: Array
-) -> list[PointCloud]:
-    """Return the points of each of some keyframes, in the frame `origin`."""
-    return [
+) -> PointCloud:
+    """Return the points of some keyframes together, in the frame `origin`."""
+    placed = [
         keyframes[k].cloud.placed(relative(origin, (poses[k, 0], poses[k, 1], poses[k, 2])))
         for k in members
     ]
+    return joined(placed)
 
 
 class PlaceIndex:

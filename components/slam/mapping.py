@@ -18,7 +18,7 @@ from cairn.components.slam.keyframes import (
     Keyframe,
     PlaceIndex,
     Submap,
-    clouds_in,
+    cloud_in,
     scan_cloud,
     scan_rays,
     scan_surfaces,
@@ -30,7 +30,7 @@ from cairn.components.slam.odometry_calibration import (
     odometry_edge,
 )
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
-from cairn.components.slam.point_cloud import PointCloud, joined
+from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel
@@ -435,8 +435,8 @@ class Mapper:
     def _set_surroundings(self) -> None:
         count = len(self.keyframes)
         members = list(range(max(self._island, count - _SURROUNDINGS), count))
-        clouds = clouds_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
-        self.tracker.set_surroundings(clouds)
+        cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
+        self.tracker.set_surroundings(cloud.thinned(DENSE_M))
 
     def _edge_to(self, number: int, step: tuple[Pose, Tracked] | None) -> Edge:
         """Return the constraint from the keyframe before: by scans if both have one that fits."""
@@ -505,8 +505,7 @@ class Mapper:
             for k in range(max(0, other - _BESIDE), min(len(self.keyframes), other + _BESIDE + 1))
             if k != number and abs(self.keyframes[k].submap - submap) <= 1
         ]
-        clouds = clouds_in(base, members, self.keyframes, self.graph.poses)
-        cloud = joined(clouds).thinned(DENSE_M)
+        cloud = cloud_in(base, members, self.keyframes, self.graph.poses).thinned(DENSE_M)
         if not cloud.count:
             return None
         guess = relative(base, self.graph.pose(number))

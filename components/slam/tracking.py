@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.alignment import Reference
-from cairn.components.slam.contradiction import contradicts, standing, surface_cells
 from cairn.components.slam.correlation import CorrelationMap
-from cairn.components.slam.keyframes import DENSE_M
-from cairn.components.slam.point_cloud import PointCloud, joined
+from cairn.components.slam.point_cloud import PointCloud
 from cairn.planar.poses import Pose, apart, compose
 
 Array = NDArray[np.float64]
@@ -43,14 +40,14 @@ _FIT_MEMORY = 0.1  # share of the newest scan in the usual fit
 # Least score of a searched pose. How much better a scan must fit for the wheels to have slipped,
 # times the square root of the number of its points: few points fit by chance.
 _LEAST_SCORE, _BETTER = 0.3, 2.0
-# A scan shows where the robot is with so many cells of surfaces, 2 m of wall, and that wheels have
-# slipped with so many that fit: a person fills three to five, and fits anywhere.
-_LEAST_SURFACE, _SLIP_SURFACE = 8, 16
+# A scan shows where the robot is with so many cells of surfaces, of this size [m]: 2 m of wall; and
+# that wheels have slipped with so many that fit. A person fills three to five, and fits anywhere.
+_LEAST_SURFACE, _SLIP_SURFACE, _SURFACE_CELL = 8, 16, 0.25
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # A scan that fits worse than this, or than this share of the usual fit, is not of this place. So
-# many in a row mean that the robot was moved, if one did not fit the scan before it either, or they
-# contradict what was seen. Else the place is new, or people hide it.
+# many in a row mean that the robot was moved, if the first did not fit the scan before it either.
+# Else the place is new, or people hide it.
 _NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
 
 
@@ -65,8 +62,8 @@ class Tracked:
         fit: how well the scan fits, from 0 to 1; None if it shows too little, or nothing that was
             seen before.
         is_misfit: whether the scan fits nowhere near, and the pose is that of odometry.
-        is_lost: whether so many scans in a row contradict the place that the robot was moved by
-            hand.
+        is_lost: whether so many scans in a row did, since one that did not fit the scan before it
+            either, that the robot was moved by hand.
 
     """
 
@@ -84,12 +81,11 @@ class ScanTracker:
     """
 
     def __init__(self) -> None:
-        self._clouds: Sequence[PointCloud] = ()
-        self._before: PointCloud | None = None  # what the last scan showed, in the map
+        self._before: PointCloud | None = None  # what the last scan showed, where it was taken
         self._reference: Reference | None = None
         self._search_map: CorrelationMap | None = None
         self._usual_fit = 0.0
-        self._misfits = self._contradictions = 0  # scans in a row
+        self._misfits = self._since_jump = 0  # scans in a row
         self._covariance = np.zeros((3, 3))  # since the surroundings were set
 
     @property
@@ -100,12 +96,11 @@ class ScanTracker:
     def start(self) -> None:
         """Forget the keyframes: the robot is somewhere else."""
         self._reference = self._search_map = None
-        self._usual_fit, self._misfits, self._contradictions = 0.0, 0, 0
+        self._usual_fit, self._misfits, self._since_jump = 0.0, 0, 0
 
-    def set_surroundings(self, clouds: Sequence[PointCloud]) -> None:
-        """Set the points, in the map, of each of the last keyframes."""
-        self._clouds = clouds
-        self._reference, self._search_map = Reference(joined(clouds).thinned(DENSE_M)), None
+    def set_surroundings(self, cloud: PointCloud) -> None:
+        """Set the points, in the map, of the last keyframes."""
+        self._reference, self._search_map = Reference(cloud), None
         self._covariance = np.zeros((3, 3))
 
     def track(self, pose: Pose, step: Pose, cloud: PointCloud) -> Tracked:
@@ -115,20 +110,20 @@ class ScanTracker:
         show. Otherwise the wheels may have slipped, the place may be new, or the robot was moved.
         """
         tracked = self._track(pose, step, cloud)
-        self._before = cloud.placed(tracked.pose)
+        self._before = cloud
         return tracked
 
     def _track(self, pose: Pose, step: Pose, cloud: PointCloud) -> Tracked:
         guess = compose(pose, step)
         noise = _covariance(step, _NOISE)
         reference = self._reference
-        surfaces = surface_cells(cloud.points)
+        surfaces = _surface_cells(cloud.points)
         if (
             reference is None
             or min(cloud.count, reference.cloud.count) < _LEAST_POINTS
             or surfaces < _LEAST_SURFACE
         ):
-            self._misfits = self._contradictions = 0
+            self._misfits = self._since_jump = 0
             return self._at(guess, noise, None, None)
         trusted = _inverse(_TRUSTED**2 * noise + np.diag([0.0, 0.0, _STAMPED_LATE_RAD**2]))
         found = reference.align(cloud, guess, trusted, _REACH_M)
@@ -150,13 +145,9 @@ class ScanTracker:
         is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self._usual_fit)
         self._misfits = self._misfits + 1 if is_misfit else 0
         if not is_misfit:
-            self._contradictions = 0
-        elif (
-            self._contradictions
-            or not self._follows(cloud, guess, trusted)
-            or contradicts(standing(self._clouds), cloud, guess)
-        ):
-            self._contradictions += 1
+            self._since_jump = 0
+        elif self._since_jump or not self._follows(cloud, step, trusted):
+            self._since_jump += 1
         elif self._misfits >= _NO_FIT_IN_A_ROW:
             # The place is new, or people stand around: only odometry shows the way.
             self._misfits = 0
@@ -168,12 +159,12 @@ class ScanTracker:
         self._usual_fit += gain * (found.fit - self._usual_fit)
         return self._at(found.pose, noise, found.information, found.fit)
 
-    def _follows(self, cloud: PointCloud, guess: Pose, prior: Array) -> bool:
-        """Return whether a scan shows the same as the one before, where odometry puts it."""
+    def _follows(self, cloud: PointCloud, step: Pose, prior: Array) -> bool:
+        """Return whether a scan shows the same as the one before, `step` from there."""
         before = self._before
         if before is None or before.count < _LEAST_POINTS:
             return True
-        return Reference(before).align(cloud, guess, prior, _REACH_M).fit >= _NO_FIT
+        return Reference(before).align(cloud, step, prior, _REACH_M).fit >= _NO_FIT
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
@@ -184,9 +175,7 @@ class ScanTracker:
         if information is not None:
             known += information
             self._covariance = _inverse(known)
-        return Tracked(
-            pose, known, fit, self._misfits > 0, self._contradictions >= _NO_FIT_IN_A_ROW
-        )
+        return Tracked(pose, known, fit, self._misfits > 0, self._since_jump >= _NO_FIT_IN_A_ROW)
 
     def locate(self, pose: Pose, cloud: PointCloud, reach: float) -> Tracked:
         """Search for where a scan was taken: up to `reach` [m] around a pose, facing anywhere."""
@@ -217,6 +206,11 @@ def _covariance(step: Pose, noise: Noise) -> Array:
     sd_rad = radians + per_rad * turn + rad_per_m * forward
     covariance: Array = np.diag([sd_m**2, sd_m**2, sd_rad**2])
     return covariance
+
+
+def _surface_cells(points: Array) -> int:
+    """Return in how many cells points (n, 2) [m] show surfaces."""
+    return len(np.unique(np.floor(points / _SURFACE_CELL).astype(np.int64), axis=0))
 
 
 def _inverse(matrix: Array) -> Array:

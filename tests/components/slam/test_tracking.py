@@ -19,7 +19,7 @@ def started() -> tuple[ScanTracker, list[PointCloud]]:
     clouds = [scan_cloud(rays, 30.0) for rays in recording.rays]
     elsewhere = recording.legs.index(1)
     tracker = ScanTracker()
-    tracker.set_surroundings(clouds[:1])
+    tracker.set_surroundings(clouds[0])
     return tracker, [clouds[0], clouds[elsewhere]]
 
 
@@ -53,7 +53,7 @@ def test_a_robot_that_was_moved_is_lost_after_four_scans() -> None:
 def test_a_new_place_does_not_mean_that_the_robot_was_moved() -> None:
     tracker = ScanTracker()
     still = (0.0, 0.0, 0.0)
-    tracker.set_surroundings([wall(-3.0, 3.0)])
+    tracker.set_surroundings(wall(-3.0, 3.0))
 
     # What the robot sees changes little by little, as where people stand around, or a wall ends.
     tracked = [tracker.track(still, still, wall(-3.0 + 0.3 * k, 3.0 + 0.3 * k)) for k in range(20)]
@@ -69,7 +69,7 @@ def test_few_surfaces_do_not_show_that_wheels_have_slipped() -> None:
     for length in (1.2, 3.0):
         corner = joined([wall(0.0, length), turned(wall(0.0, length))])
         tracker = ScanTracker()
-        tracker.set_surroundings([corner])
+        tracker.set_surroundings(corner)
         tracker.track((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), corner)
         moved.append(tracker.track((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), corner).pose[0])
 
@@ -82,7 +82,7 @@ def test_a_robot_that_sees_nothing_where_it_saw_something_before_was_moved() -> 
     still = (0.0, 0.0, 0.0)
     ahead = wall(-1.0, 1.0)
     behind = ahead.placed((0.0, 0.0, math.pi))
-    tracker.set_surroundings([ahead])
+    tracker.set_surroundings(ahead)
     tracker.track(still, still, ahead)
 
     tracked = [tracker.track(still, still, behind) for _ in range(4)]
