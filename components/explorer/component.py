@@ -66,6 +66,9 @@ _SILENT_S, _MOST_RESENT = 20.0, 3
 _CANCELED_S = 5.0
 # An input may be missing for so long [s]: longer than a component takes to be restarted.
 _MISSING_S = 60.0
+# A robot that is not located for so long [s] gets a goal: AutoMove then looks around and drives on
+# until it is. After so long [s] without success, the exploration ends.
+_LOST_S, _LOOKED_AROUND_S = 5.0, 300.0
 # Goals that are known as the explorer's own [1]: those that were sent last.
 _OWN = 20
 _SAME_GOAL = 1e-6  # [m], [rad]
@@ -74,10 +77,13 @@ _STATE_BYTES = 1000
 
 @dataclass
 class _Goal:
-    """The goal under way: where it leads to, and what is known of its mission."""
+    """The goal under way: where it leads to, and what is known of its mission.
+
+    Without a frontier, it is there to find the robot in the map.
+    """
 
     pose: Pose
-    frontier: Frontier
+    frontier: Frontier | None
     heard_ns: int
     mission_id: int | None = None
     closed_ns: int | None = None
@@ -229,8 +235,9 @@ class Explorer(Component):
         elif status.state == NavigationStatus.SUCCEEDED:
             goal.arrived_ns = self.clock.now()
         else:
-            self.log.warning("frontier not reached: %s", status.reason)
-            self._choice.failed(goal.frontier)
+            if goal.frontier is not None:
+                self.log.warning("frontier not reached: %s", status.reason)
+                self._choice.failed(goal.frontier)
             self._goal = None
 
     @every(hz=2)
@@ -244,11 +251,15 @@ class Explorer(Component):
         here, missing = self._missing()
         if missing or here is None or self._grid is None:
             self._reason = missing
-            if now - self._complete_ns > _MISSING_S * SECOND:
-                self._end(
-                    ExplorationStatus.FAILED, f"{missing} for {_MISSING_S:.0f} s{self._remedy}"
-                )
+            longest = _LOOKED_AROUND_S if self._is_lost else _MISSING_S
+            if now - self._complete_ns > longest * SECOND:
+                remedy = "; drive by hand until it is located" if self._is_lost else ""
+                self._end(ExplorationStatus.FAILED, f"{missing} for {longest:.0f} s{remedy}")
                 return
+            if self._is_lost and self._goal is None and now - self._complete_ns > _LOST_S * SECOND:
+                self.log.info("%s: looking around", missing)
+                # Where the robot that has made the map began.
+                self._send((0.0, 0.0, 0.0), None, now)
         else:
             self._explore(self._grid, here, now)
         if self._is_exploring:
@@ -282,19 +293,27 @@ class Explorer(Component):
         chosen = self._choice.best(self._frontiers)
         if chosen is not None:
             self._frontier_ns = now
-            self._send(chosen, now)
+            self.log.info(
+                "exploring a frontier of %.1f m at (%.2f, %.2f); %d are reachable",
+                chosen.width_m, *chosen.pose[:2], len(self._frontiers),
+            )  # fmt: skip
+            # After a try that did not show what is beyond, from nearer.
+            pose = chosen.pose if self._choice.tries(chosen) else chosen.view
+            self._send(pose, chosen, now)
         elif now - self._frontier_ns >= _SETTLED_S * SECOND:
             self._finish()
 
     def _is_left(self, goal: _Goal, now: int) -> bool:
         """Whether the robot needs another goal: what the goal is for is known, or it has ended."""
-        x, y, _ = goal.frontier.pose
         if goal.arrived_ns is None and goal.closed_ns is not None:
             if now - goal.closed_ns > _CANCELED_S * SECOND:
                 self._end(ExplorationStatus.STOPPED, "its goal was canceled")
             return False
         reach = self._reach
-        if reach is None or not reach.has_frontier_near(x, y, SAME_M):
+        if goal.frontier is None or reach is None:
+            return True
+        x, y, _ = goal.frontier.pose
+        if not reach.has_frontier_near(x, y, SAME_M):
             return True
         if goal.arrived_ns is not None:
             if now - goal.arrived_ns < _SETTLED_S * SECOND:
@@ -313,18 +332,11 @@ class Explorer(Component):
             return False
         return True
 
-    def _send(self, chosen: Frontier, now: int) -> None:
-        # After a try that did not show what is beyond, from nearer.
-        pose = chosen.pose if self._choice.tries(chosen) else chosen.view
-        x, y, theta = pose
-        self.log.info(
-            "exploring a frontier of %.1f m at (%.2f, %.2f); %d are reachable",
-            chosen.width_m, x, y, len(self._frontiers),
-        )  # fmt: skip
-        self._goal = _Goal(pose, chosen, now)
+    def _send(self, pose: Pose, frontier: Frontier | None, now: int) -> None:
+        self._goal = _Goal(pose, frontier, now)
         self._own.append(pose)
         self._save()
-        goals = packed_poses(np.array([(x, y, theta)]))
+        goals = packed_poses(np.array([pose]))
         header = Header(stamp=from_ns(now), frame_id="map")
         self.exploration_goal.publish(NavigateGoal(header=header, goals=goals))
 
@@ -385,12 +397,10 @@ class Explorer(Component):
         return planar_pose(estimate.pose.pose), ""
 
     @property
-    def _remedy(self) -> str:
-        """What an operator can do about a missing pose; nothing else that is missing has one."""
+    def _is_lost(self) -> bool:
+        """Whether there is a map in which the robot has not been found, or not again."""
         estimate = self.localization.latest
-        if self._grid is None or estimate is None or estimate.located:
-            return ""
-        return "; drive by hand or send it to a goal (`cairn go`) until it is located"
+        return self._grid is not None and estimate is not None and not estimate.located
 
     def _needs(self) -> Clearance:
         config, grid = self.config, self._grid

@@ -32,6 +32,7 @@ from tests.zone_features import area
 
 HALF = room(unknown=[(5.0, 0.1, 8.9, 6.9)])
 KNOWN = room()
+LOST = LocalizationEstimate(located=False, reason="no place of the map is recognized yet")
 
 
 class ExplorerHarness(ComponentHarness[Explorer]):
@@ -255,17 +256,37 @@ def test_goal_that_nobody_accepts_is_sent_again_and_fails_in_the_end(
     assert "no answer to goals on /robot/exploration_goal" in status.reason
 
 
-def test_robot_that_is_not_located_fails_after_a_minute_with_what_an_operator_can_do(
+def test_robot_that_is_not_located_gets_a_goal_and_explores_once_it_is(
     explorer: ExplorerHarness,
 ) -> None:
     explorer.see(HALF)
-    lost = LocalizationEstimate(located=False, reason="no place of the map is recognized yet")
-    explorer.publish("localization", lost)
+    explorer.publish("localization", LOST)
     explorer.request("explore")
-    explorer.run_for(65.0)
+    explorer.run_for(6.0)
+    assert explorer.goal() == (0.0, 0.0, 0.0)  # AutoMove looks around first
+    explorer.accept((0.0, 0.0, 0.0))
+    explorer.report(NavigationStatus.FAILED, "not located")
+    explorer.run_for(1.0)
+    assert explorer.goal() == (0.0, 0.0, 0.0)
+    explorer.accept((0.0, 0.0, 0.0))
+
+    explorer.see(HALF)
+    explorer.run_for(1.0)
+
+    assert 4.0 < explorer.goal()[0] < 4.8
+    assert explorer.status.given_up == 0
+
+
+def test_robot_that_is_never_located_fails_with_what_an_operator_can_do(
+    explorer: ExplorerHarness,
+) -> None:
+    explorer.see(HALF)
+    explorer.publish("localization", LOST)
+    explorer.request("explore")
+    explorer.run_for(310.0)
     status = explorer.status
     assert status.state == ExplorationStatus.FAILED
-    assert_words(status.reason, "no place of the map is recognized yet for 60 s", "cairn go")
+    assert_words(status.reason, "no place of the map is recognized yet for 300 s", "drive by hand")
 
 
 def test_missing_map_fails_after_a_minute(explorer: ExplorerHarness) -> None:
