@@ -23,9 +23,16 @@ ROUND = [[2, 0.2, 0], [5, 0.4, 1.5], [5.6, 3.2, 2], [4.2, 4.6, 3], [2, 4.2, 3.1]
 OLD, NEW = (3.4, 2.4), (4.6, 1.6)  # middle of the table
 
 
-def world_file(folder: Path, name: str, event: dict[str, object] | None, table: object) -> Path:
+def world_file(
+    folder: Path,
+    name: str,
+    event: dict[str, object] | None = None,
+    table: object = None,
+    start: dict[str, float] | None = None,
+) -> Path:
     world = yaml.safe_load((FOLDER / "worlds" / "room.yaml").read_text("utf-8"))
     world["objects"] = []
+    world["robot"].update(start or {})
     for thing in world["furniture"]:
         if thing["name"] == "table" and isinstance(table, dict):
             thing.update(table)
@@ -59,9 +66,9 @@ def obstacles_near(grid: OccupancyCells, place: tuple[float, float]) -> int:
 
 def test_table_that_is_moved_while_the_robot_works_is_moved_in_its_graph(tmp_path: Path) -> None:
     there = {"x": 5.6, "y": 2.6, "theta": 1.2}
-    before = world_file(tmp_path, "before", None, None)
-    moving = world_file(tmp_path, "moving", {"at": 5.0, "move": "table", "to": there}, None)
-    after = world_file(tmp_path, "after", None, there)
+    before = world_file(tmp_path, "before")
+    moving = world_file(tmp_path, "moving", {"at": 5.0, "move": "table", "to": there})
+    after = world_file(tmp_path, "after", None, there, {"x": 6.5, "y": 4.2, "theta": 2.5})
     run(tmp_path / "map", "mapping", [], world=str(before), mission=ROUND)
     graph, grid = tmp_path / "map" / "map.graph", tmp_path / "map" / "map.yaml"
     assert obstacles_near(read_map(grid), OLD) > 5
@@ -79,8 +86,11 @@ def test_table_that_is_moved_while_the_robot_works_is_moved_in_its_graph(tmp_pat
     assert obstacles_near(drawn, OLD) == 0
     assert obstacles_near(drawn, NEW) > 5
 
-    # Mapping continues in the changed room from the changed graph.
-    run(tmp_path / "more", "mapping", [], world=str(after), mission=ROUND[:3], extend=str(changed))
+    # A robot that stands elsewhere in the changed room finds itself in the graph, and explores.
+    run(
+        tmp_path / "more", "mapping", [], world=str(after), explore="on_activation",
+        extend=str(changed),
+    )  # fmt: skip
     extended = read_graph(tmp_path / "more" / "map.graph")
     known = len(read_graph(changed).keyframes)
     assert len(extended.keyframes) > known
