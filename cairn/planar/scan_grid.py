@@ -36,7 +36,7 @@ NOT_SEEN, SEEN, SEEN_FREE = 0, 1, 2
 """What rays say of a cell: none came there, some did, or it is free for certain."""
 
 # The counts grow by blocks of so many cells, so that they are rarely copied. So many rows of the
-# map are computed at a time.
+# map are computed at a time: for a map of a hectare, all at once take 60 MB.
 _BLOCK = 128
 
 
@@ -109,8 +109,10 @@ class ScanGrid:
 
         Raises `ValueError` if nothing was.
         """
-        reached = self._ended + self._passed
-        rows, columns = np.flatnonzero(reached.any(axis=1)), np.flatnonzero(reached.any(axis=0))
+        rows, columns = (
+            np.flatnonzero(self._ended.any(axis=axis) | self._passed.any(axis=axis))
+            for axis in (1, 0)
+        )
         if not rows.size:
             raise ValueError("it has no scan with a pose")
         border = math.ceil(_BORDER_M / self._resolution)
@@ -127,12 +129,17 @@ class ScanGrid:
         It is that of a ray's end or passage, so it is 0 in a map in which each cell was always
         passed, or always hit, and grows where walls are blurred or double (Shannon).
         """
-        reached = self._ended + self._passed
-        is_known = reached > 0
-        share = self._ended[is_known] / reached[is_known]
-        between = share[(share > 0.0) & (share < 1.0)]
-        bits = -between * np.log2(between) - (1.0 - between) * np.log2(1.0 - between)
-        return float(bits.sum() / max(1, share.size))
+        bits, known = 0.0, 0
+        for first in range(0, len(self._ended), _BLOCK):
+            ended = self._ended[first : first + _BLOCK]
+            reached = ended + self._passed[first : first + _BLOCK]
+            is_known = reached > 0
+            share = ended[is_known] / reached[is_known]
+            known += share.size
+            between = share[(share > 0.0) & (share < 1.0)]
+            each = between * np.log2(between) + (1.0 - between) * np.log2(1.0 - between)
+            bits -= float(each.sum())
+        return bits / max(1, known)
 
     def conflicts(self) -> float:
         """Return the share of the cells with ends of rays that are free for most rays.
@@ -227,7 +234,6 @@ class ScanGrid:
         ended, passed = self._ended[window], self._passed[window]
         cells = np.full(ended.shape, UNKNOWN, np.int8)
         for first in range(0, len(cells), _BLOCK):
-            # Some rows at a time: for a map of a hectare, the shares alone would take 60 MB.
             rows = slice(first, first + _BLOCK)
             reached = ended[rows] + passed[rows]
             cells[rows][reached > 0] = FREE
@@ -288,12 +294,9 @@ class ScanGrid:
                 f"{MOST_CELLS} (one scan covers {meters[0]:g} x {meters[1]:g} m)"
             )
         column, row = (int(value) for value in first)
-        grown = [np.zeros((int(height), int(width)), np.int32) for _ in range(2)]
-        top, left = self._row - row, self._column - column
-        for new, old in zip(grown, (self._ended, self._passed), strict=True):
-            if rows:
-                new[top : top + rows, left : left + columns] = old
-        self._ended, self._passed = grown
+        shape, corner = (int(height), int(width)), (self._row - row, self._column - column)
+        self._ended = _grown(self._ended, shape, corner)
+        self._passed = _grown(self._passed, shape, corner)
         self._row, self._column = row, column
         if self._renewals.tiles:
             self._since = self._renewals.cells(row, column, self.shape, self._resolution)
@@ -311,6 +314,17 @@ def build_grid(
     for pose, scan in posed_scans:
         grid.add(pose, rays_of(scan, mount, (0.0, 0.0, 0.0)))
     return grid.grid()
+
+
+def _grown(
+    counts: NDArray[np.int32], shape: tuple[int, int], corner: tuple[int, int]
+) -> NDArray[np.int32]:
+    """Return counts in a larger grid, of which their first cell has this row and column."""
+    grown = np.zeros(shape, np.int32)
+    rows, columns = counts.shape
+    if rows:
+        grown[corner[0] : corner[0] + rows, corner[1] : corner[1] + columns] = counts
+    return grown
 
 
 def _edges(least: Array, most: Array) -> tuple[int, int, int, int]:
