@@ -330,7 +330,7 @@ def read_edges(connection: sqlite3.Connection, numbers: Sequence[int]) -> list[E
     for _, kind, first, second, measured, information in _rows(connection, "edges", "number"):
         x, y, theta = _numbers(measured, 3)
         matrix = _floats(information, np.float64, 3)
-        if matrix.shape != (3, 3) or not _is_information(matrix):
+        if matrix.shape != (3, 3) or not _is_information(matrix, EdgeKind(kind)):
             raise ValueError("the information of a constraint is wrong")
         if not {first, second} <= known:
             raise ValueError(f"a keyframe of the constraint {first}, {second} is missing")
@@ -519,12 +519,17 @@ def _floats(blob: object, kind: type, columns: int) -> NDArray[np.float64]:
     return values.astype(np.float64)
 
 
-def _is_information(matrix: Array) -> bool:
-    """Return whether a matrix (3, 3) is symmetric, and negative in no direction."""
+def _is_information(matrix: Array, kind: EdgeKind) -> bool:
+    """Return whether a matrix (3, 3) is symmetric, and negative in no direction.
+
+    A step says something in each direction; others may say nothing along a wall.
+    """
     size = float(np.abs(matrix).max())
     if np.abs(matrix - matrix.T).max() > _ROUNDED * size:
         return False
-    return bool(np.linalg.eigvalsh(matrix)[0] >= -_ROUNDED * size)
+    least = float(np.linalg.eigvalsh(matrix)[0])
+    is_step = kind in (EdgeKind.STEP, EdgeKind.ODOMETRY)
+    return least > 0.0 if is_step else least >= -_ROUNDED * size
 
 
 def _numbers(blob: object, count: int) -> list[float]:

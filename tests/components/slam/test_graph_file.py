@@ -199,6 +199,7 @@ def test_file_is_created_completely_or_not_at_all(
     ("damage", "fault"),
     [
         ("UPDATE edges SET information = :numbers WHERE number = 1", "information"),
+        ("UPDATE edges SET information = :nothing WHERE number = 1", "information"),
         ("INSERT INTO landmarks VALUES (1, 0, 0)", "deviations of sighting 0"),
     ],
 )
@@ -208,7 +209,8 @@ def test_uncertainties_that_are_not_possible_are_refused(
     path = tmp_path / "room.graph"
     write_graph(path, mapper, "a test")
     with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(damage, {"numbers": (-np.eye(3)).tobytes()})
+        numbers = {"numbers": (-np.eye(3)).tobytes(), "nothing": np.zeros((3, 3)).tobytes()}
+        connection.execute(damage, numbers)
         connection.execute("INSERT INTO sightings VALUES (0, 0, 1, ?)", (np.zeros(4).tobytes(),))
 
     with pytest.raises(CairnError, match=f"damaged graph: .*{fault}"):
