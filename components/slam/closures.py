@@ -58,8 +58,8 @@ _SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
 # side of a wall counted: more than one room or corner, which others may look like. Less is enough
 # if it is this share of all that the other island shows.
 _SURFACE_CELL, _LEAST_SURFACE, _MOST_OF_ISLAND = 0.5, 90, 0.7
-# A match of a submap with fewer such cells needs confirmation in narrow windows, too: a pillar with
-# a piece of a wall fits beside each pillar.
+# In a narrow window, so many cells are enough, alone or with others that agree: a pillar with a
+# piece of a wall fits beside each pillar.
 _LEAST_SURFACE_ALONE = 30
 # A match says where the robot is if the position deviates by at most this in any direction [m]:
 # along a wall without features it deviates more. Others are not counted as matches.
@@ -105,13 +105,21 @@ class ClosureCounts:
     unconfirmed: int = 0
 
 
+@dataclass(frozen=True)
+class _Match:
+    """A match that waits for others that agree; `is_sure`: it was found in a narrow window."""
+
+    edge: Edge
+    is_sure: bool
+
+
 class LoopCloser:
     """Compares each new submap with the earlier ones, a few per call."""
 
     def __init__(self) -> None:
         self.counts = ClosureCounts()
         self._tasks: list[Task] = []
-        self._waiting: list[Edge] = []
+        self._waiting: list[_Match] = []
         self._found: dict[int, int] = {}
         self._views: list[SubmapView] = []
         self._firsts: list[int] = []  # the first keyframe of each submap
@@ -158,7 +166,7 @@ class LoopCloser:
                 if edge is not None and task.is_sure and self._is_distinctive(edge, graph):
                     accepted.append(edge)
                 elif edge is not None:
-                    self._waiting = [*self._waiting, edge][-_REMEMBERED:]
+                    self._waiting = [*self._waiting, _Match(edge, task.is_sure)][-_REMEMBERED:]
             if not any(other.new == task.new for other in self._tasks):
                 accepted += self._confirmed(submaps, graph)
         for edge in accepted:
@@ -298,11 +306,12 @@ class LoopCloser:
         ]
         return joined(clouds).thinned(_SURFACE_CELL).count
 
-    def _shows_enough(
-        self, edge: Edge, middles: set[int], submaps: list[Submap], graph: PoseGraph
-    ) -> bool:
-        """Return whether submaps that agree with a match show too much for a coincidence."""
-        shown = self._surface(edge.second, middles, graph)
+    def _shows_enough(self, matches: list[_Match], submaps: list[Submap], graph: PoseGraph) -> bool:
+        """Return whether matches that agree show too much for a coincidence."""
+        edge = matches[0].edge
+        shown = self._surface(edge.second, {one.edge.second for one in matches}, graph)
+        if all(one.is_sure for one in matches):
+            return shown >= _LEAST_SURFACE_ALONE
         islands = graph.islands()
         if shown >= _LEAST_SURFACE or islands[edge.first] == islands[edge.second]:
             return shown >= _LEAST_SURFACE
@@ -311,31 +320,31 @@ class LoopCloser:
         return shown >= _MOST_OF_ISLAND * self._surface(edge.first, island, graph)
 
     def _confirmed(self, submaps: list[Submap], graph: PoseGraph) -> list[Edge]:
-        """Return the closures that others confirm, of those that were found in wide windows.
+        """Return the closures that others confirm, of those that need it.
 
         They put at least two submaps in the same place, and twice as many as any other place of
         these submaps.
         """
         islands = graph.islands()
-        support = [
-            {e.second for e in self._waiting if _agree(edge, e, islands, graph)}
-            for edge in self._waiting
+        agreeing = [
+            [other for other in self._waiting if _agree(one.edge, other.edge, islands, graph)]
+            for one in self._waiting
         ]
+        support = [{one.edge.second for one in matches} for matches in agreeing]
         for k in sorted(range(len(support)), key=lambda k: -len(support[k])):
-            edge, seen = self._waiting[k], support[k]
-            if len(seen) < _CONFIRMATIONS:
+            if len(support[k]) < _CONFIRMATIONS:
                 break
             rivals = [
                 len(support[i])
                 for i, other in enumerate(self._waiting)
-                if other.second in seen and not _agree(edge, other, islands, graph)
+                if other.edge.second in support[k]
+                and not _agree(self._waiting[k].edge, other.edge, islands, graph)
             ]
-            is_rivaled = 2 * max(rivals, default=0) > len(seen)
-            if is_rivaled or not self._shows_enough(edge, seen, submaps, graph):
+            is_rivaled = 2 * max(rivals, default=0) > len(support[k])
+            if is_rivaled or not self._shows_enough(agreeing[k], submaps, graph):
                 continue
-            accepted = [e for e in self._waiting if _agree(edge, e, islands, graph)]
-            self._waiting = [e for e in self._waiting if e.second not in seen]
-            return accepted
+            self._waiting = [one for one in self._waiting if one.edge.second not in support[k]]
+            return [one.edge for one in agreeing[k]]
         return []
 
 
