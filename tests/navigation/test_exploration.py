@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from benchmarks.explore import explore
-from cairn import SECOND
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.components.simulation.world_file import read_world
@@ -30,8 +28,6 @@ from tests.wording import assert_words
 
 MAPPING = DEPLOY / "mapping.yaml"
 ROOM = DEPLOY / "worlds" / "room.yaml"
-SAVED_S = 5.0
-"""A kill loses at most what was mapped in this time [s]."""
 
 
 @pytest.mark.slow
@@ -134,10 +130,9 @@ def test_exploration_survives_kills_of_slam_explorer_and_automove(
         line = 0
         for component in ("slam", "explorer", "automove"):
             robot.await_moved(1.0)
-            killed_ns = time.time_ns()
+            saved = len(read_graph(graph).keyframes)
             robot.kill(component)
-            lost_s = (killed_ns - read_graph(graph).keyframes[-1].stamp_ns) / SECOND
-            assert lost_s <= SAVED_S
+            assert len(read_graph(graph).keyframes) >= saved > 0
             line = run.await_line(f"restarting child {component}: killed by SIGKILL", after=line)
             line = run.await_line(f"child active: {component}", after=line)
         output, _ = exploring.communicate(timeout=4 * LIMIT_S)

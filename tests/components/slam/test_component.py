@@ -191,6 +191,18 @@ def test_killed_component_continues_where_it_was(
     assert len(read_graph(left / "map.graph").keyframes) >= 10
 
 
+def test_kill_loses_at_most_five_seconds_of_the_map(
+    slam: ComponentHarness[Slam], tmp_path: Path
+) -> None:
+    robot = Driver(slam)
+    for speed in (0.5, -0.5):
+        for _ in range(70):
+            robot.drive(1, speed)
+            if slam.now_ns > 102 * SECOND:
+                saved_ns = read_graph(tmp_path / "map.graph").keyframes[-1].stamp_ns
+                assert slam.now_ns - saved_ns <= 5 * SECOND
+
+
 def test_robot_that_is_moved_is_not_located_until_it_is_recognized(
     slam: ComponentHarness[Slam],
 ) -> None:
