@@ -46,9 +46,11 @@ _LEAST_SURFACE, _SLIP_SURFACE, _SURFACE_CELL = 8, 16, 0.25
 # Points of a search: one in this many meters, no farther than this [m].
 _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # A scan that fits worse than this, or than this share of the usual fit, is not of this place. So
-# many in a row mean that the robot was moved, if the first did not fit the scan before it either.
-# Else the place is new, or people hide it.
+# many in a row mean that the robot was moved, if the first did not fit the scan before it either,
+# or if the wheels moved it by no more than this meanwhile [m], [rad]. Else the place is new, or
+# people hide it.
 _NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
+_STANDS_M, _STANDS_RAD = 0.02, 0.02
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,8 @@ class Tracked:
         fit: how well the scan fits, from 0 to 1; None if it shows too little, or nothing that was
             seen before.
         is_misfit: whether the scan fits nowhere near, and the pose is that of odometry.
-        is_lost: whether so many scans in a row did, since one that did not fit the scan before it
-            either, that the robot was moved by hand.
+        is_lost: whether so many scans in a row did that the robot was moved by hand: one did not
+            fit the scan before it either, or the wheels stood still.
 
     """
 
@@ -86,6 +88,7 @@ class ScanTracker:
         self._search_map: CorrelationMap | None = None
         self._usual_fit = 0.0
         self._misfits = self._since_jump = 0  # scans in a row
+        self._driven: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan that fitted
         self._covariance = np.zeros((3, 3))  # since the surroundings were set
 
     @property
@@ -144,14 +147,17 @@ class ScanTracker:
                 found, noise = other, slip
         is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self._usual_fit)
         self._misfits = self._misfits + 1 if is_misfit else 0
+        self._driven = compose(self._driven, step) if self._misfits > 1 else step
         if not is_misfit:
             self._since_jump = 0
         elif self._since_jump or not self._follows(cloud, step, trusted):
             self._since_jump += 1
         elif self._misfits >= _NO_FIT_IN_A_ROW:
-            # The place is new, or people stand around: only odometry shows the way.
-            self._misfits = 0
-            return self._at(guess, noise, None, None)
+            if apart(self._driven, (0.0, 0.0, 0.0), _STANDS_M, _STANDS_RAD):
+                # The place is new, or people stand around: only odometry shows the way.
+                self._misfits = 0
+                return self._at(guess, noise, None, None)
+            self._since_jump = self._misfits
         if self._misfits:
             # Better a wrong step of odometry than one to where nothing fits.
             return self._at(guess, noise, None, found.fit)
