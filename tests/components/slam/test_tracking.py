@@ -6,7 +6,7 @@ import numpy as np
 
 from cairn.components.slam.keyframes import scan_cloud
 from cairn.components.slam.point_cloud import PointCloud, joined
-from cairn.components.slam.tracking import ScanTracker
+from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.poses import Pose, apart
 from tests.components.slam import courses
 from tests.components.slam.recordings import SCANNERS, Leg, record
@@ -50,18 +50,38 @@ def test_a_robot_that_was_moved_is_lost_after_four_scans() -> None:
     assert misfits[0].pose == still
 
 
-def test_a_new_place_does_not_mean_that_the_robot_was_moved() -> None:
+def seen_little_by_little(step: Pose) -> list[Tracked]:
+    """What the tracker says of scans that show, one after the other, more of a wall that is new."""
     tracker = ScanTracker()
-    still = (0.0, 0.0, 0.0)
     tracker.set_surroundings(wall(-3.0, 3.0))
+    pose: Pose = (0.0, 0.0, 0.0)
+    found = []
+    for k in range(20):
+        found.append(tracker.track(pose, step, wall(-3.0 + 0.3 * k, 3.0 + 0.3 * k)))
+        pose = found[-1].pose
+    return found
 
-    # What the robot sees changes little by little, as where people stand around, or a wall ends.
-    tracked = [tracker.track(still, still, wall(-3.0 + 0.3 * k, 3.0 + 0.3 * k)) for k in range(20)]
+
+def test_a_new_place_does_not_mean_that_the_robot_was_moved() -> None:
+    tracked = seen_little_by_little((0.0, 0.05, 0.0))
 
     misfits = [one.is_misfit for one in tracked]
     assert any(misfits[k : k + 4] == [True, True, True, False] for k in range(16))
     assert tracked[-1].fit is None or tracked[-1].is_misfit
     assert not any(one.is_lost for one in tracked)
+
+
+def test_a_robot_that_comes_to_a_new_place_while_its_wheels_stand_was_moved() -> None:
+    tracked = seen_little_by_little((0.0, 0.0, 0.0))
+
+    lost = [one.is_lost for one in tracked].index(True)
+    assert [one.is_misfit for one in tracked[lost - 4 : lost + 1]] == [
+        False,
+        True,
+        True,
+        True,
+        True,
+    ]
 
 
 def test_few_surfaces_do_not_show_that_wheels_have_slipped() -> None:
