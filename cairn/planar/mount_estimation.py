@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 # robot, up to 0.5 m off its center, moves it by less than 3 cm.
 _SHORTEST_M, _LONGEST_M, _STRAIGHT_RAD = 0.3, 1.0, 0.06
 _FEWEST_PAIRS, _MOST_PAIRS = 8, 40
+# Turns on the spot between two scans: at most so much motion [m], and turns of at least, at most so
+# much [rad].
+_ON_THE_SPOT_M, _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.2, 0.15, 0.8
 _MOST_POINTS = 120  # of a scan that are compared with the surfaces of the other one
 # Ends of beams beyond this are too far apart to be surfaces; points are compared up to a shorter
 # range, so that they are on surfaces also after the way.
@@ -97,6 +100,48 @@ def estimate_mount_yaw(scans: Sequence[LaserScan], poses: Array) -> MountYaw | N
     return MountYaw(wrap(yaw), max(deviation, _LEAST_DEVIATION))
 
 
+def seems_upside_down(scans: Sequence[LaserScan], poses: Array) -> bool:
+    """Return whether the surroundings turn with the robot instead of against it.
+
+    So a scanner sees them that is upside down, or whose beams are in the opposite order.
+
+    Args:
+        scans: scans in temporal order, as of a scanner that is not upside down.
+        poses: the pose in the odometry frame (n, 3) [m, m, rad] at each scan.
+
+    """
+    better = []
+    for first, second in _turning_pairs(poses):
+        x, y, turn = relative(_pose(poses, first), _pose(poses, second))
+        overlaps = [_Overlap.of(scans[first], scans[second], (x, y, one)) for one in (turn, -turn)]
+        costs = [one.costs(np.zeros(1), _VEERED)[0] for one in overlaps if one is not None]
+        if len(costs) == 2:
+            better.append(costs[0] - costs[1])
+    if len(better) < _FEWEST_PAIRS:
+        return False
+    error = float(np.std(better, ddof=1)) / math.sqrt(len(better))
+    return float(np.mean(better)) > _SURE * error
+
+
+def _turning_pairs(poses: Array) -> list[tuple[int, int]]:
+    """Return pairs of indices between which the robot turned on the spot, evenly chosen."""
+    pairs: list[tuple[int, int]] = []
+    first = 0
+    for second in range(1, len(poses)):
+        x, y, turn = relative(_pose(poses, first), _pose(poses, second))
+        if math.hypot(x, y) > _ON_THE_SPOT_M or abs(turn) > _MOST_TURN_RAD:
+            first = second
+        elif abs(turn) >= _LEAST_TURN_RAD:
+            pairs.append((first, second))
+            first = second
+    return _some(pairs)
+
+
+def _some(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).round().astype(int)
+    return [pairs[k] for k in sorted(set(chosen.tolist()))]
+
+
 def _straight_pairs(poses: Array) -> list[tuple[int, int]]:
     """Return pairs of indices between which the robot drove straight, evenly chosen."""
     pairs: list[tuple[int, int]] = []
@@ -112,8 +157,7 @@ def _straight_pairs(poses: Array) -> list[tuple[int, int]]:
             if moved > 0.95 * np.hypot(steps[:, 0], steps[:, 1]).sum():
                 pairs.append((first, second))
             first = second
-    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_PAIRS)).round().astype(int)
-    return [pairs[k] for k in sorted(set(chosen.tolist()))]
+    return _some(pairs)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from cairn.components.slam.quality import MapQuality, quality_of
 from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import MEASURED, MotionModel
-from cairn.planar.mount_estimation import estimate_mount_yaw
+from cairn.planar.mount_estimation import estimate_mount_yaw, seems_upside_down
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, between, compose, relative, wrap
 from cairn.planar.scans import rays_of
@@ -246,7 +246,14 @@ def _mount_hint(
     yaw = None
     if odometry is not None:
         at = _interpolated(odometry)
-        yaw = estimate_mount_yaw(scans.messages, np.array([at(stamp) for stamp in scans.stamps]))
+        poses = np.array([at(stamp) for stamp in scans.stamps])
+        if seems_upside_down(scans.messages, poses):
+            return (
+                f"{name}: what the scanner sees turns with the robot: it is upside down, or its "
+                "beams are in the opposite order. A bag says so by /tf_static or "
+                "/robot_description; else reverse the ranges of the recording"
+            )
+        yaw = estimate_mount_yaw(scans.messages, poses)
     question = f"is the mount of the scanner, ({mount[0]:g}, {mount[1]:g}, {mount[2]:g}), right?"
     if yaw is not None and abs(wrap(yaw.yaw - mount[2])) > max(_OFF_RAD, 3.0 * yaw.deviation):
         return (

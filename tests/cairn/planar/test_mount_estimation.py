@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cairn.components.simulation.ray_casting import cast
-from cairn.planar.mount_estimation import estimate_mount_yaw
+from cairn.planar.mount_estimation import estimate_mount_yaw, seems_upside_down
 from cairn.planar.poses import Pose, compose
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.components.replay.wild_logs import Drive, office_drive
@@ -78,6 +78,19 @@ def test_robot_that_stands_or_turns_does_not_determine_the_yaw() -> None:
 
     assert estimate_mount_yaw(*along(standing, room)) is None
     assert estimate_mount_yaw(*along(arc, room)) is None
+
+
+@pytest.mark.parametrize("yaw", [0.0, -2.0])
+def test_scanner_upside_down_is_noticed_where_the_robot_turns(yaw: float) -> None:
+    room = np.array([[-4.0, -3.0, 4.0, -3.0], [4.0, -3.0, 4.0, 3.0], [-4.0, 3.0, 4.0, 3.0],
+                     [-4.0, -3.0, -4.0, 3.0], [-4.0, 1.0, -2.0, 1.0]])  # fmt: skip
+    turning: list[Pose] = [(0.5, 0.3, 0.1 * k) for k in range(100)]
+    scans, poses = along([compose(pose, (0.0, 0.0, yaw)) for pose in turning], room)
+    mirrored = [scan_of(scan.ranges[::-1].astype(np.float64)) for scan in scans]
+
+    assert not seems_upside_down(scans, poses)
+    assert seems_upside_down(mirrored, poses)
+    assert not seems_upside_down(mirrored[:10], poses[:10])
 
 
 def test_too_few_scans_do_not_determine_the_yaw() -> None:
