@@ -280,6 +280,24 @@ class Robot:
         full = self._resolve(self.connection.nodes(), component)
         return self.connection.request(full, verb, arguments, timeout_s=timeout_s)
 
+    def request_plugin(
+        self,
+        plugin: str,
+        verb: str,
+        arguments: Mapping[str, Any] | None = None,
+        *,
+        missing: str,
+        timeout_s: float = _REPLY_LIMIT_S,
+    ) -> Any:
+        """Send a control request to the running component of a plugin and return its reply.
+
+        Raises `CairnError` with `missing`, what to do, if there is none; else as `request`.
+        """
+        name = self.component_of(plugin)
+        if name is None:
+            raise CairnError(f"no {plugin} is running: {missing}")
+        return self.request(name, verb, arguments, timeout_s=timeout_s)
+
     def parameters(self, component: str) -> dict[str, Parameter]:
         """Return the parameters of a running component, by dotted name."""
         entries = self.request(component, "parameters")

@@ -462,8 +462,12 @@ class Operations:
         return await self._call(
             browser,
             of.robot,
-            lambda robot: _of_plugin(
-                robot, _WORLD, of.verb, of.arguments, "this robot is not simulated"
+            lambda robot: robot.request_plugin(
+                _WORLD,
+                of.verb,
+                of.arguments,
+                missing="this robot is not simulated",
+                timeout_s=_REPLY_LIMIT_S,
             ),
         )
 
@@ -472,12 +476,24 @@ class Operations:
         return await self._call(
             browser,
             of.robot,
-            lambda robot: _of_plugin(robot, _MAP_BUILDER, "why", arguments, _LOAD_MAP_BUILDER),
+            lambda robot: robot.request_plugin(
+                _MAP_BUILDER,
+                "why",
+                arguments,
+                missing=_LOAD_MAP_BUILDER,
+                timeout_s=_REPLY_LIMIT_S,
+            ),
         )
 
     async def _zones(self, browser: Browser, of: ZonesRequest) -> Any:
         def ask(robot: Robot) -> Any:
-            return _of_plugin(robot, _MAP_BUILDER, of.verb, of.arguments, _LOAD_MAP_BUILDER)
+            return robot.request_plugin(
+                _MAP_BUILDER,
+                of.verb,
+                of.arguments,
+                missing=_LOAD_MAP_BUILDER,
+                timeout_s=_REPLY_LIMIT_S,
+            )
 
         if of.verb == "zones":
             return await self._call(browser, of.robot, ask)
@@ -489,8 +505,12 @@ class Operations:
         return await self._steer(
             browser,
             of.robot,
-            lambda robot: _of_plugin(
-                robot, _OBJECT_FINDER, of.verb, of.arguments, "this robot finds no objects"
+            lambda robot: robot.request_plugin(
+                _OBJECT_FINDER,
+                of.verb,
+                of.arguments,
+                missing="this robot finds no objects",
+                timeout_s=_REPLY_LIMIT_S,
             ),
         )
 
@@ -604,16 +624,6 @@ def _gate_limits(client: Robot, robot: str) -> dict[str, float]:
         for name in ("speed", "reverse_speed", "turn_speed")
         if name in parameters
     }
-
-
-def _of_plugin(
-    client: Robot, plugin: str, verb: str, arguments: Mapping[str, Any], missing: str
-) -> Any:
-    """Return the answer of the component of a plugin; `missing` says why there may be none."""
-    name = client.component_of(plugin)
-    if name is None:
-        raise CairnError(f"no {plugin} is running: {missing}")
-    return client.request(name, verb, arguments, timeout_s=_REPLY_LIMIT_S)
 
 
 def _pose_message(at: LocateRequest) -> PoseWithCovarianceStamped:

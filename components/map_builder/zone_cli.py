@@ -163,13 +163,13 @@ def _request(
     verb: str, arguments: Mapping[str, Any], connect: str, domain: int, robot: str
 ) -> dict[str, Any]:
     with connect_to(connect, domain, robot, notify=note) as client:
-        name = client.component_of(_MAP_BUILDER)
-        if name is None:
-            raise CairnError(
-                "no map_builder is running, which keeps the zones: `cairn load map_builder` "
-                "starts it, or the first goal"
-            )
-        answer: dict[str, Any] = client.request(name, verb, arguments, timeout_s=_LIMIT_S)
+        answer: dict[str, Any] = client.request_plugin(
+            _MAP_BUILDER,
+            verb,
+            arguments,
+            missing="it keeps the zones; `cairn load map_builder` starts it, or the first goal",
+            timeout_s=_LIMIT_S,
+        )
     return answer
 
 

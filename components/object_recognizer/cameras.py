@@ -61,6 +61,35 @@ def make_cameras(left: CameraInfo, right: CameraInfo | None) -> Cameras:
         return Cameras(rectifier, None, _single(left), str(error))
 
 
+class CameraCalibration:
+    """The newest CameraInfo of each camera, and what follows from them."""
+
+    def __init__(self) -> None:
+        self._infos: dict[str, CameraInfo | None] = {"left": None, "right": None}
+        self._cameras: Cameras | None = None
+
+    def store(self, side: str, info: CameraInfo) -> None:
+        """Store the CameraInfo of the `left` or `right` camera."""
+        if not is_same_calibration(info, self._infos[side]):
+            self._infos[side] = info
+            self._cameras = None
+
+    def cameras(self, topic: str, *, stereo: bool) -> Cameras:
+        """Return the calibrated cameras: the left one alone, unless `stereo`.
+
+        Raises `CairnError` if no CameraInfo has arrived on `topic`, that of the left camera, or as
+        `make_cameras`.
+        """
+        if self._cameras is None:
+            left, right = self._infos["left"], self._infos["right"]
+            if left is None:
+                raise CairnError(
+                    f"no CameraInfo has arrived on {topic}; have the camera's driver publish it"
+                )
+            self._cameras = make_cameras(left, right if stereo else None)
+        return self._cameras
+
+
 def is_same_calibration(one: CameraInfo | None, other: CameraInfo | None) -> bool:
     """Return whether two CameraInfos are equal except for their stamps."""
     if one is None or other is None:

@@ -22,14 +22,13 @@ from cairn import (
     to_ns,
 )
 from cairn.components.object_recognizer.cameras import (
+    CameraCalibration,
     Cameras,
     FrozenImageDetector,
     StereoImages,
     StereoSynchronizer,
     cameras_are_swapped,
     gray_image,
-    is_same_calibration,
-    make_cameras,
     shows_little,
     why_blind,
     why_no_pair,
@@ -79,8 +78,7 @@ class ObjectRecognizer(Component):
         self._library = ModelLibrary(self.config.map_file)
         self._log_models()
         self._warnings = RateLimitedLog(self.log)
-        self._infos: dict[str, CameraInfo | None] = {"left": None, "right": None}
-        self._cameras: Cameras | None = None
+        self._calibration = CameraCalibration()
 
     def on_activate(self) -> None:
         """Wait for images."""
@@ -99,12 +97,12 @@ class ObjectRecognizer(Component):
     @on("left_info")
     def on_left_info(self, info: CameraInfo) -> None:
         """Store the left camera's calibration."""
-        self._store_info("left", info)
+        self._calibration.store("left", info)
 
     @on("right_info")
     def on_right_info(self, info: CameraInfo) -> None:
         """Store the right camera's calibration."""
-        self._store_info("right", info)
+        self._calibration.store("right", info)
 
     @on("left_image")
     def on_left_image(self, image: Image) -> None:
@@ -160,11 +158,6 @@ class ObjectRecognizer(Component):
                 "teach NAME IMAGE --map %s`",
                 *[self.config.map_file] * 2,
             )
-
-    def _store_info(self, side: str, info: CameraInfo) -> None:
-        if not is_same_calibration(info, self._infos[side]):
-            self._infos[side] = info
-            self._cameras = None
 
     def _is_new(self, side: str, image: Image, topic: str) -> bool:
         frozen_ns = self._frozen[side].frozen_for_ns(image, self.clock.now())
@@ -261,21 +254,12 @@ class ObjectRecognizer(Component):
 
     def _calibrated_cameras(self) -> Cameras:
         """Return the calibrated cameras; raise `CairnError` if the left one is not calibrated."""
-        if self._cameras is None:
-            left, right = self._infos["left"], self._infos["right"]
-            if left is None:
-                raise CairnError(
-                    f"no CameraInfo has arrived on {self.left_info.topic}; have the camera's "
-                    "driver publish it"
-                )
-            self._cameras = make_cameras(left, right if self.config.stereo else None)
-        if self._cameras.pair_error:
-            self._warnings.warn(
-                "pair", f"objects are ranged by size only: {self._cameras.pair_error}"
-            )
+        cameras = self._calibration.cameras(self.left_info.topic, stereo=self.config.stereo)
+        if cameras.pair_error:
+            self._warnings.warn("pair", f"objects are ranged by size only: {cameras.pair_error}")
         else:
             self._warnings.resolved("pair", "left and right cameras are a pair again")
-        return self._cameras
+        return cameras
 
     def _rectified_right(self, cameras: Cameras, images: StereoImages) -> Gray | None:
         if images.right is None or cameras.right is None:

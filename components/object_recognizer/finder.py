@@ -31,12 +31,11 @@ from cairn import (
     to_ns,
 )
 from cairn.components.object_recognizer.cameras import (
+    CameraCalibration,
     Cameras,
     StereoImages,
     StereoSynchronizer,
     gray_image,
-    is_same_calibration,
-    make_cameras,
     shows_little,
     why_blind,
 )
@@ -114,8 +113,7 @@ class ObjectFinder(Component):
         self._recognizer: Recognizer | None = None
         self._warnings = RateLimitedLog(self.log)
         self._saved = RetriedSave(self, "proposals")
-        self._infos: dict[str, CameraInfo | None] = {"left": None, "right": None}
-        self._cameras: Cameras | None = None
+        self._calibration = CameraCalibration()
         self._synchronizer = StereoSynchronizer(stereo=True)
         self._estimates: deque[LocalizationEstimate] = deque(maxlen=_MOST_ESTIMATES)
         self._images: StereoImages | None = None
@@ -166,12 +164,12 @@ class ObjectFinder(Component):
     @on("left_info")
     def on_left_info(self, info: CameraInfo) -> None:
         """Store the left camera's calibration."""
-        self._store_info("left", info)
+        self._calibration.store("left", info)
 
     @on("right_info")
     def on_right_info(self, info: CameraInfo) -> None:
         """Store the right camera's calibration."""
-        self._store_info("right", info)
+        self._calibration.store("right", info)
 
     @on("left_image")
     def on_left_image(self, image: Image) -> None:
@@ -218,11 +216,6 @@ class ObjectFinder(Component):
         self._save()
 
     # --- Images ---------------------------------------------------------------------------------
-
-    def _store_info(self, side: str, info: CameraInfo) -> None:
-        if not is_same_calibration(info, self._infos[side]):
-            self._infos[side] = info
-            self._cameras = None
 
     def _keep(self, images: StereoImages | None) -> None:
         if images is None:
@@ -331,17 +324,11 @@ class ObjectFinder(Component):
         return self._recognizer
 
     def _calibrated_cameras(self) -> Cameras:
-        if self._cameras is None:
-            left, right = self._infos["left"], self._infos["right"]
-            if left is None or right is None:
-                topic = (self.left_info if left is None else self.right_info).topic
-                raise CairnError(
-                    f"no CameraInfo has arrived on {topic}; have the camera's driver publish it"
-                )
-            self._cameras = make_cameras(left, right)
-        if self._cameras.right is None:
-            raise CairnError(f"two cameras are needed: {self._cameras.pair_error}")
-        return self._cameras
+        cameras = self._calibration.cameras(self.left_info.topic, stereo=True)
+        if cameras.right is None:
+            why = cameras.pair_error or f"no CameraInfo has arrived on {self.right_info.topic}"
+            raise CairnError(f"two cameras are needed: {why}")
+        return cameras
 
     # --- Proposals ------------------------------------------------------------------------------
 

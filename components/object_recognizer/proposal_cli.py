@@ -144,11 +144,11 @@ def _request(
     verb: str, arguments: Mapping[str, Any], connect: str, domain: int, robot: str
 ) -> dict[str, Any]:
     with connect_to(connect, domain, robot, notify=note) as client:
-        name = client.component_of(_FINDER)
-        if name is None:
-            raise CairnError(
-                "no object_finder is running, which proposes things: start the robot with "
-                "`--overlay find_objects`"
-            )
-        answer: dict[str, Any] = client.request(name, verb, arguments, timeout_s=_LIMIT_S)
+        answer: dict[str, Any] = client.request_plugin(
+            _FINDER,
+            verb,
+            arguments,
+            missing="it proposes things; start the robot with `--overlay find_objects`",
+            timeout_s=_LIMIT_S,
+        )
     return answer

@@ -212,10 +212,9 @@ def kidnap(
 
 def _request(verb: str, arguments: dict[str, Any], connect: str, domain: int, robot: str) -> Any:
     with connect_to(connect, domain, robot) as client:
-        world = client.component_of(_PLUGIN)
-        if world is None:
-            raise CairnError("no simulated world is running; start one with `cairn up sim`")
-        return client.request(world, verb, arguments, timeout_s=_TIMEOUT_S)
+        return client.request_plugin(
+            _PLUGIN, verb, arguments, missing="start one with `cairn up sim`", timeout_s=_TIMEOUT_S
+        )
 
 
 def _pose_arguments(x: str, y: str, theta: str) -> dict[str, float]:

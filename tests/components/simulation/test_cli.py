@@ -175,7 +175,7 @@ def test_missing_running_world_is_reported_with_the_command_that_starts_one(
     answer = cairn("world", "list", "--robot", "absent", connect=simulation.endpoint)
 
     assert answer.code == 1
-    assert "no simulated world is running" in answer.err
+    assert "no simulated_world is running: start one" in answer.err
 
 
 def test_killed_world_continues_from_its_saved_state(simulation: Run, world: World) -> None:
