@@ -176,8 +176,8 @@ class GraphHistory:
     def state(self, version: int | None = None) -> GraphState:
         """Return the map at a version that the file keeps; None: the newest.
 
-        It is the largest island: others have no position in the map. Raises `CairnError` if the
-        file is damaged.
+        Islands that nothing joins to it have no position there, and are left out. Raises
+        `CairnError` if the file is damaged.
         """
         with self._reading():
             return _map_in(self._connection, read_state(self._connection, version))

@@ -344,6 +344,23 @@ def test_killed_component_extends_the_map_if_nothing_was_saved_yet(tmp_path: Pat
     assert slam.request("status")["keyframes"] == len(mapper.keyframes) + 1
 
 
+def test_map_that_was_to_be_extended_is_saved_with_a_warning_if_nothing_joins_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mapper = Mapper(10.0)
+    drive(mapper, 0, 30)
+    write_graph(tmp_path / "old.graph", mapper, "a test")
+    files = {"map_file": str(tmp_path / "map.yaml"), "extend": str(tmp_path / "old.graph")}
+    slam = ComponentHarness(Slam, files)
+    Driver(slam).stand()
+
+    slam.request("save")
+
+    assert "no place of the map that is extended was recognized" in caplog.text
+    saved = read_graph(tmp_path / "map.graph")
+    assert int(saved.in_map().sum()) == len(mapper.keyframes) == len(saved.keyframes) - 1
+
+
 def test_map_of_a_covered_scanner_is_not_written(
     slam: ComponentHarness[Slam], tmp_path: Path
 ) -> None:
