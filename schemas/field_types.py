@@ -3,7 +3,7 @@
 They are annotations (`x: Float64`); `Scalar`, `Text` and `Array` make new ones with limits.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from math import isfinite
@@ -15,11 +15,12 @@ from pydantic_core import CoreSchema, core_schema
 
 Check = Callable[[npt.NDArray[Any]], None]
 
-_INTEGERS = {
+INTEGER_LIMITS = {
     f"{sign}int{bits}": (0 if sign else -(2 ** (bits - 1)), 2 ** (bits if sign else bits - 1) - 1)
     for sign in ("", "u")
     for bits in (8, 16, 32, 64)
 } | {"byte": (0, 255), "char": (0, 255)}
+"""The least and the greatest value of each integer type of ROS 2."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Scalar:
     def _strict(self) -> CoreSchema:
         if self.ros_type == "bool":
             return core_schema.bool_schema(strict=True)
-        if self.ros_type in _INTEGERS:
+        if self.ros_type in INTEGER_LIMITS:
             low, high = self._integers()
             return core_schema.int_schema(strict=True, ge=low, le=high)
         above, at_least, at_most = self.above, self.at_least, self.at_most
@@ -67,7 +68,7 @@ class Scalar:
         )
 
     def _integers(self) -> tuple[int, int]:
-        low, high = _INTEGERS[self.ros_type]
+        low, high = INTEGER_LIMITS[self.ros_type]
         if self.at_least is not None:
             low = max(low, int(self.at_least))
         if self.at_most is not None:
@@ -80,7 +81,7 @@ class Scalar:
     def _requirement(self) -> str:
         if self.ros_type == "bool":
             return "True or False"
-        if self.ros_type in _INTEGERS:
+        if self.ros_type in INTEGER_LIMITS:
             return "an integer from {} to {}".format(*self._integers())
         limits = [
             f"{word} {limit:g}"
@@ -95,9 +96,13 @@ class Scalar:
 
 @dataclass(frozen=True)
 class Text:
-    """Marks a field as a ROS 2 string: UTF-8 without NUL; with `one_of`, one of these texts."""
+    """Marks a field as a ROS 2 string: UTF-8 without NUL; with `one_of`, one of these texts.
+
+    With `most`, it is a bounded string of at most so many bytes.
+    """
 
     one_of: tuple[str, ...] = ()
+    most: int | None = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         """Return how pydantic validates such a field."""
@@ -105,36 +110,75 @@ class Text:
             inner: CoreSchema = core_schema.literal_schema(list(self.one_of))
         else:
             inner = core_schema.str_schema(strict=True, pattern="^[^\x00]*$")
+        if self.most is not None:
+            inner = core_schema.no_info_after_validator_function(self._within_bound, inner)
         return core_schema.custom_error_schema(
             inner, custom_error_type="text", custom_error_message=f"must be {self.requirement}"
         )
+
+    def _within_bound(self, text: str) -> str:
+        if self.most is not None and len(text.encode()) > self.most:
+            raise ValueError(f"must be {self.requirement}")
+        return text
 
     @property
     def requirement(self) -> str:
         """What a text must be, for errors."""
         if self.one_of:
             return f"one of {', '.join(map(repr, self.one_of))}"
-        return "a string without NUL that UTF-8 can encode"
+        length = "" if self.most is None else f" of at most {self.most} bytes"
+        return f"a string{length} without NUL that UTF-8 can encode"
 
 
 @dataclass(frozen=True)
 class Array:
     """Marks a field as a ROS 2 sequence of numbers, or with `length` as an array of that length.
 
-    `check` is called with the array and raises `ValueError` with the rule that it breaks.
+    `check` is called with the array and raises `ValueError` with the rule that it breaks. With
+    `most`, it is a bounded sequence of at most so many numbers.
     """
 
     ros_type: str
     length: int | None = None
     check: Callable[[npt.NDArray[Any]], None] | None = None
+    most: int | None = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
         """Return how pydantic validates such a field."""
         dtype = np.dtype("uint8" if self.ros_type in ("byte", "char") else self.ros_type)
         check = _truth_values if self.ros_type == "bool" else self.check
         return core_schema.no_info_plain_validator_function(
-            array_validator(dtype, self.length, check)
+            array_validator(dtype, self.length, check, self.most)
         )
+
+
+@dataclass(frozen=True)
+class Several:
+    """Marks a tuple of messages or texts as an array of `length`, or a sequence of at most `most`.
+
+    A tuple without this mark is a sequence of any length.
+    """
+
+    length: int | None = None
+    most: int | None = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+        """Return how pydantic validates such a field."""
+        return core_schema.no_info_after_validator_function(self.checked, handler(source))
+
+    def checked(self, items: Sequence[Any]) -> Sequence[Any]:
+        """Return the items; raise `ValueError` if there are too many, or not as many as needed."""
+        _check_count(len(items), self.length, self.most)
+        return items
+
+
+def several_of(annotation: object) -> Several | None:
+    """Return the mark `Several` of an annotation, None if it has none."""
+    if get_origin(annotation) is Annotated:
+        for mark in annotation.__metadata__:  # type: ignore[attr-defined]
+            if isinstance(mark, Several):
+                return mark
+    return None
 
 
 def mark_of(annotation: object) -> "Scalar | Text | Array | None":
@@ -255,14 +299,21 @@ def _truth_values(array: npt.NDArray[Any]) -> None:
         raise ValueError("must hold the bytes 0 and 1 only")
 
 
+def _check_count(count: int, length: int | None, most: int | None) -> None:
+    if length is not None and count != length:
+        raise ValueError(f"must have {length} elements, not {count}")
+    if most is not None and count > most:
+        raise ValueError(f"must have at most {most} elements, not {count}")
+
+
 def array_validator(
-    dtype: np.dtype[Any], length: int | None, check: Check | None
+    dtype: np.dtype[Any], length: int | None, check: Check | None, most: int | None = None
 ) -> Callable[[object], npt.NDArray[Any]]:
     """Return a function that converts any sequence to a one-dimensional read-only array of `dtype`.
 
     The function raises `ValueError` if the conversion would change a value, if there are not
-    `length` elements, or if `check` does. It returns a read-only array of the right type without a
-    copy.
+    `length` elements or more than `most`, or if `check` does. It returns a read-only array of the
+    right type without a copy.
     """
 
     def validate(value: object) -> npt.NDArray[Any]:
@@ -272,8 +323,7 @@ def array_validator(
             array = value if unchanged else _converted(value, dtype)
         else:
             array = _converted(value, dtype)
-        if length is not None and array.size != length:
-            raise ValueError(f"must have {length} elements, not {array.size}")
+        _check_count(array.size, length, most)
         if check is not None:
             check(array)
         return array

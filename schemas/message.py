@@ -10,13 +10,15 @@ import importlib
 import pkgutil
 import re
 import struct
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from math import isfinite
 from operator import attrgetter
 from typing import (
+    Annotated,
     Any,
     ClassVar,
+    Generic,
     NoReturn,
     TypeVar,
     cast,
@@ -31,19 +33,60 @@ from pydantic import ConfigDict, ValidationError
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic_core import ArgsKwargs
 
-from cairn.schemas.field_types import Array, Scalar, Text, array_validator, mark_of
+from cairn.schemas.field_types import (
+    Array,
+    Scalar,
+    Text,
+    array_validator,
+    mark_of,
+    several_of,
+)
 from cairn.schemas.packed import Packed
 
 T = TypeVar("T")
 
 
-_NAME = re.compile("[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
+_NAME = re.compile("[a-z][a-z0-9_]*/(msg|srv|action)/[A-Z][A-Za-z0-9_]*")
 
 
 _CONFIG = ConfigDict(extra="forbid", validate_default=True)
 
 
 _LONGEST_VALUE = 60
+
+
+Request = TypeVar("Request")
+Response = TypeVar("Response")
+Goal = TypeVar("Goal")
+Result = TypeVar("Result")
+Feedback = TypeVar("Feedback")
+
+
+class Service(Generic[Request, Response]):
+    """Base class of all ROS 2 services, which have the message classes of their two sides.
+
+    A service is a type, of which there are no instances. `Event` is the message by which tools
+    observe calls (REP 2012).
+    """
+
+    Request: type[Any]
+    Response: type[Any]
+    Event: type[Any]
+
+
+class Action(Generic[Goal, Result, Feedback]):
+    """Base class of all ROS 2 actions, which have the message classes of their three parts.
+
+    An action is a type, of which there are no instances. Goals and results are sent by two
+    services, feedback by a topic.
+    """
+
+    Goal: type[Any]
+    Result: type[Any]
+    Feedback: type[Any]
+    SendGoal: type[Service[Any, Any]]
+    GetResult: type[Service[Any, Any]]
+    FeedbackMessage: type[Any]
 
 
 class InvalidMessage(ValueError):
@@ -68,10 +111,11 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
     """Decorate a class that defines the ROS 2 message type `name` ("geometry_msgs/msg/Point").
 
     The annotated fields, in this order, are the fields on the wire: primitives of
-    `cairn.schemas.field_types`, other messages, `tuple[Message, ...]`, `tuple[String, ...]` or
-    `cairn.schemas.packed.Packed`. `ClassVar` primitives with a value are the type's constants.
-    Instances are immutable, and equal if all fields are, NaN being equal to NaN. For a field that
-    is a message, the constructor also accepts a mapping of its fields.
+    `cairn.schemas.field_types`, other messages, `tuple[Message, ...]`, `tuple[String, ...]` (marked
+    `Several` if their number is limited) or `cairn.schemas.packed.Packed`. `ClassVar` primitives
+    with a value are the type's constants. Instances are immutable, and equal if all fields are, NaN
+    being equal to NaN. For a field that is a message, the constructor also accepts a mapping of its
+    fields.
 
     An invalid message cannot be constructed: the constructor raises `InvalidMessage`. Constraints
     between fields are checked by the class's `__post_init__`, which calls `reject`.
@@ -144,12 +188,15 @@ class Field:
 
     `element` is the name of a ROS 2 primitive or a message class; `count` is None for a single
     element, 0 for a sequence, else the length of the array. `packed`: the field is a `Packed`.
+    `most` is the bound of a bounded sequence, `text_most` that of bounded strings [bytes].
     """
 
     name: str
     element: str | type[Any]
     count: int | None = None
     packed: bool = False
+    most: int | None = None
+    text_most: int | None = None
 
 
 @dataclass(frozen=True)
@@ -173,6 +220,18 @@ def fields_of(message: type[Any]) -> tuple[Field, ...]:
             _field(message, field.name, hints[field.name]) for field in fields(message)
         )
     return _fields_cache[message]
+
+
+def composed_type(
+    base: type[Any], name: str, parts: Mapping[str, type[Any]], attributes: Mapping[str, Any]
+) -> type[Any]:
+    """Return the class of a service or action, `base`, of which ROS 2 has a type hash.
+
+    `parts` are the classes of its messages and services by their names in its ROS 2 description.
+    """
+    made = type(name.split("/")[2], (base,), {**attributes, "__ros_type__": name})
+    _fields_cache[made] = tuple(Field(part, element) for part, element in parts.items())
+    return made
 
 
 def constants_of(message: type[Any]) -> tuple[Constant, ...]:
@@ -205,8 +264,7 @@ def decoding_constructor(message: type[T]) -> Callable[..., T]:
     ]
     texts = {name: mark for name in names if (mark := _text_sequence(hints[name])) is not None}
     parts = [
-        f"{name}=tuple({name})" if get_origin(hints[name]) is tuple else f"{name}={name}"
-        for name in names
+        f"{name}=tuple({name})" if _is_tuple(hints[name]) else f"{name}={name}" for name in names
     ]
     arguments = ", ".join(names)
     lines = [f"def make({arguments}):"]
@@ -397,22 +455,35 @@ _fields_cache: dict[type[Any], tuple[Field, ...]] = {}
 def _field(message: type[Any], name: str, hint: Any) -> Field:
     mark = mark_of(hint)
     if isinstance(mark, Array):
-        return Field(name, mark.ros_type, mark.length or 0)
+        return Field(name, mark.ros_type, mark.length or 0, most=mark.most)
+    if isinstance(mark, Text):
+        return Field(name, _ros_type(mark), text_most=mark.most)
     if mark is not None:
         return Field(name, _ros_type(mark))
+    several = several_of(hint)
+    hint = _without_marks(hint)
     arguments = get_args(hint)
     if get_origin(hint) is Packed:
         return Field(name, arguments[0], 0, packed=True)
     if get_origin(hint) is tuple and arguments[1:] == (...,):
         element = _field(message, name, arguments[0])
         if element.count is None:
-            return Field(name, element.element, 0)
+            length, most = (several.length, several.most) if several else (None, None)
+            return replace(element, count=length or 0, most=most)
     if isinstance(hint, type) and "__ros_type__" in hint.__dict__:
         return Field(name, hint)
     raise TypeError(
         f"{message.__qualname__}.{name}: {hint} is not a type of message fields; use a primitive "
         "of cairn.schemas.field_types, a message, a tuple of them (..., ...) or Packed"
     )
+
+
+def _is_tuple(hint: Any) -> bool:
+    return get_origin(_without_marks(hint)) is tuple
+
+
+def _without_marks(hint: Any) -> Any:
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
 
 
 def _ros_type(mark: Scalar | Text) -> str:
@@ -428,12 +499,15 @@ def _validity_condition(name: str, hint: Any, namespace: dict[str, Any]) -> str:
             return _text_condition(name, mark)
         case Array() as mark:
             return _array_condition(name, mark, namespace)
+    several = several_of(hint)
+    if several is not None:
+        return _count_condition(f"len({name})", several.length, several.most)
     return ""  # a message, or several, which were validated when they were made; or texts
 
 
 def _text_sequence(hint: Any) -> Text | None:
     """Return the mark of the texts if a field is a sequence of them."""
-    element = mark_of(get_args(hint)[0]) if get_origin(hint) is tuple else None
+    element = mark_of(get_args(_without_marks(hint))[0]) if _is_tuple(hint) else None
     return element if isinstance(element, Text) else None
 
 
@@ -459,7 +533,15 @@ def _number_condition(name: str, mark: Scalar) -> str:
 
 
 def _text_condition(name: str, mark: Text) -> str:
-    return f"{name} in {mark.one_of!r}" if mark.one_of else f"'\\0' not in {name}"
+    if mark.one_of:
+        return f"{name} in {mark.one_of!r}"
+    bound = "" if mark.most is None else f" and len({name}.encode()) <= {mark.most}"
+    return f"'\\0' not in {name}{bound}"
+
+
+def _count_condition(count: str, length: int | None, most: int | None) -> str:
+    """Return the condition for a valid number of elements; an array's is right on the wire."""
+    return f"{count} <= {most}" if most is not None and length is None else ""
 
 
 def _array_condition(name: str, mark: Array, namespace: dict[str, Any]) -> str:
@@ -468,7 +550,8 @@ def _array_condition(name: str, mark: Array, namespace: dict[str, Any]) -> str:
     dtype = np.dtype("uint8" if mark.ros_type in ("byte", "char") else mark.ros_type)
     if mark.check is None:
         namespace[f"_dtype_{name}"] = dtype
-        return f"{name}.dtype is _dtype_{name}"
+        count = _count_condition(f"{name}.size", mark.length, mark.most)
+        return " and ".join(filter(None, [f"{name}.dtype is _dtype_{name}", count]))
     validate = array_validator(dtype, mark.length, mark.check)
 
     def valid(array: Any) -> bool:

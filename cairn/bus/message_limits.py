@@ -160,6 +160,8 @@ def _layout(message: type[Any]) -> _Layout:
         if field.count == 0:
             fixed += 4  # its number of elements
             variable.append((field.name, _sequence_measure(field)))
+        elif field.count and (isinstance(field.element, type) or field.element == "string"):
+            variable.append((field.name, _sequence_measure(field)))
         elif isinstance(field.element, type):
             inner, more = _layout(field.element)
             fixed += 0 if more else inner

@@ -36,11 +36,12 @@ def field_type(field: Field) -> FieldDesc:
     if isinstance(field.element, type):
         one: Any = (Nodetype.NAME, type_name(field.element))
     else:
-        one = (Nodetype.BASE, (field.element, 0))
+        one = (Nodetype.BASE, (field.element, field.text_most or 0))
     if field.count is None:
         return cast("FieldDesc", one)
-    kind = Nodetype.ARRAY if field.count else Nodetype.SEQUENCE
-    return cast("FieldDesc", (kind, (one, field.count)))
+    if field.count:
+        return cast("FieldDesc", (Nodetype.ARRAY, (one, field.count)))
+    return cast("FieldDesc", (Nodetype.SEQUENCE, (one, field.most or 0)))
 
 
 def _typestore(message: type[Any]) -> Typestore:

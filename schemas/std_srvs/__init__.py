@@ -1,0 +1,1 @@
+"""ROS 2 package std_srvs: its interfaces are in msg, srv and action."""

@@ -1,0 +1,1 @@
+"""ROS 2 package type_description_interfaces: its interfaces are in msg, srv and action."""
