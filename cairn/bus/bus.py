@@ -1,10 +1,12 @@
 """The contract of a bus, which the Zenoh bus and the lockstep bus both implement."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
+from cairn.errors import CairnError
+from cairn.schemas.message import Service
 
 
 class MessageId(NamedTuple):
@@ -87,6 +89,91 @@ class Subscription(Protocol):
         ...
 
 
+class ServiceError(CairnError):
+    """A service was not provided: no server, no answer in time, or the server refused the call."""
+
+
+class Call(Protocol):
+    """A call that a server has received; it is answered once, now or later."""
+
+    request: Any
+    """The request, of the service's request class."""
+    client: bytes
+    """Identity of the client: 16 bytes; zeros if it sent none."""
+    sequence: int
+    """Number of the call, from 1 for each client; 0 if it sent none."""
+
+    def reply(self, response: Any) -> None:
+        """Answer; raises `TypeError` if it is not of the service's response class."""
+        ...
+
+    def refuse(self, reason: str) -> None:
+        """Answer with an error, which the client's program gets as `ServiceError`."""
+        ...
+
+
+class Server(Protocol):
+    """Receives the calls of one service, in order."""
+
+    @property
+    def received(self) -> int:
+        """Number of calls taken so far."""
+        ...
+
+    @property
+    def invalid(self) -> int:
+        """Number of calls whose request could not be decoded to a valid message."""
+        ...
+
+    @property
+    def refused(self) -> int:
+        """Number of calls refused because they were too long, or too many waited."""
+        ...
+
+    def take(self) -> Call | None:
+        """Remove and return the oldest pending call; None if there is none.
+
+        Raises `InvalidMessage` if its request is not valid, after having refused it.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop serving; the pending calls are refused."""
+        ...
+
+
+class Client(Protocol):
+    """Calls one service."""
+
+    @property
+    def sent(self) -> int:
+        """Number of calls so far."""
+        ...
+
+    @property
+    def is_available(self) -> bool:
+        """Whether there is a server, as far as this process knows."""
+        ...
+
+    def call(
+        self,
+        request: Any,
+        on_reply: Callable[[Any], None],
+        on_failure: Callable[[ServiceError], None],
+        timeout_s: float,
+    ) -> None:
+        """Send a request; never waits for the answer.
+
+        One of the functions is called later, through the client's `post`: with the response, or
+        with what prevented it. After `close`, neither is.
+        """
+        ...
+
+    def close(self) -> None:
+        """Stop calling; answers that arrive later are ignored."""
+        ...
+
+
 class Node(Protocol):
     """One component on the bus; its name and ports are visible in the graph."""
 
@@ -124,8 +211,31 @@ class Node(Protocol):
         """
         ...
 
+    def serve(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        wake: Callable[[], None],
+        max_bytes: int | None = None,
+    ) -> Server:
+        """Return a server of the service `name` (a full name: `/robot/save_map`).
+
+        `wake` is called, on any thread, once for each call that becomes pending. A request longer
+        than `max_bytes`, by default that of its class, is refused.
+        """
+        ...
+
+    def client(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        post: Callable[[Callable[[], None]], None],
+    ) -> Client:
+        """Return a client of the service `name`, whose answers arrive through `post`."""
+        ...
+
     def close(self) -> None:
-        """Leave the bus and close all publishers and subscriptions."""
+        """Leave the bus and close all publishers, subscriptions, servers and clients."""
         ...
 
 
@@ -154,9 +264,11 @@ def full_name(robot: str, topic: str) -> str:
     return topic if topic.startswith("/") else f"/{robot}/{topic}"
 
 
-def type_conflict(topic: str, ours: str, other: str, theirs: str) -> str:
-    """Return the error message about two message types on one topic."""
+def type_conflict(
+    name: str, ours: str, other: str, theirs: str, kind: Literal["topic", "service"] = "topic"
+) -> str:
+    """Return the error message about two types on one topic or service."""
     return (
-        f"topic {topic}: {other} uses it with type {theirs}, this component with {ours}, so they "
-        "cannot receive each other's messages; rename one of the topics or use the same type"
+        f"{kind} {name}: {other} uses it with type {theirs}, this component with {ours}, so they "
+        f"cannot receive each other's messages; rename one of the {kind}s or use the same type"
     )

@@ -8,6 +8,7 @@ from cairn.bus import keys
 from cairn.bus.bus import MessageId, type_conflict
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.exclusive import Exclusive, RefusalLog
+from cairn.bus.lockstep_services import LockstepClient, LockstepServer
 from cairn.bus.message_limits import (
     FIXED_BYTES,
     PENDING_BYTES,
@@ -18,7 +19,7 @@ from cairn.bus.message_limits import (
     too_long,
 )
 from cairn.bus.qos import Qos
-from cairn.schemas.message import type_name
+from cairn.schemas.message import Service, type_name
 
 End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
 
@@ -26,7 +27,10 @@ End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
 class LockstepBus:
     """Connects nodes in one process and one thread; messages are immutable and not copied."""
 
-    def __init__(self) -> None:
+    def __init__(self, after: Callable[[int, Callable[[], None]], None] | None = None) -> None:
+        """`after` makes a call after some virtual time [ns]; without it no call times out."""
+        self.after = after or _never
+        self.servers: dict[str, list[LockstepServer]] = {}
         self.taps: list[Callable[[LockstepPublisher, Any], None]] = []
         """Called with every message and its publisher, before it is handed over."""
         self._topics: dict[str, _Topic] = {}
@@ -57,8 +61,10 @@ class LockstepNode:
     def __init__(self, bus: LockstepBus, name: str, report: Callable[[str], None]) -> None:
         self.name = name
         self.report = report
-        self._bus = bus
-        self._ends: list[LockstepPublisher | LockstepSubscription] = []
+        self.bus = bus
+        self._ends: list[
+            LockstepPublisher | LockstepSubscription | LockstepServer | LockstepClient
+        ] = []
 
     def advertise(
         self,
@@ -70,7 +76,7 @@ class LockstepNode:
         shared: bool = False,  # noqa: ARG002 - there are no other programs
     ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
-        end = LockstepPublisher(self, self._bus.topic(topic), message, qos, self._bus.taps)
+        end = LockstepPublisher(self, self.bus.topic(topic), message, qos, self.bus.taps)
         self._ends.append(end)
         return end
 
@@ -86,13 +92,36 @@ class LockstepNode:
         """Return a subscription to class `message` on `topic`; latched messages pend at once."""
         limit = default_max_bytes(message) if max_bytes is None else max_bytes
         end = LockstepSubscription(
-            self, self._bus.topic(topic), message, qos, wake, exclusive, limit
+            self, self.bus.topic(topic), message, qos, wake, exclusive, limit
         )
         self._ends.append(end)
         return end
 
+    def serve(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        wake: Callable[[], None],
+        max_bytes: int | None = None,
+    ) -> LockstepServer:
+        """Return a server of the service `name`."""
+        server = LockstepServer(self, name, service, wake, max_bytes)
+        self._ends.append(server)
+        return server
+
+    def client(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        post: Callable[[Callable[[], None]], None],
+    ) -> LockstepClient:
+        """Return a client of the service `name`."""
+        client = LockstepClient(self, name, service, post)
+        self._ends.append(client)
+        return client
+
     def close(self) -> None:
-        """Leave the bus and close all publishers and subscriptions."""
+        """Leave the bus and close all publishers, subscriptions, servers and clients."""
         for end in self._ends:
             end.close()
         self._ends.clear()
@@ -226,6 +255,10 @@ class LockstepSubscription:
         """Stop receiving and discard the pending messages."""
         self._pending.clear()
         self._topic.leave(self, self._topic.subscriptions)
+
+
+def _never(delay_ns: int, call: Callable[[], None]) -> None:
+    """Make no call: where there is no virtual time, nothing times out."""
 
 
 class _Topic:

@@ -48,3 +48,6 @@ SENSOR = Qos("best_effort", "volatile", 5)
 
 LATCHED = Qos("reliable", "transient_local", 1)
 """For state such as maps: a late subscriber receives the last message; depth 1."""
+
+SERVICES = RELIABLE
+"""For services, as ROS 2 peers read it: its default."""

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import zenoh
 from zenoh.ext import (
@@ -37,12 +37,21 @@ from cairn.bus.message_limits import (
     too_long,
 )
 from cairn.bus.qos import Qos
+from cairn.bus.services import ZenohClient, ZenohServer
 from cairn.bus.session import close_session
 from cairn.bus.type_hash import type_hash
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage, Service, type_name
 
 _EXCLUSIVE_RING = 1024
 """Samples that the ring of an exclusive port holds: so many forged ones displace no true one."""
+
+_COUNTERPARTS: dict[keys.EndpointKind, tuple[keys.EndpointKind, ...]] = {
+    "MP": ("MP", "MS"),
+    "MS": ("MP", "MS"),
+    "SS": ("SS", "SC"),
+    "SC": ("SS", "SC"),
+}
+"""The kinds of endpoints that have to have the same type as one of a kind on the same name."""
 
 _CLOSE_LIMIT_S = 0.2
 """A session that takes longer to close does so while its process ends."""
@@ -106,7 +115,7 @@ class ZenohNode:
         self.name = name
         zid = str(bus.session.info.zid())
         self._entity = keys.NodeEntity(bus.domain, zid, bus.next_id(), name)
-        self._ends: list[ZenohPublisher | ZenohSubscription] = []
+        self._ends: list[ZenohPublisher | ZenohSubscription | ZenohServer | ZenohClient] = []
         self._closed = False
         self._report = report
         self._conflicts = PublisherLog(report)
@@ -146,29 +155,52 @@ class ZenohNode:
         self._ends.append(subscription)
         return subscription
 
+    def serve(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        wake: Callable[[], None],
+        max_bytes: int | None = None,
+    ) -> ZenohServer:
+        """Return a server of the service `name`."""
+        server = ZenohServer(self, name, service, wake, max_bytes)
+        self._ends.append(server)
+        return server
+
+    def client(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        post: Callable[[Callable[[], None]], None],
+    ) -> ZenohClient:
+        """Return a client of the service `name`."""
+        client = ZenohClient(self, name, service, post)
+        self._ends.append(client)
+        return client
+
     def announce(
         self,
         kind: keys.EndpointKind,
         topic: str,
-        message: type[Any],
+        interface: type[Any],
         qos: Qos,
         *,
         shared: bool = False,
     ) -> "Announcement":
         """Announce an endpoint of this node in the graph, and watch those of others.
 
+        `interface` is the class of the messages, or of the service.
         The others are not watched if the topic is `shared` by all components.
         """
         bus = self.bus
-        bus.codec.register(message)
         entity = keys.EndpointEntity(
-            self._entity, bus.next_id(), kind, topic, type_name(message),
-            type_hash(message), qos,
+            self._entity, bus.next_id(), kind, topic, type_name(interface),
+            type_hash(interface), qos,
         )  # fmt: skip
         return Announcement(bus, entity, None if shared else self._conflicts)
 
     def close(self) -> None:
-        """Leave the bus and close all publishers and subscriptions."""
+        """Leave the bus and close all publishers, subscriptions, servers and clients."""
         if self._closed:
             return
         self._closed = True
@@ -197,7 +229,7 @@ class Announcement:
             on_endpoint = partial(self._on_endpoint, conflicts)
             # A publisher needs no names: only readers report who sends them what.
             self._stop_watching = bus.graph.watch(
-                entity.topic, on_endpoint, is_urgent=entity.kind == "MS"
+                entity.topic, on_endpoint, is_urgent=entity.kind in ("MS", "SC")
             )
 
     def close(self) -> None:
@@ -208,16 +240,17 @@ class Announcement:
 
     def _on_endpoint(self, conflicts: PublisherLog, other: keys.EndpointEntity) -> None:
         own = self._entity
-        if other.topic != own.topic or other.kind not in ("MP", "MS"):
+        if other.topic != own.topic or other.kind not in _COUNTERPARTS[own.kind]:
             return
         if (other.type_name, other.type_hash) == (own.type_name, own.type_hash):
             return
+        kind: Literal["topic", "service"] = "topic" if own.kind in ("MP", "MS") else "service"
         theirs = other.type_name
         if theirs == own.type_name:
             theirs = f"another definition of it ({other.type_hash})"
         conflicts.add(
             other.node.name,
-            lambda named: type_conflict(own.topic, own.type_name, named, theirs),
+            lambda named: type_conflict(own.topic, own.type_name, named, theirs, kind),
         )
 
 
@@ -242,6 +275,7 @@ class ZenohPublisher:
         self._topic = topic
         self._max_bytes = node.bus.limits.of(topic)
         self._too_long = PublisherLog(node.report)
+        self._codec.register(message)
         self._announcement = node.announce("MP", topic, message, qos, shared=shared)
         self.gid = self._announcement.gid
         self._signer: Signer | None = None
@@ -333,6 +367,7 @@ class ZenohSubscription:
             qos.depth, PENDING_BYTES
         )
         self._in_transit = LossCounter()
+        self._codec.register(message)
         self._announcement = node.announce("MS", topic, message, qos)
         self._gate = None
         if exclusive is not None:

@@ -34,7 +34,7 @@ class LockstepRun:
     def __init__(self, deployment: Deployment, seed: int) -> None:
         """Raises `CairnError` if the root cannot be constructed."""
         self.executor = LockstepExecutor()
-        self.bus = LockstepBus()
+        self.bus = LockstepBus(self.executor.after)
         self.simulated = deployment.clock == "simulated"
         self.end: ExitReport | None = None
         context = RunContext(
@@ -144,6 +144,10 @@ class LockstepExecutor:
     def at(self, time: int, call: Callable[[], None]) -> None:
         """Make `call` at virtual time `time` [ns], now if that is past."""
         heapq.heappush(self._events, (max(time, self._now), next(self._order), call))
+
+    def after(self, delay_ns: int, call: Callable[[], None]) -> None:
+        """Make `call` after that virtual time [ns]."""
+        self.at(self._now + delay_ns, call)
 
     def scheduler(self) -> "LockstepScheduler":
         """Return a scheduler for one component."""

@@ -1,0 +1,371 @@
+"""Services over Zenoh as rmw_zenoh has them: a call is a query, its answer the reply.
+
+A server is a complete queryable at the key of its service, whose last part is the type hash: calls
+of another definition never reach it. Zenoh ends a query without a reply when the process of the
+server ends, so that a client learns of it at once. A server that does not take a call says why by
+an error reply, which ROS 2 clients log.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+import zenoh
+
+from cairn.bus import keys
+from cairn.bus.bus import ServiceError
+from cairn.bus.codec import Codec
+from cairn.bus.message_limits import (
+    PENDING_BYTES,
+    default_max_bytes,
+    is_bulk,
+    ring_length,
+)
+from cairn.bus.qos import SERVICES
+from cairn.schemas.message import InvalidMessage, Service, type_name
+
+if TYPE_CHECKING:
+    from cairn.bus.zenoh_bus import ZenohNode
+
+MOST_PENDING: Final = 2000
+"""Calls of one server that wait until its component takes them; further ones are refused."""
+
+_RING: Final = 4096
+_LONGEST_REASON: Final = 1000
+
+
+class ZenohServer:
+    """Receives the calls of one service; keeps them in order until the component takes them."""
+
+    def __init__(
+        self,
+        node: "ZenohNode",
+        name: str,
+        service: type[Service[Any, Any]],
+        wake: Callable[[], None],
+        max_bytes: int | None,
+    ) -> None:
+        self.received = 0
+        self.invalid = 0
+        self.refused = 0
+        self._request, self._response = service.Request, service.Response
+        self.name = name
+        self._node = node.name
+        self._codec = node.bus.codec
+        self._wake = wake
+        self._max_bytes = default_max_bytes(self._request) if max_bytes is None else max_bytes
+        self._pending = _PendingQueries()
+        for cls in (self._request, self._response):
+            self._codec.register(cls)
+        self._announcement = node.announce("SS", name, service, SERVICES)
+        self._closed = False
+        self._queries = _Queries(
+            node.bus.session,
+            self._announcement.key,
+            ring_length(_RING, self._max_bytes),
+            self._receive,
+        )
+
+    def take(self) -> "ZenohCall | None":
+        """Remove and return the oldest pending call; None if there is none.
+
+        Raises `InvalidMessage` if its request is not valid; the client has the same error then.
+        """
+        query = self._pending.take()
+        if query is None:
+            return None
+        call = ZenohCall(query, self._codec, self._response)
+        payload = query.payload
+        try:
+            call.request = self._codec.decode(
+                self._request, b"" if payload is None else payload.to_bytes()
+            )
+        except InvalidMessage as error:
+            self.invalid += 1
+            call.refuse(f"{self.name}: invalid request: {error}")
+            raise
+        self.received += 1
+        return call
+
+    def close(self) -> None:
+        """Stop serving; the pending calls are refused."""
+        if self._closed:
+            return
+        self._closed = True
+        self._queries.close()
+        while (query := self._pending.take()) is not None:
+            _refuse(query, f"{self.name}: {self._node} does not serve it any more")
+        self._announcement.close()
+
+    def _receive(self, query: zenoh.Query) -> None:
+        """Keep a query until the component takes it; on the thread of the queryable."""
+        size = 0 if query.payload is None else len(query.payload)
+        if size > self._max_bytes:  # before it is copied
+            self.refused += 1
+            _refuse(
+                query,
+                f"{self.name}: a request of {size:,} bytes; {self._node} accepts at most "
+                f"{self._max_bytes:,}",
+            )
+        elif self._pending.put(query, size):
+            self._wake()
+        else:
+            self.refused += 1
+            _refuse(query, f"{self.name}: busy: too many calls wait already; call again later")
+
+
+class _Queries:
+    """Reads the queries of a key on a thread of its own, so that Zenoh's thread never waits."""
+
+    def __init__(
+        self, session: zenoh.Session, key: str, ring: int, receive: Callable[[zenoh.Query], None]
+    ) -> None:
+        self._receive = receive
+        self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
+            key, zenoh.handlers.RingChannel(ring), complete=True
+        )
+        self._thread = threading.Thread(
+            target=self._read, args=(self._queryable.handler,), name=key.split("/")[1], daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """Receive nothing more."""
+        self._queryable.undeclare()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=2.0)
+
+    def _read(self, channel: Any) -> None:
+        while True:
+            try:
+                query = channel.recv()
+            except zenoh.ZError:  # the queryable was undeclared
+                return
+            self._receive(query)
+            del query  # the client learns of the end of this process when nothing holds its query
+
+
+class _PendingQueries:
+    """The queries that wait for the component, within bounds; for two threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._queries: deque[tuple[zenoh.Query, int]] = deque()
+        self._bytes = 0
+
+    def put(self, query: zenoh.Query, size: int) -> bool:
+        """Add a query with a payload of that size [bytes]; return False if there are too many."""
+        with self._lock:
+            if len(self._queries) >= MOST_PENDING or self._bytes + size > PENDING_BYTES:
+                return False
+            self._queries.append((query, size))
+            self._bytes += size
+            return True
+
+    def take(self) -> zenoh.Query | None:
+        """Remove and return the oldest query; None if there is none."""
+        with self._lock:
+            if not self._queries:
+                return None
+            query, size = self._queries.popleft()
+            self._bytes -= size
+            return query
+
+
+class ZenohCall:
+    """One call of a service, which is answered now or later, once."""
+
+    request: Any
+
+    def __init__(self, query: zenoh.Query, codec: Codec, response: type[Any]) -> None:
+        self._query: zenoh.Query | None = query
+        self._codec = codec
+        self._response = response
+        attachment = None
+        data = query.attachment
+        if data is not None and len(data) <= keys.LONGEST_ATTACHMENT:
+            with suppress(keys.WireFormatError):
+                attachment = keys.Attachment.decode(data.to_bytes())
+        self.client = bytes(16) if attachment is None else attachment.gid
+        self.sequence = 0 if attachment is None else attachment.sequence
+
+    def reply(self, response: Any) -> None:
+        """Answer with a message of the service's response class; `TypeError` for another one."""
+        if type(response) is not self._response:
+            raise TypeError(
+                f"the answer is a {type(response).__qualname__}, not a {type_name(self._response)}"
+            )
+        payload = self._codec.encode(response)
+        query, self._query = self._query, None
+        if query is None:
+            return
+        attachment = keys.Attachment(self.sequence, time.time_ns(), self.client).encode()
+        with query, suppress(zenoh.ZError):  # the client may have ended
+            query.reply(query.key_expr, payload, attachment=attachment)
+
+    def refuse(self, reason: str) -> None:
+        """Answer with an error."""
+        query, self._query = self._query, None
+        if query is not None:
+            _refuse(query, reason)
+
+
+class ZenohClient:
+    """Calls one service; from its component's calls, or from any thread of a script."""
+
+    def __init__(
+        self,
+        node: "ZenohNode",
+        name: str,
+        service: type[Service[Any, Any]],
+        post: Callable[[Callable[[], None]], None],
+    ) -> None:
+        self.sent = 0
+        request, self._response = service.Request, service.Response
+        self.name = name
+        self._max_bytes = default_max_bytes(self._response)
+        self._post = post
+        self._codec = node.bus.codec
+        self._session = node.bus.session
+        self._announcement = node.announce("SC", name, service, SERVICES)
+        self._gid = self._announcement.gid
+        bulk = is_bulk(request) or is_bulk(self._response)
+        self._options: dict[str, Any] = {
+            "target": zenoh.QueryTarget.ALL_COMPLETE,
+            "consolidation": zenoh.ConsolidationMode.NONE,
+            "encoding": zenoh.Encoding.APPLICATION_CDR.with_schema(type_name(request)),
+            # A request that is lost would be an answer that never arrives.
+            "congestion_control": zenoh.CongestionControl.BLOCK,
+            "priority": zenoh.Priority.DATA_LOW if bulk else zenoh.Priority.INTERACTIVE_HIGH,
+        }
+        self._querier = self._session.declare_querier(
+            self._announcement.key, target=zenoh.QueryTarget.ALL_COMPLETE
+        )
+        self._pending: set[_PendingCall] = set()
+        self._closed = False
+
+    @property
+    def is_available(self) -> bool:
+        """Whether there is a server, as far as this process knows."""
+        status: Any = self._querier.matching_status
+        return not self._closed and bool(status.matching)
+
+    def call(
+        self,
+        request: Any,
+        on_reply: Callable[[Any], None],
+        on_failure: Callable[[ServiceError], None],
+        timeout_s: float,
+    ) -> None:
+        """Send a request; never waits for the answer.
+
+        Exactly one of the functions is called later, through `post`: with the response, or with
+        what prevented it. After `close`, neither is.
+        """
+        if self._closed:
+            return
+        self.sent += 1
+        call = _PendingCall(self, on_reply, on_failure, timeout_s)
+        self._pending.add(call)
+        attachment = keys.Attachment(self.sent, time.time_ns(), self._gid).encode()
+        try:
+            self._session.get(
+                self._announcement.key,
+                zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False),
+                payload=self._codec.encode(request),
+                attachment=attachment,
+                timeout=timeout_s,
+                **self._options,
+            )
+        except zenoh.ZError as error:
+            call.fail(ServiceError(f"{self.name}: the request cannot be sent: {error}"))
+
+    def close(self) -> None:
+        """Stop calling: answers that arrive later are ignored."""
+        if self._closed:
+            return
+        self._closed = True
+        self._pending.clear()
+        self._querier.undeclare()
+        self._announcement.close()
+
+    def finish(self, call: "_PendingCall", done: Callable[[], None]) -> None:
+        """Post the end of a call, unless it has ended, or this client was closed."""
+        try:
+            self._pending.remove(call)
+        except KeyError:
+            return
+        self._post(done)
+
+    def decoded(self, payload: zenoh.ZBytes) -> Any:
+        """Return a response; raises `ServiceError` if it is not valid."""
+        if len(payload) > self._max_bytes:  # before it is copied
+            raise ServiceError(
+                f"{self.name}: a response of {len(payload):,} bytes, more than the "
+                f"{self._max_bytes:,} that are accepted"
+            )
+        try:
+            return self._codec.decode(self._response, payload.to_bytes())
+        except InvalidMessage as error:
+            raise ServiceError(f"{self.name}: invalid response: {error}") from error
+
+
+class _PendingCall:
+    """A call whose answer has not arrived; Zenoh's threads call its methods."""
+
+    def __init__(
+        self,
+        client: ZenohClient,
+        on_reply: Callable[[Any], None],
+        on_failure: Callable[[ServiceError], None],
+        timeout_s: float,
+    ) -> None:
+        self._client = client
+        self._on_reply = on_reply
+        self._on_failure = on_failure
+        self._timeout_s = timeout_s
+        self._start = time.monotonic()
+        self._refusal: zenoh.ZBytes | None = None
+
+    def on_reply(self, reply: zenoh.Reply) -> None:
+        """Note a reply; the first one that is not an error ends the call."""
+        if reply.ok is not None:
+            self._client.finish(self, partial(self._deliver, reply.ok.payload))
+        elif reply.err is not None:
+            self._refusal = reply.err.payload
+
+    def on_end(self) -> None:
+        """End the call if no server has answered."""
+        self._client.finish(self, self._fail)
+
+    def fail(self, error: ServiceError) -> None:
+        """End the call."""
+        self._client.finish(self, partial(self._on_failure, error))
+
+    def _deliver(self, payload: zenoh.ZBytes) -> None:
+        try:
+            response = self._client.decoded(payload)
+        except ServiceError as error:
+            self._on_failure(error)
+        else:
+            self._on_reply(response)
+
+    def _fail(self) -> None:
+        name = self._client.name
+        if time.monotonic() - self._start >= self._timeout_s:
+            error = f"{name}: no answer within {self._timeout_s:g} s"
+        elif self._refusal is not None:
+            data = self._refusal.to_bytes()[: 4 * _LONGEST_REASON]
+            error = data.decode(errors="replace")[:_LONGEST_REASON]
+        else:
+            error = f"{name}: there is no server of this type, or it ended before it answered"
+        self._on_failure(ServiceError(error))
+
+
+def _refuse(query: zenoh.Query, reason: str) -> None:
+    with query, suppress(zenoh.ZError):  # the client may have ended
+        query.reply_err(reason[:_LONGEST_REASON].encode())
