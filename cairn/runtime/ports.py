@@ -1,18 +1,25 @@
 """Ports and handlers: what a component class declares that it reads, publishes and runs."""
 
 import typing
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, Literal, TypeVar, get_args, get_origin
 
+from cairn.bus.bus import ServiceError
 from cairn.bus.message_limits import LONGEST_MAX_BYTES
 from cairn.bus.qos import RELIABLE, Qos
 from cairn.clock import SECOND
 from cairn.errors import CairnError
-from cairn.schemas.message import type_name
+from cairn.schemas.definitions import DefinitionError
+from cairn.schemas.interfaces import interface
+from cairn.schemas.message import Service, type_name
 
 T = TypeVar("T")
+Request = TypeVar("Request")
+Response = TypeVar("Response")
 Method = TypeVar("Method", bound=Callable[..., None])
+ServiceMethod = TypeVar("ServiceMethod", bound=Callable[..., Any])
 
 
 class In(Generic[T]):
@@ -35,10 +42,7 @@ class In(Generic[T]):
         exclusive: bool = False,
         max_bytes: int | None = None,
     ) -> None:
-        if max_bytes is not None and not 1 <= max_bytes <= LONGEST_MAX_BYTES:
-            raise CairnError(
-                f"In(max_bytes={max_bytes}): a limit is from 1 to {LONGEST_MAX_BYTES:,} bytes"
-            )
+        _check_max_bytes("In", max_bytes)
         self.qos = qos
         self.optional = optional
         self.exclusive = exclusive
@@ -87,6 +91,62 @@ class Out(Generic[T]):
         Raises `CairnError` if the message is of another type than the port's, or on a declaration.
         """
         raise _not_bound("Out")
+
+
+class Server(Generic[Request, Response]):
+    """A service that the component provides, while it is active.
+
+    `save_map: Server[SaveMap.Request, SaveMap.Response]`; a method decorated `@serve("save_map")`
+    answers its calls. A request longer than `max_bytes` is refused before it is decoded; the
+    default limit follows from the type, as for `In`.
+    """
+
+    def __init__(self, *, max_bytes: int | None = None) -> None:
+        _check_max_bytes("Server", max_bytes)
+        self.max_bytes = max_bytes
+
+    @property
+    def service(self) -> str:
+        """The full name of the service in this deployment; `CairnError` on a declaration."""
+        raise _not_bound("Server")
+
+
+class Client(Generic[Request, Response]):
+    """A service that the component calls, while it is active.
+
+    `plan: Client[GetPlan.Request, GetPlan.Response]`. With `optional=True` the component works
+    without a server, and the check of a deployment does not require one.
+    """
+
+    def __init__(self, *, optional: bool = False) -> None:
+        self.optional = optional
+
+    @property
+    def service(self) -> str:
+        """The full name of the service in this deployment; `CairnError` on a declaration."""
+        raise _not_bound("Client")
+
+    @property
+    def is_available(self) -> bool:
+        """Whether there is a server; `CairnError` on a declaration."""
+        raise _not_bound("Client")
+
+    def call(
+        self,
+        request: Request,  # noqa: ARG002 - the bound port sends it
+        on_response: Callable[[Response], None],  # noqa: ARG002
+        on_failure: Callable[[ServiceError], None] | None = None,  # noqa: ARG002
+        *,
+        timeout_s: float = 5.0,  # noqa: ARG002
+    ) -> None:
+        """Call the service, without waiting: one of the functions is called later as a handler.
+
+        `on_failure` gets the reason if there is no server, it ends, refuses the call, or does not
+        answer within the time limit; without it, the reason is logged as a warning. A component
+        that becomes inactive gets no answer any more. Raises `CairnError` if the request is of
+        another type than the port's, or on a declaration.
+        """
+        raise _not_bound("Client")
 
 
 class BoundIn(In[T]):
@@ -152,6 +212,75 @@ class BoundOut(Out[T]):
         self._send(message)
 
 
+class BoundServer(Server[Request, Response]):
+    """The server of one component instance."""
+
+    def __init__(self, spec: "ServiceSpec", service: str) -> None:
+        super().__init__(max_bytes=spec.max_bytes)
+        self._service = service
+
+    @property
+    def service(self) -> str:
+        """The full name of the service in this deployment."""
+        return self._service
+
+
+class BoundClient(Client[Request, Response]):
+    """The client of one component instance: checks a request's type and hands it to `send`."""
+
+    def __init__(
+        self,
+        component: str,
+        spec: "ServiceSpec",
+        service: str,
+        send: Callable[..., None],
+        is_available: Callable[[], bool],
+    ) -> None:
+        super().__init__(optional=spec.optional)
+        self._component = component
+        self._spec = spec
+        self._service = service
+        self._send = send
+        self._is_available = is_available
+
+    @property
+    def service(self) -> str:
+        """The full name of the service in this deployment."""
+        return self._service
+
+    @property
+    def is_available(self) -> bool:
+        """Whether there is a server."""
+        return self._is_available()
+
+    def call(
+        self,
+        request: Request,
+        on_response: Callable[[Response], None],
+        on_failure: Callable[[ServiceError], None] | None = None,
+        *,
+        timeout_s: float = 5.0,
+    ) -> None:
+        """Call the service; `CairnError` if the request is of another type than the port's."""
+        if not isinstance(request, self._spec.service.Request):
+            raise CairnError(
+                f"{self._component}: port {self._spec.name} calls "
+                f"{type_name(self._spec.service)}, whose request is not {_type_of(request)}"
+            )
+        self._send(request, on_response, on_failure, timeout_s)
+
+
+@dataclass(frozen=True)
+class ServiceSpec:
+    """What a component class declares about one server or client port."""
+
+    name: str
+    role: Literal["server", "client"]
+    service: type[Service[Any, Any]]
+    optional: bool = False
+    max_bytes: int | None = None
+
+
 @dataclass(frozen=True)
 class PortSpec:
     """What a component class declares about one port."""
@@ -172,6 +301,34 @@ def ports_of(cls: type) -> dict[str, PortSpec]:
     Raises `CairnError` for a port without a message type, whose message class is not one of
     `cairn.schemas.message`, or whose default is not a port of the annotated direction.
     """
+    ports = {
+        name: _port(cls, name, kind, arguments)
+        for name, kind, arguments in _annotated(cls)
+        if kind in (In, Out)
+    }
+    for name, port in _unannotated(cls, ports, In | Out).items():
+        raise _no_message_type(cls, name, type(port))
+    return ports
+
+
+def services_of(cls: type) -> dict[str, ServiceSpec]:
+    """Return the servers and clients that a component class and its bases declare, in order.
+
+    Raises `CairnError` for one whose classes are not the request and response of one service, or
+    whose default is not a port of the annotated kind.
+    """
+    services = {
+        name: _service(cls, name, kind, arguments)
+        for name, kind, arguments in _annotated(cls)
+        if kind in (Server, Client)
+    }
+    for name, port in _unannotated(cls, services, Server | Client).items():
+        raise _no_service_type(cls, name, type(port))
+    return services
+
+
+def _annotated(cls: type) -> Iterator[tuple[str, Any, tuple[Any, ...]]]:
+    """Yield the annotations of a class and its bases: name, generic class, type arguments."""
     try:
         hints = typing.get_type_hints(cls, include_extras=True)
     except (NameError, TypeError) as error:
@@ -179,20 +336,21 @@ def ports_of(cls: type) -> dict[str, PortSpec]:
             f"{_qualified_name(cls)}: its annotations cannot be evaluated ({error}); import at "
             "module level, outside `if TYPE_CHECKING`, every name that the class body annotates"
         ) from error
-    ports: dict[str, PortSpec] = {}
     for name, hint in hints.items():
         annotation = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-        kind = get_origin(annotation) or annotation
-        if kind in (In, Out):
-            ports[name] = _port(cls, name, kind, get_args(annotation))
-    for name, port in _unannotated(cls, ports).items():
-        raise _no_message_type(cls, name, type(port))
-    return ports
+        yield name, get_origin(annotation) or annotation, get_args(annotation)
 
 
 @dataclass(frozen=True)
 class PortHandler:
     """A method that handles each message of one input port."""
+
+    port: str
+
+
+@dataclass(frozen=True)
+class ServiceHandler:
+    """A method that answers the calls of one server port."""
 
     port: str
 
@@ -219,6 +377,19 @@ def on(port: str) -> Callable[[Method], Method]:
     return decorate
 
 
+def serve(port: str) -> Callable[[ServiceMethod], ServiceMethod]:
+    """Decorate a method that answers the calls of the server `port`: it returns the response.
+
+    If it raises `CairnError`, the call is refused with its text; any other exception fails the
+    component. Raises `CairnError` for a method that is decorated already.
+    """
+
+    def decorate(method: ServiceMethod) -> ServiceMethod:
+        return _marked(method, ServiceHandler(port))
+
+    return decorate
+
+
 def every(*, hz: float) -> Callable[[Method], Method]:
     """Decorate a method to be called `hz` times per second of the component's clock, while active.
 
@@ -234,35 +405,49 @@ def every(*, hz: float) -> Callable[[Method], Method]:
     return decorate
 
 
-def handlers_of(cls: type) -> dict[str, PortHandler | TimerHandler]:
+Handler = PortHandler | ServiceHandler | TimerHandler
+
+
+def handlers_of(cls: type) -> dict[str, Handler]:
     """Return the decorated methods of a component class, in order of declaration, bases first.
 
-    Raises `CairnError` for a handler of a port that is not an input of the class.
+    Raises `CairnError` for a handler of a port that is not an input, or not a server, of the class;
+    for a server without a handler, and for one with several.
     """
-    ports = ports_of(cls)
-    handlers: dict[str, PortHandler | TimerHandler] = {}
+    inputs = [port.name for port in ports_of(cls).values() if port.direction == "in"]
+    servers = [one.name for one in services_of(cls).values() if one.role == "server"]
+    handlers: dict[str, Handler] = {}
     for base in reversed(cls.__mro__):
         for name, value in vars(base).items():
             handler: Any = getattr(value, _HANDLER_ATTRIBUTE, None)
             if handler is None:
                 handlers.pop(name, None)
                 continue
-            if isinstance(handler, PortHandler):
-                spec = ports.get(handler.port)
-                if spec is None or spec.direction != "in":
-                    inputs = [port.name for port in ports.values() if port.direction == "in"]
-                    raise CairnError(
-                        f"{_qualified_name(cls)}.{name}: there is no input port {handler.port}; "
-                        f"the inputs are {', '.join(inputs) or 'none'}"
-                    )
+            if isinstance(handler, PortHandler) and handler.port not in inputs:
+                raise CairnError(
+                    f"{_qualified_name(cls)}.{name}: there is no input port {handler.port}; "
+                    f"the inputs are {', '.join(inputs) or 'none'}"
+                )
+            if isinstance(handler, ServiceHandler) and handler.port not in servers:
+                raise CairnError(
+                    f"{_qualified_name(cls)}.{name}: there is no server port {handler.port}; "
+                    f"the servers are {', '.join(servers) or 'none'}"
+                )
             handlers[name] = handler
+    served = Counter(one.port for one in handlers.values() if isinstance(one, ServiceHandler))
+    for server in servers:
+        if served[server] != 1:
+            raise CairnError(
+                f"{_qualified_name(cls)}.{server}: {served[server]} methods answer this server; "
+                f'decorate one method with @serve("{server}")'
+            )
     return handlers
 
 
-def _marked(method: Method, handler: PortHandler | TimerHandler) -> Method:
+def _marked(method: Any, handler: Handler) -> Any:
     if hasattr(method, _HANDLER_ATTRIBUTE):
         raise CairnError(
-            f"{method.__qualname__} has two of the decorators @on and @every; "
+            f"{method.__qualname__} has two of the decorators @on, @serve and @every; "
             "write a method for each"
         )
     setattr(method, _HANDLER_ATTRIBUTE, handler)
@@ -295,25 +480,71 @@ def _port(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> PortS
         )
     if isinstance(declared, Out) and kind is Out:
         return PortSpec(name, "out", message, declared.qos, exclusive=declared.exclusive)
+    raise _wrong_default(cls, name, kind, declared)
+
+
+def _service(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> ServiceSpec:
+    service = _service_type(arguments)
+    if service is None:
+        raise _no_service_type(cls, name, kind)
+    declared = getattr(cls, name, None)
+    if declared is None:
+        declared = kind()
+    if isinstance(declared, Server) and kind is Server:
+        return ServiceSpec(name, "server", service, max_bytes=declared.max_bytes)
+    if isinstance(declared, Client) and kind is Client:
+        return ServiceSpec(name, "client", service, declared.optional)
+    raise _wrong_default(cls, name, kind, declared)
+
+
+def _service_type(arguments: tuple[Any, ...]) -> type[Service[Any, Any]] | None:
+    """Return the service of which these are request and response; None if they are not."""
+    try:
+        name = type_name(arguments[0])
+        service = interface(name.removesuffix("_Request"))
+    except (IndexError, TypeError, AttributeError, DefinitionError):
+        return None
+    if not issubclass(service, Service) or arguments != (service.Request, service.Response):
+        return None
+    return service
+
+
+def _wrong_default(cls: type, name: str, kind: type, declared: object) -> CairnError:
     owner = next(base for base in cls.__mro__ if name in vars(base))
     if name not in vars(owner).get("__annotations__", {}):
-        raise CairnError(
+        return CairnError(
             f"{_qualified_name(cls)}.{name}: {owner.__name__} uses the name {name} itself; "
             "give the port another name"
         )
-    raise CairnError(
+    return CairnError(
         f"{_qualified_name(cls)}.{name}: annotated {kind.__name__}, but its default is "
         f"{type(declared).__name__}; give {kind.__name__}(...) or no default"
     )
 
 
-def _unannotated(cls: type, ports: dict[str, PortSpec]) -> dict[str, In[Any] | Out[Any]]:
+def _unannotated(cls: type, known: Collection[str], kinds: Any) -> dict[str, Any]:
+    """Return the ports of these kinds that a class or its bases define without an annotation."""
     return {
         name: value
         for base in cls.__mro__
         for name, value in vars(base).items()
-        if isinstance(value, In | Out) and name not in ports
+        if isinstance(value, kinds) and name not in known
     }
+
+
+def _no_service_type(cls: type, name: str, kind: type) -> CairnError:
+    return CairnError(
+        f"{_qualified_name(cls)}.{name}: the port has no service type; annotate it with the two "
+        f"classes of one service, as in `{name}: {kind.__name__}[Trigger.Request, "
+        "Trigger.Response]`"
+    )
+
+
+def _check_max_bytes(kind: str, max_bytes: int | None) -> None:
+    if max_bytes is not None and not 1 <= max_bytes <= LONGEST_MAX_BYTES:
+        raise CairnError(
+            f"{kind}(max_bytes={max_bytes}): a limit is from 1 to {LONGEST_MAX_BYTES:,} bytes"
+        )
 
 
 def _no_message_type(cls: type, name: str, kind: type) -> CairnError:

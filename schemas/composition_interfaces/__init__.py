@@ -1,0 +1,1 @@
+"""ROS 2 package composition_interfaces: its interfaces are in msg, srv and action."""
