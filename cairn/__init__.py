@@ -17,13 +17,27 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from cairn.bus.actions import ClientGoal, ServerGoal
+    from cairn.bus.bus import ServiceError
     from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
     from cairn.clock import SECOND, Clock, from_ns, to_ns
     from cairn.errors import CairnError
     from cairn.runtime.component import Component
     from cairn.runtime.lifecycle import LifecycleState
     from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath
-    from cairn.runtime.ports import In, Out, every, on
+    from cairn.runtime.ports import (
+        ActionClient,
+        ActionServer,
+        Client,
+        In,
+        Out,
+        Server,
+        cancel,
+        every,
+        goal,
+        on,
+        serve,
+    )
     from cairn.runtime.rate_limited_log import RateLimitedLog
     from cairn.runtime.retried_save import RetriedSave
     from cairn.supervision.supervisor import StartFailed, Supervisor
@@ -33,7 +47,11 @@ __all__ = [
     "RELIABLE",
     "SECOND",
     "SENSOR",
+    "ActionClient",
+    "ActionServer",
     "CairnError",
+    "Client",
+    "ClientGoal",
     "Clock",
     "Component",
     "Config",
@@ -46,22 +64,42 @@ __all__ = [
     "RateLimitedLog",
     "ReadPath",
     "RetriedSave",
+    "Server",
+    "ServerGoal",
+    "ServiceError",
     "StartFailed",
     "Supervisor",
+    "cancel",
     "every",
     "from_ns",
+    "goal",
     "on",
+    "serve",
     "to_ns",
 ]
 
 _MODULES: Final = {
+    "cairn.bus.actions": ("ClientGoal", "ServerGoal"),
+    "cairn.bus.bus": ("ServiceError",),
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
     "cairn.clock": ("SECOND", "Clock", "from_ns", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),
     "cairn.runtime.lifecycle": ("LifecycleState",),
     "cairn.runtime.parameters": ("Config", "Mount", "ParameterRejected", "ReadPath"),
-    "cairn.runtime.ports": ("In", "Out", "every", "on"),
+    "cairn.runtime.ports": (
+        "ActionClient",
+        "ActionServer",
+        "Client",
+        "In",
+        "Out",
+        "Server",
+        "cancel",
+        "every",
+        "goal",
+        "on",
+        "serve",
+    ),
     "cairn.runtime.rate_limited_log": ("RateLimitedLog",),
     "cairn.runtime.retried_save": ("RetriedSave",),
     "cairn.supervision.supervisor": ("StartFailed", "Supervisor"),

@@ -227,19 +227,22 @@ class ObjectProposals:
 
 @message("cairn_msgs/msg/PortStatus")
 class PortStatus:
-    """The messages of one port of a component since it was configured.
+    """The messages or calls of one port of a component since it was configured.
 
-    `messages` were handled or published; `dropped` were lost on the way or in favor of newer ones;
-    `invalid` broke their definition or a limit; `refused` came to an exclusive port from a
-    publisher that is not entitled.
+    `topic` is also the name of a service. `messages` were handled, published, served or called;
+    `dropped` were lost on the way or in favor of newer ones; `invalid` broke their definition or a
+    limit; `refused` came to an exclusive port from a publisher that is not entitled, or to a server
+    for which too many calls waited.
     """
 
     IN: ClassVar[UInt8] = 0
     OUT: ClassVar[UInt8] = 1
+    SERVER: ClassVar[UInt8] = 2
+    CLIENT: ClassVar[UInt8] = 3
 
     port: String
     topic: String
-    direction: Annotated[int, Scalar("uint8", at_most=1)]
+    direction: Annotated[int, Scalar("uint8", at_most=3)]
     messages: UInt64 = 0
     dropped: UInt64 = 0
     invalid: UInt64 = 0

@@ -207,6 +207,10 @@ class LockstepScheduler:
         """Make `call` as `post` does."""
         self.post(call)
 
+    def receive(self, call: Callable[[], None]) -> None:
+        """Make `call` as `post` does."""
+        self.post(call)
+
     def wake_at(self, time: int) -> None:
         """Run the timers that are due at virtual time `time` [ns]."""
         if self._wake_at is not None and self._wake_at <= time:

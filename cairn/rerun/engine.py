@@ -7,11 +7,11 @@ the call log and the recording have: nothing else decides what it does.
 import json
 import logging
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Protocol
 
-from cairn.bus.bus import MessageId, full_name
+from cairn.bus.bus import MessageId, ServiceError, full_name
 from cairn.bus.codec import Codec
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
@@ -26,10 +26,10 @@ from cairn.rerun.comparison import first_difference
 from cairn.runtime.call_records import RecordKind, StartInfo
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
-from cairn.runtime.ports import ports_of
+from cairn.runtime.ports import ports_of, services_of
 from cairn.runtime.runtime import Runtime
 from cairn.runtime.timers import CLOCK_TOPIC
-from cairn.schemas.message import InvalidMessage
+from cairn.schemas.message import InvalidMessage, Service, type_name
 from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
 from cairn.supervision.logged_children import RecordedChildren
 from cairn.supervision.supervisor import Supervisor
@@ -161,6 +161,9 @@ class Rerun:
         self._subscriptions: dict[str, _RerunSubscription] = {}
         self._scheduler = _RerunScheduler()
         self._ports: dict[str, str] = {}  # by topic
+        self._service_ports: dict[str, str] = {}  # by service
+        self._servers: dict[str, _RerunServer] = {}
+        self._clients: dict[str, _RerunClient] = {}
         self._runtime: Runtime | None = None
 
     def run(self) -> RerunResult:
@@ -217,6 +220,14 @@ class Rerun:
                 self._rejecting(lambda: runtime.transition(Transition(values[0])))
             case RecordKind.MESSAGE:
                 self._deliver(values[0], MessageId(values[1], values[2]))
+            case RecordKind.CALLED:
+                server = self._servers.get(values[0])
+                if server is None:
+                    self._note(f"does not serve {values[0]} in {self._call.name}")
+                else:
+                    server.deliver(self.call_of(server, values[1:]))
+            case RecordKind.ANSWERED | RecordKind.FAILED:
+                self._answer(call.kind, values[0], values[1], values[2])
             case RecordKind.CLOCK:
                 subscription = self._subscriptions.get(CLOCK_TOPIC)
                 if subscription is None:
@@ -246,6 +257,9 @@ class Rerun:
         robot = info.robot
         self._ports = {
             full_name(robot, info.topics.get(port, port)): port for port in ports_of(plugin)
+        }
+        self._service_ports = {
+            full_name(robot, info.topics.get(port, port)): port for port in services_of(plugin)
         }
         self._ports.setdefault(
             full_name(robot, info.topics.get(CLOCK_TOPIC, CLOCK_TOPIC)), CLOCK_TOPIC
@@ -279,6 +293,80 @@ class Rerun:
             self._note(f"does not subscribe to input {port} in {self._call.name}")
             return
         subscription.deliver(self.message(subscription, identity), identity)
+
+    def call_of(self, server: "_RerunServer", values: Sequence[Any]) -> "_RerunCall":
+        """Return a recorded call of a server, from the identity and the request in its record."""
+        gid, sequence, content = values
+        return _RerunCall(
+            self, server, self._decoded(server.service.Request, content), gid, sequence
+        )
+
+    def _answer(self, kind: RecordKind, port: str, sequence: int, content: Any) -> None:
+        client = self._clients.get(port)
+        pending = None if client is None else client.pending.pop(sequence, None)
+        if client is None or pending is None:
+            self._note(f"does not wait for the answer {sequence} of {port} in {self._call.name}")
+        elif kind is RecordKind.FAILED:
+            pending[1](ServiceError(content))
+        else:
+            pending[0](self._decoded(client.service.Response, content))
+
+    def _decoded(self, cls: type[Any], content: bytes) -> Any:
+        try:
+            return self.codec.decode(cls, content)
+        except InvalidMessage as error:
+            raise CannotRerun(
+                f"{type_name(cls)}: a recorded message is invalid now: {error}"
+            ) from error
+
+    def open_server(self, server: "_RerunServer") -> str:
+        """Note a server; return the name of its port."""
+        port = self._service_ports[server.name]
+        self._servers[port] = server
+        return port
+
+    def open_client(self, client: "_RerunClient") -> str:
+        """Note a client; return the name of its port."""
+        port = self._service_ports[client.name]
+        self._clients[port] = client
+        return port
+
+    def close_service(self, port: str) -> None:
+        """Forget the server or client of a port."""
+        self._servers.pop(port, None)
+        self._clients.pop(port, None)
+
+    def pending_call(self, server: "_RerunServer") -> "_RerunCall | None":
+        """Return a call that was taken from a server within another call; None if none was."""
+        waiting = self._call.pending_calls.get(server.port)
+        return self.call_of(server, waiting.popleft()) if waiting else None
+
+    def saw_server(self, port: str) -> bool:
+        """Return whether the component saw a server for its client."""
+        seen = self._call.subscribed.get(port)
+        if seen:
+            return seen.popleft()
+        self._note(f"asks more often whether there is a server for {port}")
+        return True
+
+    def compare_sent(self, service: str, port: str, what: str, sent: "_Sent") -> None:
+        """Compare what was sent by a service with the recording: an answer, a refusal, a call."""
+        result = self.result.topics.setdefault(service, TopicResult())
+        expected = self._call.service_sent.get(port)
+        if not expected:
+            if not self._call.is_cut:
+                result.extra += 1
+                self._differ(service, f"sends {what} more: {_shortened(sent.content)}")
+            return
+        recorded = expected.popleft()
+        result.compared += 1
+        if recorded != sent:
+            result.different += 1
+            self._differ(
+                service,
+                f"sends {what} {_shortened(sent.content)}; recorded was "
+                f"{_shortened(recorded.content)}",
+            )
 
     def message(self, subscription: "_RerunSubscription", identity: MessageId) -> Any:
         """Return a recorded message for an input; raises `CannotRerun` if it is missing."""
@@ -412,6 +500,13 @@ class Rerun:
                 recorded = self._messages.find(sent[0])
                 time_ns = self.time_ns if recorded is None else recorded.sent_ns
                 self._differ(topic, f"does not publish {_messages(len(sent))}", time_ns)
+        services = {port: service for service, port in self._service_ports.items()}
+        for port, unsent in environment.service_sent.items():
+            if unsent and port in services:
+                service = services[port]
+                result = self.result.topics.setdefault(service, TopicResult())
+                result.missing += len(unsent)
+                self._differ(service, f"does not send {_messages(len(unsent))}")
         if environment.times:
             self._note(f"reads the clock less often in {environment.name}")
 
@@ -435,6 +530,17 @@ class Rerun:
         self.ended = report
 
 
+class _Sent(NamedTuple):
+    """What was sent by a service: an answer or a request, or the text of a refusal.
+
+    `gid` and `sequence` are those of the call that is answered; a request has only the latter.
+    """
+
+    gid: bytes
+    sequence: int
+    content: bytes | str
+
+
 class _CallEnvironment:
     """What happened during one recorded call, in queues from which the re-run takes it."""
 
@@ -444,6 +550,8 @@ class _CallEnvironment:
         self.subscribed: dict[str, deque[bool]] = {}
         self.sent: dict[str, deque[MessageId]] = {}
         self.pending: dict[str, deque[MessageId]] = {}
+        self.pending_calls: dict[str, deque[tuple[Any, ...]]] = {}
+        self.service_sent: dict[str, deque[_Sent]] = {}
         self.outcomes: deque[str] = deque()
         self.is_cut = False
         self.end: Mapping[str, Any] | None = None
@@ -466,6 +574,15 @@ class _CallEnvironment:
             case RecordKind.PENDING:
                 waiting = self.pending.setdefault(values[0], deque())
                 waiting.append(MessageId(values[1], values[2]))
+            case RecordKind.PENDING_CALL:
+                calls = self.pending_calls.setdefault(values[0], deque())
+                calls.append(tuple(values[1:]))
+            case RecordKind.REPLIED | RecordKind.REFUSED:
+                answer = _Sent(values[1], values[2], values[3])
+                self.service_sent.setdefault(values[0], deque()).append(answer)
+            case RecordKind.REQUESTED:
+                request = _Sent(bytes(16), values[1], values[2])
+                self.service_sent.setdefault(values[0], deque()).append(request)
             case RecordKind.OUTCOME:
                 self.outcomes.append(values[0])
             case RecordKind.ENDED:
@@ -492,6 +609,9 @@ class _RerunScheduler:
         return True
 
     def deliver(self, call: Callable[[], None]) -> None:
+        call()
+
+    def receive(self, call: Callable[[], None]) -> None:
         call()
 
     def wake_at(self, time: int) -> None:
@@ -540,8 +660,103 @@ class _RerunBus:
         self._rerun.open_input(topic, subscription)
         return subscription
 
+    def serve(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        wake: Callable[[], None],
+        max_bytes: int | None = None,  # noqa: ARG002
+    ) -> "_RerunServer":
+        return _RerunServer(self._rerun, name, service, wake)
+
+    def client(
+        self,
+        name: str,
+        service: type[Service[Any, Any]],
+        post: Callable[[Callable[[], None]], None],  # noqa: ARG002
+    ) -> "_RerunClient":
+        return _RerunClient(self._rerun, name, service)
+
     def close(self) -> None:
         """Do nothing."""
+
+
+class _RerunServer:
+    received = invalid = refused = 0
+
+    def __init__(
+        self, rerun: Rerun, name: str, service: type[Service[Any, Any]], wake: Callable[[], None]
+    ) -> None:
+        self.name = name
+        self.service = service
+        self._rerun = rerun
+        self._wake = wake
+        self._next: _RerunCall | None = None
+        self.port = rerun.open_server(self)
+
+    def deliver(self, call: "_RerunCall") -> None:
+        """Have the component take a call."""
+        self._next = call
+        self._wake()
+
+    def take(self) -> "_RerunCall | None":
+        taken, self._next = self._next or self._rerun.pending_call(self), None
+        return taken
+
+    def close(self) -> None:
+        self._rerun.close_service(self.port)
+
+
+class _RerunCall:
+    def __init__(
+        self, rerun: Rerun, server: _RerunServer, request: Any, client: bytes, sequence: int
+    ) -> None:
+        self.request = request
+        self.client = client
+        self.sequence = sequence
+        self._rerun = rerun
+        self._server = server
+
+    def reply(self, response: Any) -> None:
+        if type(response) is not self._server.service.Response:
+            raise TypeError(f"the answer is a {type(response).__qualname__}")
+        self._send("an answer", self._rerun.codec.encode(response))
+
+    def refuse(self, reason: str) -> None:
+        self._send("a refusal", reason)
+
+    def _send(self, what: str, content: bytes | str) -> None:
+        sent = _Sent(self.client, self.sequence, content)
+        self._rerun.compare_sent(self._server.name, self._server.port, what, sent)
+
+
+class _RerunClient:
+    def __init__(self, rerun: Rerun, name: str, service: type[Service[Any, Any]]) -> None:
+        self.name = name
+        self.service = service
+        self.sent = 0
+        self.pending: dict[int, tuple[Callable[[Any], None], Callable[[ServiceError], None]]] = {}
+        self._rerun = rerun
+        self._port = rerun.open_client(self)
+
+    @property
+    def is_available(self) -> bool:
+        return self._rerun.saw_server(self._port)
+
+    def call(
+        self,
+        request: Any,
+        on_reply: Callable[[Any], None],
+        on_failure: Callable[[ServiceError], None],
+        timeout_s: float,  # noqa: ARG002
+    ) -> None:
+        self.sent += 1
+        self.pending[self.sent] = (on_reply, on_failure)
+        sent = _Sent(bytes(16), self.sent, self._rerun.codec.encode(request))
+        self._rerun.compare_sent(self.name, self._port, "a call", sent)
+
+    def close(self) -> None:
+        self._rerun.close_service(self._port)
 
 
 class _RerunPublisher:
@@ -602,6 +817,10 @@ def _describe(call: Call) -> str:
             return f"transition {values[0]}"
         case RecordKind.MESSAGE:
             return f"the handler of {values[0]}, message {values[2]}"
+        case RecordKind.CALLED:
+            return f"the server {values[0]}, call {values[2]}"
+        case RecordKind.ANSWERED | RecordKind.FAILED:
+            return f"the answer to call {values[1]} of {values[0]}"
         case RecordKind.CLOCK:
             return "a message on topic clock"
         case RecordKind.TIMERS:

@@ -14,7 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from cairn.bus.bus import MessageId, Node
+from cairn.bus.bus import Call, MessageId, Node, ServiceError
+from cairn.bus.codec import Codec
 from cairn.bus.qos import LATCHED
 from cairn.clock import Clock, from_ns
 from cairn.errors import CairnError
@@ -48,6 +49,7 @@ class CallLog:
         self, node: Node, topic: str, component: str, incarnation: int, clock: Clock
     ) -> None:
         """Publish on `topic` (a full name); `clock` has the stamps of the batches."""
+        self.codec = Codec()
         self._publisher = node.advertise(topic, CallBatch, CALL_LOG_QOS)
         self._component = component
         self._incarnation = incarnation
@@ -100,6 +102,23 @@ class CallLog:
         if self._in_delivery:
             self._in_delivery, kind = False, RecordKind.MESSAGE
         self._records.append((kind, port, *(message or MessageId(bytes(16), 0))))
+
+    def called(self, port: str, call: Call) -> None:
+        """Log that a server has taken a call."""
+        kind = RecordKind.PENDING_CALL
+        if self._in_delivery:
+            self._in_delivery, kind = False, RecordKind.CALLED
+        request = self.codec.encode(call.request)
+        self._records.append((kind, port, call.client, call.sequence, request))
+
+    def answered(self, port: str, sequence: int, answer: Any) -> None:
+        """Log the answer to a client's call: a response, or a `ServiceError`."""
+        self._in_delivery = False
+        if isinstance(answer, ServiceError):
+            self._records.append((RecordKind.FAILED, port, sequence, str(answer)))
+        else:
+            response = self.codec.encode(answer)
+            self._records.append((RecordKind.ANSWERED, port, sequence, response))
 
     def clock_set(self, time: int) -> None:
         """Log that a message has set the component's clock [ns]."""
@@ -185,6 +204,10 @@ class LoggedScheduler:
     def deliver(self, call: Callable[[], None]) -> None:
         """Queue `call` for a received message."""
         self._scheduler.deliver(partial(self._log.deliver, call))
+
+    def receive(self, call: Callable[[], None]) -> None:
+        """Queue `call` for a received answer."""
+        self._scheduler.receive(partial(self._log.deliver, call))
 
     def wake_at(self, time: int) -> None:
         """Run the due timers at `time` of the system clock [ns]."""

@@ -37,6 +37,9 @@ class RecordKind(IntEnum):
     FOREIGN = 6  # what another thread has posted
     REQUEST = 7  # verb, arguments as JSON
     HOST = 8  # a call of what hosts the component: name
+    CALLED = 9  # a call of a server: port, client's gid, sequence, request
+    ANSWERED = 10  # the answer to a call of a client: port, sequence, response
+    FAILED = 11  # a call of a client has failed: port, sequence, reason
     # During a call:
     PENDING = 16  # a message that is handled within another call: port, gid, sequence
     TIME = 17  # a reading of the clock: time [ns]
@@ -48,6 +51,10 @@ class RecordKind(IntEnum):
     OUTCOME = 23  # JSON: what a supervisor's children have answered
     ENDED = 24  # JSON: how the component ended
     CUT = 25  # the log of this start ends here: reason
+    REPLIED = 26  # a server has answered: port, client's gid, sequence, response
+    REFUSED = 27  # a server has refused a call: port, client's gid, sequence, reason
+    REQUESTED = 28  # a client has called: port, sequence, request
+    PENDING_CALL = 29  # a call of a server, within another call: as CALLED
 
     @property
     def begins_call(self) -> bool:
@@ -95,6 +102,9 @@ _VALUES: Final[dict[int, str]] = {
     RecordKind.FOREIGN: "",
     RecordKind.REQUEST: "nj",
     RecordKind.HOST: "n",
+    RecordKind.CALLED: "ngsb",
+    RecordKind.ANSWERED: "nsb",
+    RecordKind.FAILED: "nsj",
     RecordKind.PENDING: "ngs",
     RecordKind.TIME: "t",
     RecordKind.HAS_SUBSCRIBERS: "n",
@@ -105,10 +115,14 @@ _VALUES: Final[dict[int, str]] = {
     RecordKind.OUTCOME: "j",
     RecordKind.ENDED: "j",
     RecordKind.CUT: "j",
+    RecordKind.REPLIED: "ngsb",
+    RecordKind.REFUSED: "ngsj",
+    RecordKind.REQUESTED: "nsb",
+    RecordKind.PENDING_CALL: "ngsb",
 }
-"""The values of each kind: a JSON or other text, a name, a gid, a time, or a sequence number.
+"""The values of each kind: a JSON or other text, bytes, a name, a gid, a time, or a number.
 
-The number is one of the publisher, or of the port, that precedes it.
+The number is a sequence number of the publisher or client, or of the port, that precedes it.
 """
 
 
@@ -136,10 +150,10 @@ class RecordEncoder:
             elif code == "s":
                 _append_signed(data, value - self._last.get(whose, 0))
                 self._last[whose] = value
-            elif code == "j":
-                text = value.encode()
-                _append(data, len(text))
-                data += text
+            elif code in ("j", "b"):
+                content = value.encode() if code == "j" else value
+                _append(data, len(content))
+                data += content
             else:
                 whose = value
                 table = self._tables[code]
@@ -191,6 +205,8 @@ class RecordDecoder:
                 values.append(value)
             elif code == "j":
                 values.append(self._text())
+            elif code == "b":
+                values.append(self._content())
             else:
                 whose = self._name() if code == "n" else self._gid()
                 values.append(whose)
@@ -210,12 +226,15 @@ class RecordDecoder:
             raise CallLogError(f"byte {self._at}: entry {index} of a table of {len(table)}")
         return table[index]
 
-    def _text(self) -> str:
+    def _content(self) -> bytes:
         length = self._number()
         if length > _LONGEST_TEXT:
             raise CallLogError(f"byte {self._at}: a text of {length:,} bytes")
+        return self._bytes(length)
+
+    def _text(self) -> str:
         try:
-            return self._bytes(length).decode()
+            return self._content().decode()
         except UnicodeDecodeError as error:
             raise CallLogError(f"byte {self._at}: a text is not UTF-8") from error
 

@@ -24,6 +24,10 @@ class Scheduler(Protocol):
         """Queue `call` for a received message; the calling thread may make it itself."""
         ...
 
+    def receive(self, call: Callable[[], None]) -> None:
+        """Queue `call` for a received answer; never made by the calling thread; thread-safe."""
+        ...
+
     def wake_at(self, time: int) -> None:
         """Call the function given to `bind` at `time` of the system clock [ns].
 
@@ -67,6 +71,10 @@ class ThreadLoop:
         self._calls.append(call)
         self._bell.ring()
         self._discard_if_finished()
+
+    def receive(self, call: Callable[[], None]) -> None:
+        """Queue `call`, as `post` does."""
+        self.post(call)
 
     def deliver(self, call: Callable[[], None]) -> None:
         """Queue `call`; the calling thread makes it if no other call is in progress."""

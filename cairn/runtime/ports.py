@@ -2,24 +2,39 @@
 
 import typing
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Generic, Literal, TypeVar, get_args, get_origin
 
+from cairn.bus.actions import (
+    CANCEL_GOAL,
+    FEEDBACK,
+    GET_RESULT,
+    SEND_GOAL,
+    STATUS,
+    ClientGoal,
+    ServerGoal,
+)
 from cairn.bus.bus import ServiceError
 from cairn.bus.message_limits import LONGEST_MAX_BYTES
-from cairn.bus.qos import RELIABLE, Qos
+from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.clock import SECOND
 from cairn.errors import CairnError
+from cairn.schemas.action_msgs.msg import GoalStatusArray
+from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.definitions import DefinitionError
 from cairn.schemas.interfaces import interface
-from cairn.schemas.message import Service, type_name
+from cairn.schemas.message import Action, Service, type_name
 
 T = TypeVar("T")
+Goal = TypeVar("Goal")
+Result = TypeVar("Result")
+Feedback = TypeVar("Feedback")
 Request = TypeVar("Request")
 Response = TypeVar("Response")
 Method = TypeVar("Method", bound=Callable[..., None])
 ServiceMethod = TypeVar("ServiceMethod", bound=Callable[..., Any])
+Marked = TypeVar("Marked", bound=Callable[..., Any])
 
 
 class In(Generic[T]):
@@ -147,6 +162,75 @@ class Client(Generic[Request, Response]):
         another type than the port's, or on a declaration.
         """
         raise _not_bound("Client")
+
+
+class ActionServer(Generic[Goal, Result, Feedback]):
+    """An action that the component provides, while it is active.
+
+    `spin: ActionServer[Spin.Goal, Spin.Result, Spin.Feedback]`; a method decorated
+    `@goal("spin")` begins to pursue each goal, one decorated `@cancel("spin")` to end it early.
+    Without the latter, goals cannot be canceled. When the component becomes inactive, its goals are
+    aborted.
+    """
+
+    @property
+    def action(self) -> str:
+        """The full name of the action in this deployment; `CairnError` on a declaration."""
+        raise _not_bound("ActionServer")
+
+    @property
+    def goals(self) -> Sequence[ServerGoal[Goal, Result, Feedback]]:
+        """The goals that have not ended, the oldest first; `CairnError` on a declaration."""
+        raise _not_bound("ActionServer")
+
+    def restore(self, identity: bytes, goal: Goal) -> ServerGoal[Goal, Result, Feedback]:  # noqa: ARG002
+        """Return a goal that was accepted before a restart of the component, executing again.
+
+        Its client can get the result as if nothing had happened. Raises `CairnError` on a
+        declaration.
+        """
+        raise _not_bound("ActionServer")
+
+
+class ActionClient(Generic[Goal, Result, Feedback]):
+    """An action that the component uses, while it is active.
+
+    `spin: ActionClient[Spin.Goal, Spin.Result, Spin.Feedback]`. With `optional=True` the component
+    works without a server, and the check of a deployment does not require one.
+    """
+
+    def __init__(self, *, optional: bool = False) -> None:
+        self.optional = optional
+
+    @property
+    def action(self) -> str:
+        """The full name of the action in this deployment; `CairnError` on a declaration."""
+        raise _not_bound("ActionClient")
+
+    @property
+    def is_available(self) -> bool:
+        """Whether there is a server; `CairnError` on a declaration."""
+        raise _not_bound("ActionClient")
+
+    def send(
+        self,
+        goal: Goal,  # noqa: ARG002 - the bound port sends it
+        on_result: Callable[[int, Result], None],  # noqa: ARG002
+        on_failure: Callable[[ServiceError], None] | None = None,  # noqa: ARG002
+        *,
+        on_accepted: Callable[[], None] | None = None,  # noqa: ARG002
+        on_feedback: Callable[[Feedback], None] | None = None,  # noqa: ARG002
+        timeout_s: float = 5.0,  # noqa: ARG002
+    ) -> ClientGoal[Goal, Result, Feedback]:
+        """Send a goal, without waiting: the functions are called later as handlers.
+
+        `on_result` gets the final status, one of the constants of `action_msgs/msg/GoalStatus`, and
+        the result. `on_failure` is called in its place, with the reason, if the server rejects the
+        goal, does not answer within the time limit, or ends; without it, the reason is logged as a
+        warning. Raises `CairnError` if the goal is of another type than the port's, or on a
+        declaration.
+        """
+        raise _not_bound("ActionClient")
 
 
 class BoundIn(In[T]):
@@ -282,6 +366,43 @@ class ServiceSpec:
 
 
 @dataclass(frozen=True)
+class ActionSpec:
+    """What a component class declares about one action server or client port."""
+
+    name: str
+    role: Literal["server", "client"]
+    action: type[Action[Any, Any, Any]]
+    optional: bool = False
+
+    def services(self) -> dict[str, ServiceSpec]:
+        """Return its three services, by their names below that of the action."""
+        services = {
+            SEND_GOAL: self.action.SendGoal,
+            CANCEL_GOAL: CancelGoal,
+            GET_RESULT: self.action.GetResult,
+        }
+        return {
+            part: ServiceSpec(f"{self.name}/{part}", self.role, service, self.optional)
+            for part, service in services.items()
+        }
+
+    def topics(self) -> dict[str, "PortSpec"]:
+        """Return its topics, by their names below that of the action; a client reads feedback."""
+        direction: Literal["in", "out"] = "out" if self.role == "server" else "in"
+        feedback = PortSpec(
+            f"{self.name}/{FEEDBACK}",
+            direction,
+            self.action.FeedbackMessage,
+            RELIABLE,
+            optional=True,
+        )
+        if self.role == "client":
+            return {FEEDBACK: feedback}
+        status = PortSpec(f"{self.name}/{STATUS}", "out", GoalStatusArray, LATCHED)
+        return {FEEDBACK: feedback, STATUS: status}
+
+
+@dataclass(frozen=True)
 class PortSpec:
     """What a component class declares about one port."""
 
@@ -327,6 +448,22 @@ def services_of(cls: type) -> dict[str, ServiceSpec]:
     return services
 
 
+def actions_of(cls: type) -> dict[str, ActionSpec]:
+    """Return the action servers and clients that a component class and its bases declare.
+
+    Raises `CairnError` for one whose classes are not goal, result and feedback of one action, or
+    whose default is not a port of the annotated kind.
+    """
+    actions = {
+        name: _action(cls, name, kind, arguments)
+        for name, kind, arguments in _annotated(cls)
+        if kind in (ActionServer, ActionClient)
+    }
+    for name, port in _unannotated(cls, actions, ActionServer | ActionClient).items():
+        raise _no_action_type(cls, name, type(port))
+    return actions
+
+
 def _annotated(cls: type) -> Iterator[tuple[str, Any, tuple[Any, ...]]]:
     """Yield the annotations of a class and its bases: name, generic class, type arguments."""
     try:
@@ -351,6 +488,20 @@ class PortHandler:
 @dataclass(frozen=True)
 class ServiceHandler:
     """A method that answers the calls of one server port."""
+
+    port: str
+
+
+@dataclass(frozen=True)
+class GoalHandler:
+    """A method that pursues the goals of one action server port."""
+
+    port: str
+
+
+@dataclass(frozen=True)
+class CancelHandler:
+    """A method that cancels the goals of one action server port."""
 
     port: str
 
@@ -390,6 +541,34 @@ def serve(port: str) -> Callable[[ServiceMethod], ServiceMethod]:
     return decorate
 
 
+def goal(port: str) -> Callable[[Method], Method]:
+    """Decorate a method that begins to pursue a goal of the action server `port`.
+
+    It gets a `ServerGoal`, which the component ends later by `succeed`, `abort` or `canceled`. If
+    it raises `CairnError`, the goal is rejected, and the reason logged; any other exception fails
+    the component. Raises `CairnError` for a method that is decorated already.
+    """
+
+    def decorate(method: Method) -> Method:
+        return _marked(method, GoalHandler(port))
+
+    return decorate
+
+
+def cancel(port: str) -> Callable[[Method], Method]:
+    """Decorate a method that begins to cancel a goal of the action server `port`.
+
+    It gets a `ServerGoal`, which the component ends then or later, usually by `canceled`. If it
+    raises `CairnError`, the goal continues. Raises `CairnError` for a method that is decorated
+    already.
+    """
+
+    def decorate(method: Method) -> Method:
+        return _marked(method, CancelHandler(port))
+
+    return decorate
+
+
 def every(*, hz: float) -> Callable[[Method], Method]:
     """Decorate a method to be called `hz` times per second of the component's clock, while active.
 
@@ -405,7 +584,7 @@ def every(*, hz: float) -> Callable[[Method], Method]:
     return decorate
 
 
-Handler = PortHandler | ServiceHandler | TimerHandler
+Handler = PortHandler | ServiceHandler | GoalHandler | CancelHandler | TimerHandler
 
 
 def handlers_of(cls: type) -> dict[str, Handler]:
@@ -416,6 +595,13 @@ def handlers_of(cls: type) -> dict[str, Handler]:
     """
     inputs = [port.name for port in ports_of(cls).values() if port.direction == "in"]
     servers = [one.name for one in services_of(cls).values() if one.role == "server"]
+    actions = [one.name for one in actions_of(cls).values() if one.role == "server"]
+    known: dict[type[Any], tuple[str, list[str]]] = {
+        PortHandler: ("input", inputs),
+        ServiceHandler: ("server", servers),
+        GoalHandler: ("action server", actions),
+        CancelHandler: ("action server", actions),
+    }
     handlers: dict[str, Handler] = {}
     for base in reversed(cls.__mro__):
         for name, value in vars(base).items():
@@ -423,31 +609,38 @@ def handlers_of(cls: type) -> dict[str, Handler]:
             if handler is None:
                 handlers.pop(name, None)
                 continue
-            if isinstance(handler, PortHandler) and handler.port not in inputs:
+            kind, ports = known.get(type(handler), ("", []))
+            if kind and handler.port not in ports:
                 raise CairnError(
-                    f"{_qualified_name(cls)}.{name}: there is no input port {handler.port}; "
-                    f"the inputs are {', '.join(inputs) or 'none'}"
-                )
-            if isinstance(handler, ServiceHandler) and handler.port not in servers:
-                raise CairnError(
-                    f"{_qualified_name(cls)}.{name}: there is no server port {handler.port}; "
-                    f"the servers are {', '.join(servers) or 'none'}"
+                    f"{_qualified_name(cls)}.{name}: there is no {kind} port {handler.port}; "
+                    f"the {kind}s are {', '.join(ports) or 'none'}"
                 )
             handlers[name] = handler
-    served = Counter(one.port for one in handlers.values() if isinstance(one, ServiceHandler))
-    for server in servers:
-        if served[server] != 1:
-            raise CairnError(
-                f"{_qualified_name(cls)}.{server}: {served[server]} methods answer this server; "
-                f'decorate one method with @serve("{server}")'
-            )
+    _check_single(cls, handlers, ServiceHandler, servers, "serve")
+    _check_single(cls, handlers, GoalHandler, actions, "goal")
     return handlers
 
 
-def _marked(method: Any, handler: Handler) -> Any:
+def _check_single(
+    cls: type,
+    handlers: Mapping[str, Handler],
+    kind: type[ServiceHandler | GoalHandler],
+    ports: list[str],
+    decorator: str,
+) -> None:
+    served = Counter(one.port for one in handlers.values() if isinstance(one, kind))
+    for port in ports:
+        if served[port] != 1:
+            raise CairnError(
+                f"{_qualified_name(cls)}.{port}: {served[port]} methods are decorated "
+                f'@{decorator}("{port}"); decorate exactly one'
+            )
+
+
+def _marked(method: Marked, handler: Handler) -> Marked:
     if hasattr(method, _HANDLER_ATTRIBUTE):
         raise CairnError(
-            f"{method.__qualname__} has two of the decorators @on, @serve and @every; "
+            f"{method.__qualname__} has two decorators of handlers, such as @on and @every; "
             "write a method for each"
         )
     setattr(method, _HANDLER_ATTRIBUTE, handler)
@@ -507,6 +700,39 @@ def _service_type(arguments: tuple[Any, ...]) -> type[Service[Any, Any]] | None:
     if not issubclass(service, Service) or arguments != (service.Request, service.Response):
         return None
     return service
+
+
+def _action(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> ActionSpec:
+    action = _action_type(arguments)
+    if action is None:
+        raise _no_action_type(cls, name, kind)
+    declared = getattr(cls, name, None)
+    if declared is None:
+        declared = kind()
+    if isinstance(declared, ActionServer) and kind is ActionServer:
+        return ActionSpec(name, "server", action)
+    if isinstance(declared, ActionClient) and kind is ActionClient:
+        return ActionSpec(name, "client", action, declared.optional)
+    raise _wrong_default(cls, name, kind, declared)
+
+
+def _action_type(arguments: tuple[Any, ...]) -> type[Action[Any, Any, Any]] | None:
+    """Return the action of which these are goal, result and feedback; None if they are not."""
+    try:
+        action = interface(type_name(arguments[0]).removesuffix("_Goal"))
+    except (IndexError, TypeError, AttributeError, DefinitionError):
+        return None
+    if not issubclass(action, Action):
+        return None
+    return action if arguments == (action.Goal, action.Result, action.Feedback) else None
+
+
+def _no_action_type(cls: type, name: str, kind: type) -> CairnError:
+    return CairnError(
+        f"{_qualified_name(cls)}.{name}: the port has no action type; annotate it with the three "
+        f"classes of one action, as in `{name}: {kind.__name__}[Spin.Goal, Spin.Result, "
+        "Spin.Feedback]`"
+    )
 
 
 def _wrong_default(cls: type, name: str, kind: type, declared: object) -> CairnError:

@@ -20,12 +20,14 @@ Lockstep has no real processes, threads or network. For these see `cairn.testing
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, cast
 
-from cairn.bus.bus import full_name
+from cairn.bus.actions import ActionCaller, SentGoal
+from cairn.bus.bus import ServiceError, full_name
 from cairn.bus.lockstep_bus import (
     LockstepBus,
     LockstepNode,
@@ -43,8 +45,14 @@ from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.runtime.ports import ports_of
 from cairn.runtime.runtime import Runtime
+from cairn.schemas.message import Action, Service
 
 C = TypeVar("C", bound=Component)
+Request = TypeVar("Request")
+Response = TypeVar("Response")
+Goal = TypeVar("Goal")
+Result = TypeVar("Result")
+Feedback = TypeVar("Feedback")
 M = TypeVar("M")
 
 EVERYTHING = Qos("reliable", "transient_local", 1_000_000)
@@ -113,9 +121,10 @@ class Lockstep:
         """Begin at virtual time `start_s` [s], unless an executor is given, which has the time."""
         self.robot = robot
         self.executor = executor or LockstepExecutor(round(start_s * SECOND))
-        self.bus = bus or LockstepBus()
+        self.bus = bus or LockstepBus(self.executor.after)
         self.node = self.bus.node(full_name(robot, "test"), _raise)
         self._writers: dict[str, LockstepPublisher] = {}
+        self._goals = itertools.count(1)
 
     @property
     def now(self) -> float:
@@ -173,6 +182,35 @@ class Lockstep:
             self._writers[full].publish(message)
         if handled:
             self.run_for(0.0)
+
+    def call(
+        self,
+        service: str,
+        kind: type[Service[Request, Response]],
+        request: Request,
+        timeout_s: float = 5.0,
+    ) -> Response:
+        """Call a service and let virtual time advance until it answers; return the response.
+
+        Raises `ServiceError` if there is no server, it refuses, or does not answer in time.
+        """
+        answers: list[Any] = []
+        client = self.node.client(full_name(self.robot, service), kind, lambda call: call())
+        client.call(request, answers.append, answers.append, timeout_s)
+        self.run_until(lambda: bool(answers), limit_s=timeout_s + 1.0)
+        client.close()
+        if isinstance(answers[0], ServiceError):
+            raise answers[0]
+        return cast("Response", answers[0])
+
+    def send_goal(
+        self, action: str, kind: type[Action[Goal, Result, Feedback]], goal: Goal
+    ) -> SentGoal[Goal, Result, Feedback]:
+        """Send a goal; what happens to it is found in the object returned, as time advances."""
+        caller = ActionCaller(self.node, full_name(self.robot, action), kind)
+        sent = caller.send(next(self._goals).to_bytes(16, "big"), goal)
+        self.run_for(0.0)
+        return sent
 
     def __str__(self) -> str:
         """Describe the moment, for the message of a test that fails."""

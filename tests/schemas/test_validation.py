@@ -158,7 +158,7 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
         (lambda: VisualObject(1, reliability=-0.1), "reliability = -0.1: must be a finite number"),
         (lambda: VisualMapChange(kind=5), "kind = 5: must be an integer from 0 to 4"),
         (lambda: VisualMapChange(new_x=INF, new_y=0.0), "new_x, new_y = (inf, 0.0): must be two"),
-        (lambda: PortStatus("scan", "/scan", 2), "direction = 2: must be an integer from 0 to 1"),
+        (lambda: PortStatus("scan", "/scan", 4), "direction = 4: must be an integer from 0 to 3"),
         (
             lambda: ComponentStatus(Header(), "localizer", state="asleep"),
             "state = 'asleep': must be one of 'unconfigured', 'inactive', 'active', ",

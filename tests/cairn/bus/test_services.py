@@ -2,7 +2,7 @@
 
 import queue
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,6 @@ import pytest
 from cairn.bus.bus import Bus, Call, Node, Server, ServiceError
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.services import MOST_PENDING
-from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.example_interfaces.srv import AddTwoInts
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_srvs.srv import SetBool, Trigger

@@ -202,7 +202,7 @@ class Settable:
     def post(self, call: Callable[[], None]) -> None:
         call()
 
-    deliver = post
+    deliver = receive = post
 
     def wake_at(self, time: int) -> None:
         self.wake = time
