@@ -103,6 +103,7 @@ class LockstepNode:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,
+        invalid_response: Any = None,  # noqa: ARG002 - no object is invalid
     ) -> LockstepServer:
         """Return a server of the service `name`."""
         server = LockstepServer(self, name, service, wake, max_bytes)

@@ -48,6 +48,7 @@ class ZenohServer:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None,
+        invalid_response: Any,
     ) -> None:
         self.received = 0
         self.invalid = 0
@@ -57,6 +58,7 @@ class ZenohServer:
         self._node = node.name
         self._codec = node.bus.codec
         self._wake = wake
+        self._invalid_response = invalid_response
         self._max_bytes = default_max_bytes(self._request) if max_bytes is None else max_bytes
         self._pending = _PendingQueries()
         for cls in (self._request, self._response):
@@ -73,7 +75,7 @@ class ZenohServer:
     def take(self) -> "ZenohCall | None":
         """Remove and return the oldest pending call; None if there is none.
 
-        Raises `InvalidMessage` if its request is not valid; the client has the same error then.
+        Raises `InvalidMessage` if its request is not valid; the client has its answer then.
         """
         query = self._pending.take()
         if query is None:
@@ -86,7 +88,10 @@ class ZenohServer:
             )
         except InvalidMessage as error:
             self.invalid += 1
-            call.refuse(f"{self.name}: invalid request: {error}")
+            if self._invalid_response is not None:
+                call.reply(self._invalid_response)
+            else:
+                call.refuse(f"{self.name}: invalid request: {error}")
             raise
         self.received += 1
         return call

@@ -161,9 +161,10 @@ class ZenohNode:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,
+        invalid_response: Any = None,
     ) -> ZenohServer:
         """Return a server of the service `name`."""
-        server = ZenohServer(self, name, service, wake, max_bytes)
+        server = ZenohServer(self, name, service, wake, max_bytes, invalid_response)
         self._ends.append(server)
         return server
 

@@ -666,6 +666,7 @@ class _RerunBus:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,  # noqa: ARG002
+        invalid_response: Any = None,  # noqa: ARG002
     ) -> "_RerunServer":
         return _RerunServer(self._rerun, name, service, wake)
 

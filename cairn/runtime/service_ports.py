@@ -28,11 +28,12 @@ class ServerPort:
         where: str,
         answer: Callable[[Call], None],
         call_log: CallLog | None,
+        invalid_response: Any = None,
     ) -> None:
         """Prepare the server of the service of that full name.
 
         `answer` answers a call, now or later; an exception that it raises fails the component, and
-        refuses the call.
+        refuses the call. `invalid_response` answers calls whose request is not valid.
         """
         self.bound: BoundServer[Any, Any] = BoundServer(spec, service)
         self._spec = spec
@@ -41,6 +42,7 @@ class ServerPort:
         self._where = where
         self._answer = answer
         self._call_log = call_log
+        self._invalid_response = invalid_response
         self._wake = partial(scheduler.deliver, self._on_wake_up)
         self._server: Server | None = None
         # The server to count, and the counts before it; one tuple, read by other threads.
@@ -50,7 +52,11 @@ class ServerPort:
         """Serve from now on."""
         if self._server is None:
             self._server = self._node.serve(
-                self.bound.service, self._spec.service, self._wake, self._spec.max_bytes
+                self.bound.service,
+                self._spec.service,
+                self._wake,
+                self._spec.max_bytes,
+                self._invalid_response,
             )
             self._counted = (self._server, self._counted[1])
 
