@@ -218,13 +218,17 @@ class Node(Protocol):
         wake: Callable[[], None],
         max_bytes: int | None = None,
         invalid_response: Any = None,
+        *,
+        is_private: bool = False,
     ) -> Server:
         """Return a server of the service `name` (a full name: `/robot/save_map`).
 
         `wake` is called, on any thread, once for each call that becomes pending. A request longer
         than `max_bytes`, by default that of its class, is refused. `invalid_response` answers
         requests that cannot be decoded; without one, they are refused: ROS 2 clients wait for a
-        response, and take no errors.
+        response, and take no errors. A service that `is_private` to a node, such as
+        `/robot/localizer/get_parameters`, shares what it needs with the node's others of the same
+        package: it is called rarely, and every node has many.
         """
         ...
 

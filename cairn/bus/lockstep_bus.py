@@ -104,6 +104,8 @@ class LockstepNode:
         wake: Callable[[], None],
         max_bytes: int | None = None,
         invalid_response: Any = None,  # noqa: ARG002 - no object is invalid
+        *,
+        is_private: bool = False,  # noqa: ARG002 - each has what it needs
     ) -> LockstepServer:
         """Return a server of the service `name`."""
         server = LockstepServer(self, name, service, wake, max_bytes)

@@ -35,6 +35,7 @@ MOST_PENDING: Final = 2000
 """Calls of one server that wait until its component takes them; further ones are refused."""
 
 _RING: Final = 4096
+_PRIVATE_RING: Final = 256
 _LONGEST_REASON: Final = 1000
 
 
@@ -49,6 +50,8 @@ class ZenohServer:
         wake: Callable[[], None],
         max_bytes: int | None,
         invalid_response: Any,
+        *,
+        is_private: bool,
     ) -> None:
         self.received = 0
         self.invalid = 0
@@ -65,12 +68,15 @@ class ZenohServer:
             self._codec.register(cls)
         self._announcement = node.announce("SS", name, service, SERVICES)
         self._closed = False
-        self._queries = _Queries(
-            node.bus.session,
-            self._announcement.key,
-            ring_length(_RING, self._max_bytes),
-            self._receive,
-        )
+        key = self._announcement.key
+        self._queries: _Queries | None = None
+        self._private: PrivateQueries | None = None
+        if is_private:
+            self._private = node.private_queries(name, service)
+            self._private.add(key, self._receive)
+        else:
+            ring = ring_length(_RING, self._max_bytes)
+            self._queries = _Queries(node.bus.session, key, ring, self._receive)
 
     def take(self) -> "ZenohCall | None":
         """Remove and return the oldest pending call; None if there is none.
@@ -101,7 +107,10 @@ class ZenohServer:
         if self._closed:
             return
         self._closed = True
-        self._queries.close()
+        if self._queries is not None:
+            self._queries.close()
+        if self._private is not None:
+            self._private.remove(self._announcement.key)
         while (query := self._pending.take()) is not None:
             _refuse(query, f"{self.name}: {self._node} does not serve it any more")
         self._announcement.close()
@@ -152,6 +161,32 @@ class _Queries:
                 return
             self._receive(query)
             del query  # the client learns of the end of this process when nothing holds its query
+
+
+class PrivateQueries:
+    """Reads the queries of several services of a node on one thread."""
+
+    def __init__(self, session: zenoh.Session, key_expression: str) -> None:
+        """Read the queries of the services whose keys are added."""
+        self._receivers: dict[str, Callable[[zenoh.Query], None]] = {}
+        self._queries = _Queries(session, key_expression, _PRIVATE_RING, self._dispatch)
+
+    def add(self, key: str, receive: Callable[[zenoh.Query], None]) -> None:
+        """Call `receive` with each query of a key from now on."""
+        self._receivers[key] = receive
+
+    def remove(self, key: str) -> None:
+        """Leave the queries of a key without an answer."""
+        self._receivers.pop(key, None)
+
+    def close(self) -> None:
+        """Receive nothing more."""
+        self._queries.close()
+
+    def _dispatch(self, query: zenoh.Query) -> None:
+        receive = self._receivers.get(str(query.key_expr))
+        if receive is not None:  # otherwise another node's
+            receive(query)
 
 
 class _PendingQueries:

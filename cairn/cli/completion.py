@@ -39,7 +39,9 @@ def topics(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the topics of the running robot."""
 
     def read(robot: Robot) -> list[str]:
-        return [one.name for one in robot.topics()]
+        from cairn.bus.keys import is_infrastructure
+
+        return [one.name for one in robot.topics() if not is_infrastructure(one.name)]
 
     return _matching(_short_names(_asked(ctx, read)), incomplete)
 

@@ -57,6 +57,10 @@ def list_topics(
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
+    all_: Annotated[
+        bool,
+        typer.Option("--all", help="Also those that every component has, such as /rosout."),
+    ] = False,
     json: Json = False,
 ) -> None:
     """List the topics with message type and numbers of publishers and subscribers."""
@@ -71,6 +75,7 @@ def list_topics(
             "subscribers": len(one.subscribers),
         }
         for one in topics
+        if all_ or not keys.is_infrastructure(one.name)
     ]
     columns = ("topic", "type", "publishers", "subscribers")
     show(rows, columns, as_json=json, nothing=f"there is no topic{elsewhere}")

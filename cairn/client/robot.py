@@ -192,7 +192,10 @@ class Robot:
         Raises `CairnError` if there is no such topic, or if it is used with several types.
         """
         endpoints = self.connection.endpoints()
-        full = self._resolve({end.topic for end in endpoints}, topic)
+        topics = {end.topic for end in endpoints}
+        if topic not in topics:  # an error lists those of the robot's own components
+            topics = {one for one in topics if not keys.is_infrastructure(one)} or topics
+        full = self._resolve(topics, topic)
         ends = [end for end in endpoints if end.topic == full]
         types = sorted({end.type_name for end in ends})
         if len(types) > 1:

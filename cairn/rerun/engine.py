@@ -643,8 +643,10 @@ class _RerunBus:
         qos: Qos,  # noqa: ARG002
         exclusive: Exclusive | None = None,  # noqa: ARG002
         *,
-        shared: bool = False,  # noqa: ARG002
-    ) -> "_RerunPublisher":
+        shared: bool = False,
+    ) -> "_RerunPublisher | _NothingPublished":
+        if shared:  # of every node, and not logged
+            return _NothingPublished()
         return _RerunPublisher(self._rerun, topic, message)
 
     def subscribe(
@@ -667,7 +669,11 @@ class _RerunBus:
         wake: Callable[[], None],
         max_bytes: int | None = None,  # noqa: ARG002
         invalid_response: Any = None,  # noqa: ARG002
-    ) -> "_RerunServer":
+        *,
+        is_private: bool = False,
+    ) -> "_RerunServer | _NothingServed":
+        if is_private:  # of every node, and not logged
+            return _NothingServed()
         return _RerunServer(self._rerun, name, service, wake)
 
     def client(
@@ -677,6 +683,28 @@ class _RerunBus:
         post: Callable[[Callable[[], None]], None],  # noqa: ARG002
     ) -> "_RerunClient":
         return _RerunClient(self._rerun, name, service)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _NothingPublished:
+    published = 0
+    gid = bytes(16)
+    has_subscribers = False
+
+    def publish(self, message: Any) -> int:  # noqa: ARG002
+        return 0
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _NothingServed:
+    received = invalid = refused = 0
+
+    def take(self) -> None:
+        return None
 
     def close(self) -> None:
         """Do nothing."""

@@ -194,6 +194,7 @@ class Lockstep:
 
         Raises `ServiceError` if there is no server, it refuses, or does not answer in time.
         """
+        self.run_for(0.0)  # a deployment has started then
         answers: list[Any] = []
         client = self.node.client(full_name(self.robot, service), kind, lambda call: call())
         client.call(request, answers.append, answers.append, timeout_s)
@@ -207,6 +208,7 @@ class Lockstep:
         self, action: str, kind: type[Action[Goal, Result, Feedback]], goal: Goal
     ) -> SentGoal[Goal, Result, Feedback]:
         """Send a goal; what happens to it is found in the object returned, as time advances."""
+        self.run_for(0.0)  # a deployment has started then
         caller = ActionCaller(self.node, full_name(self.robot, action), kind)
         sent = caller.send(next(self._goals).to_bytes(16, "big"), goal)
         self.run_for(0.0)
