@@ -237,8 +237,13 @@ class Node(Protocol):
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> Client:
-        """Return a client of the service `name`, whose answers arrive through `post`."""
+        """Return a client of the service `name`, whose answers arrive through `post`.
+
+        An answer may also arrive through `deliver`, from a thread that may make the call itself,
+        which takes less time.
+        """
         ...
 
     def close(self) -> None:

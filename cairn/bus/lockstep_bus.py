@@ -117,6 +117,7 @@ class LockstepNode:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002 - one thread
     ) -> LockstepClient:
         """Return a client of the service `name`."""
         client = LockstepClient(self, name, service, post)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
 
+from cairn.bell import Bell
 from cairn.bus import keys
 from cairn.bus.bus import ServiceError
 from cairn.bus.codec import Codec
@@ -37,6 +38,9 @@ MOST_PENDING: Final = 2000
 _RING: Final = 4096
 _PRIVATE_RING: Final = 256
 _LONGEST_REASON: Final = 1000
+_REPLIES: Final = 16  # of several servers of one name; Zenoh's thread waits for room for more
+_LONGEST_WAIT_S: Final = 60.0
+_LONGEST_SLEEP_S: Final = 3600.0
 
 
 class ZenohServer:
@@ -263,12 +267,15 @@ class ZenohClient:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None],
     ) -> None:
         self.sent = 0
         request, self._response = service.Request, service.Response
         self.name = name
         self._max_bytes = default_max_bytes(self._response)
         self._post = post
+        self._waiter = _Waiter(name, deliver)
+        self._cancellation = zenoh.CancellationToken()
         self._codec = node.bus.codec
         self._session = node.bus.session
         self._announcement = node.announce("SC", name, service, SERVICES)
@@ -311,18 +318,27 @@ class ZenohClient:
         self.sent += 1
         call = _PendingCall(self, on_reply, on_failure, timeout_s)
         self._pending.add(call)
-        attachment = keys.Attachment(self.sent, time.time_ns(), self._gid).encode()
+        # Zenoh's thread wakes the waiter without Python, which takes half as long as a call of
+        # Python does. One that waits long would keep it from others.
+        waits = timeout_s <= _LONGEST_WAIT_S and self._waiter.reserve()
+        handler: Any = zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False)
         try:
-            self._session.get(
+            replies = self._session.get(
                 self._announcement.key,
-                zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False),
+                zenoh.handlers.FifoChannel(_REPLIES) if waits else handler,
                 payload=self._codec.encode(request),
-                attachment=attachment,
+                attachment=keys.Attachment(self.sent, time.time_ns(), self._gid).encode(),
                 timeout=timeout_s,
+                cancellation_token=self._cancellation,
                 **self._options,
             )
         except zenoh.ZError as error:
+            if waits:
+                self._waiter.release()
             call.fail(ServiceError(f"{self.name}: the request cannot be sent: {error}"))
+        else:
+            if waits:
+                self._waiter.wait_for(call, replies)
 
     def close(self) -> None:
         """Stop calling: answers that arrive later are ignored."""
@@ -330,6 +346,8 @@ class ZenohClient:
             return
         self._closed = True
         self._pending.clear()
+        self._waiter.close()
+        self._cancellation.cancel()
         self._querier.undeclare()
         self._announcement.close()
 
@@ -339,7 +357,10 @@ class ZenohClient:
             self._pending.remove(call)
         except KeyError:
             return
-        self._post(done)
+        if self._waiter.is_current:
+            self._waiter.deliver(done)
+        else:
+            self._post(done)
 
     def decoded(self, payload: zenoh.ZBytes) -> Any:
         """Return a response; raises `ServiceError` if it is not valid."""
@@ -352,6 +373,72 @@ class ZenohClient:
             return self._codec.decode(self._response, payload.to_bytes())
         except InvalidMessage as error:
             raise ServiceError(f"{self.name}: invalid response: {error}") from error
+
+
+class _Waiter:
+    """A thread that waits for the answer to one call of a client at a time."""
+
+    def __init__(self, name: str, deliver: Callable[[Callable[[], None]], None]) -> None:
+        self.deliver = deliver
+        """Hands the answer to the component; this thread may make the call itself."""
+        self._name = name
+        self._bell = Bell()
+        self._free = threading.Lock()
+        self._job: tuple[_PendingCall, Any] | None = None
+        self._thread: threading.Thread | None = None
+        self._closed = False
+
+    @property
+    def is_current(self) -> bool:
+        """Whether this is called on its thread."""
+        return threading.current_thread() is self._thread
+
+    def reserve(self) -> bool:
+        """Return whether it is free, and reserved for the next call now."""
+        return self._free.acquire(blocking=False)
+
+    def release(self) -> None:
+        """Make it free again."""
+        self._free.release()
+
+    def wait_for(self, call: "_PendingCall", replies: Any) -> None:
+        """Wait for the replies to a call, for which it was reserved."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
+        self._job = (call, replies)
+        self._bell.ring()
+
+    def close(self) -> None:
+        """End the thread, after the call for which it waits."""
+        self._closed = True
+        self._bell.ring()
+
+    def _run(self) -> None:
+        while True:
+            self._bell.wait(_LONGEST_SLEEP_S)
+            job, self._job = self._job, None
+            if job is not None:
+                self._wait(*job)
+            if self._closed and self._job is None:
+                return
+
+    def _wait(self, call: "_PendingCall", replies: Any) -> None:
+        """Hand over the first answer; be free for the next call before that is handled."""
+        answered = False
+        while True:
+            try:
+                reply = replies.recv()
+            except zenoh.ZError:  # there are no more
+                break
+            if reply.ok is not None and not answered:
+                answered = True
+                self._free.release()
+            call.on_reply(reply)
+            if answered:
+                return
+        self._free.release()
+        call.on_end()
 
 
 class _PendingCall:

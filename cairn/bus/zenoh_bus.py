@@ -178,9 +178,10 @@ class ZenohNode:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> ZenohClient:
         """Return a client of the service `name`."""
-        client = ZenohClient(self, name, service, post)
+        client = ZenohClient(self, name, service, post, deliver or post)
         self._ends.append(client)
         return client
 

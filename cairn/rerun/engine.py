@@ -681,6 +681,7 @@ class _RerunBus:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],  # noqa: ARG002
+        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002
     ) -> "_RerunClient":
         return _RerunClient(self._rerun, name, service)
 

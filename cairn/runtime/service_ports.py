@@ -173,7 +173,7 @@ class ClientPort:
         self._spec = spec
         self._owner = owner
         self._node = node
-        self._post = scheduler.receive
+        self._scheduler = scheduler
         self._call_log = call_log
         self._client: Client | None = None
         self._sent = 0
@@ -181,7 +181,12 @@ class ClientPort:
     def open(self) -> None:
         """Call from now on."""
         if self._client is None:
-            self._client = self._node.client(self.bound.service, self._spec.service, self._post)
+            self._client = self._node.client(
+                self.bound.service,
+                self._spec.service,
+                self._scheduler.receive,
+                self._scheduler.deliver,
+            )
 
     def close(self) -> None:
         """Call no more, and take no answers."""
