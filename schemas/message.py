@@ -175,11 +175,15 @@ def schema_messages() -> dict[str, type[Any]]:
 
 
 def classes_in(message: type[Any]) -> Iterator[type[Any]]:
-    """Yield a message class and those of its fields, at any depth."""
-    yield message
-    for field in fields_of(message):
-        if isinstance(field.element, type):
-            yield from classes_in(field.element)
+    """Yield a message class and those of its fields, at any depth, each once."""
+    waiting, seen = [message], set[type[Any]]()
+    while waiting:
+        one = waiting.pop()
+        if one not in seen:
+            seen.add(one)
+            yield one
+            parts = [field.element for field in fields_of(one)]
+            waiting += [part for part in reversed(parts) if isinstance(part, type)]
 
 
 @dataclass(frozen=True)
