@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from inspect import cleandoc, getdoc
+from itertools import groupby
 
 import click
 import typer
@@ -18,11 +19,11 @@ from pydantic.fields import FieldInfo
 from cairn import Component
 from cairn.bus.type_hash import definition, type_hash
 from cairn.cli.main import build
-from cairn.cli.plugins import known_messages
 from cairn.deployment.plugins import installed_plugins, load_plugin
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import ports_of
-from cairn.schemas.message import type_name
+from cairn.schemas.interfaces import interface, interface_type_names
+from cairn.schemas.message import schema_messages, type_name
 
 PACKAGE = "cairn-robotics"
 
@@ -60,22 +61,36 @@ def _command_sections(command: click.Command, context: click.Context) -> Iterato
 
 def _messages_page() -> str:
     parts = [
-        "# Messages\n\nEvery message type that Cairn ships, as a ROS 2 definition. "
-        "`cairn schema show TYPE` prints the same.\n"
+        "# Messages\n\nThe types of messages, services and actions that Cairn ships. Messages that "
+        "Cairn's components use have their definitions here; `cairn schema show TYPE` prints those "
+        "of all types. [Messages, services and actions](../how-to/messages.md) shows how to use "
+        "them.\n"
     ]
-    package = ""
-    for name, cls in sorted(known_messages().items()):
-        if not cls.__module__.startswith("cairn."):
-            continue  # of a plugin that happens to be installed
-        if name.split("/")[0] != package:
-            package = name.split("/")[0]
-            parts.append(f"\n## {package}\n")
-        parts.append(
-            f"\n### {name.split('/')[-1]}\n\n{getdoc(cls) or ''}\n\n"
-            f"```text\n{definition(cls).rstrip()}\n```\n\n"
-            f"Type hash: `{type_hash(cls)}`\n"
-        )
+    described = schema_messages()
+    names = [name for name in interface_type_names() if _is_of_cairn(name)]
+    for package, group in groupby(names, lambda name: name.split("/")[0]):
+        parts.append(f"\n## {package}\n")
+        others = []
+        for name in group:
+            if name in described:
+                parts.append(_message_section(name, described[name]))
+            else:
+                others.append(f"`{name.partition('/')[2]}`")
+        if others:
+            parts.append(f"\nDefined as in ROS 2: {', '.join(others)}\n")
     return "".join(parts)
+
+
+def _is_of_cairn(name: str) -> bool:
+    return interface(name).__module__.startswith("cairn.")
+
+
+def _message_section(name: str, cls: type) -> str:
+    return (
+        f"\n### {name.split('/')[-1]}\n\n{getdoc(cls) or ''}\n\n"
+        f"```text\n{definition(cls).rstrip()}\n```\n\n"
+        f"Type hash: `{type_hash(cls)}`\n"
+    )
 
 
 def _plugins_page() -> str:

@@ -7,7 +7,8 @@ supported is `wstring`: no message of the common packages has one.
 import ast
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from keyword import iskeyword
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,9 @@ _LONGEST_FILE: Final = 1 << 20
 _MOST_FIELDS: Final = 1000
 _MOST_ITEMS: Final = 1_000_000
 """Most elements of an array; more would be a slip of the keyboard."""
+
+_MOST_UNROLLED: Final = 1000
+"""Most elements of an array of messages or strings: the codec has code for each element."""
 
 _PRIMITIVES = frozenset({"bool", "float32", "float64", "string", *INTEGER_LIMITS})
 _AS_PYTHON = re.compile("\\b(true|false)\\b")
@@ -46,13 +50,22 @@ class DefinitionError(CairnError):
     """An interface definition is missing or invalid: names the file, the line and the reason."""
 
 
+class UnsupportedDefinition(DefinitionError):
+    """An interface definition is valid in ROS 2, and Cairn does not support it."""
+
+
+class _Unsupported(ValueError):
+    """Why a line is not supported."""
+
+
 @dataclass(frozen=True)
 class FieldDefinition:
     """A field as its file defines it.
 
     `element` is a primitive ("float64") or the full name of a message type; `count` is None for a
     single element, 0 for a sequence, else the length of an array. `most` bounds a sequence,
-    `text_most` strings [bytes]. `default` is None if the file gives none.
+    `text_most` strings [bytes]. `default` is None if the file gives none. `line` is that in the
+    file, 0 if the field belongs to a type that ROS 2 adds.
     """
 
     name: str
@@ -61,6 +74,7 @@ class FieldDefinition:
     most: int | None = None
     text_most: int | None = None
     default: Any = None
+    line: int = field(default=0, compare=False)
 
 
 @dataclass(frozen=True)
@@ -220,9 +234,10 @@ def _parsed_message(name: str, lines: list[tuple[int, str]], source: str) -> Mes
             if len(fields) + len(constants) == _MOST_FIELDS:
                 raise ValueError(f"a message has at most {_MOST_FIELDS} fields and constants")
         except ValueError as error:
-            raise DefinitionError(f"{source}:{number}: {line[:200]!r}: {error}") from error
+            kind = UnsupportedDefinition if isinstance(error, _Unsupported) else DefinitionError
+            raise kind(f"{source}:{number}: {line[:200]!r}: {error}") from error
         if isinstance(one, FieldDefinition):
-            fields[one.name] = one
+            fields[one.name] = replace(one, line=number)
         else:
             constants[one.name] = one
     if not fields:
@@ -231,10 +246,10 @@ def _parsed_message(name: str, lines: list[tuple[int, str]], source: str) -> Mes
 
 
 def _parsed_line(line: str, package: str) -> FieldDefinition | ConstantDefinition:
-    described, _, rest = line.partition(" ")
+    described, rest = _first_word(line)
     match = _ELEMENT.fullmatch(described)
     if match is None:
-        raise ValueError(f"{described!r} is not a type such as float64, string<=10 or Point[]")
+        raise ValueError(f"{described[:60]!r} is not a type such as float64, string<=10 or Point[]")
     element = _element(match["name"], package)
     if match["text_most"] and element != "string":
         raise ValueError("only a string or a sequence has a bound")
@@ -244,19 +259,31 @@ def _parsed_line(line: str, package: str) -> FieldDefinition | ConstantDefinitio
         if match["several"] or element not in _PRIMITIVES:
             raise ValueError("a constant is a single number, bool or string")
         return ConstantDefinition(name.strip(), element, _value(element, value.strip(), text_most))
-    name, _, value = rest.strip().partition(" ")
+    name, value = _first_word(rest)
     if not _FIELD_NAME.fullmatch(name):
         raise ValueError(
-            f"{name!r} is not the name of a field: lower case, digits and single underscores"
+            f"{name[:60]!r} is not the name of a field: lower case, digits and single underscores"
         )
+    if iskeyword(name):
+        raise _Unsupported(f"a field named {name} is not supported: it is a keyword of Python")
     count = most = None
     if match["several"]:
         size = int(match["count"] or 0)
         if size > _MOST_ITEMS or (match["count"] and not size) or (match["bounded"] and not size):
             raise ValueError(f"an array or bounded sequence has 1 to {_MOST_ITEMS} elements")
         count, most = (0, size) if match["bounded"] else (size, None)
-    field = FieldDefinition(name, element, count, most, text_most)
-    return replace(field, default=_default(field, value.strip())) if value.strip() else field
+        if count > _MOST_UNROLLED and (element == "string" or "/" in element):
+            raise _Unsupported(
+                f"arrays of more than {_MOST_UNROLLED} strings or messages are not supported"
+            )
+    one = FieldDefinition(name, element, count, most, text_most)
+    return replace(one, default=_default(one, value)) if value else one
+
+
+def _first_word(text: str) -> tuple[str, str]:
+    """Return what stands before and after the first blanks."""
+    first, *rest = text.split(maxsplit=1) or [""]
+    return first, rest[0].strip() if rest else ""
 
 
 def _element(name: str, package: str) -> str:
@@ -266,29 +293,31 @@ def _element(name: str, package: str) -> str:
     if name in _PRIMITIVES:
         return name
     if name == "wstring":
-        raise ValueError("wstring is not supported; use string, which is UTF-8")
+        raise _Unsupported("wstring is not supported; use string, which is UTF-8")
     *packages, last = name.split("/")
     if not last[0].isupper():
         raise ValueError(f"there is no type {name}")
     return f"{packages[0] if packages and packages[0] != 'msg' else package}/msg/{last}"
 
 
-def _default(field: FieldDefinition, text: str) -> Any:
-    if field.element not in _PRIMITIVES:
+def _default(one: FieldDefinition, text: str) -> Any:
+    if one.element not in _PRIMITIVES:
         raise ValueError("only fields of primitive types have a default")
-    if field.count is None:
-        return _value(field.element, text, field.text_most)
+    if one.count is None:
+        return _value(one.element, text, one.text_most)
+    if one.element == "bool":
+        text = _AS_PYTHON.sub(lambda word: word[0].title(), text)
     try:
-        items = ast.literal_eval(_AS_PYTHON.sub(lambda one: one[0].title(), text))
+        items = ast.literal_eval(text)
     except (ValueError, SyntaxError, MemoryError, RecursionError) as error:
         raise ValueError(f"{text!r} is not a list such as [1, 2]") from error
     if not isinstance(items, list | tuple):
         raise ValueError(f"{text!r} is not a list such as [1, 2]")
-    if field.count and len(items) != field.count:
-        raise ValueError(f"an array of {field.count} has {len(items)} default values")
-    if field.most is not None and len(items) > field.most:
-        raise ValueError(f"{len(items)} default values, more than {field.most}")
-    return tuple(_value(field.element, str(item), field.text_most) for item in items)
+    if one.count and len(items) != one.count:
+        raise ValueError(f"an array of {one.count} has {len(items)} default values")
+    if one.most is not None and len(items) > one.most:
+        raise ValueError(f"{len(items)} default values, more than {one.most}")
+    return tuple(_value(one.element, str(item), one.text_most) for item in items)
 
 
 def _value(element: str, text: str, text_most: int | None) -> bool | int | float | str:
@@ -305,7 +334,7 @@ def _value(element: str, text: str, text_most: int | None) -> bool | int | float
         return text.lower() in ("true", "1")
     if element in ("float32", "float64"):
         return float(text)
-    number = int(text, 0)
+    number = int(text) if text.isdecimal() else int(text, 0)  # 007 is 7
     low, high = INTEGER_LIMITS[element]
     if not low <= number <= high:
         raise ValueError(f"{number} is not a {element}: {low} to {high}")

@@ -10,12 +10,14 @@ the files of ROS 2 beside a module that imports from here:
 hand, which validates more, this is the class that all definitions refer to.
 """
 
+import logging
 import sys
 import threading
 from collections.abc import Callable, Collection
 from dataclasses import field
+from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -31,10 +33,22 @@ from cairn.schemas.definitions import (
     read_definitions,
 )
 from cairn.schemas.field_types import Array, Scalar, Several, Text
-from cairn.schemas.message import Action, Service, composed_type, message
+from cairn.schemas.message import (
+    Action,
+    Service,
+    composed_type,
+    message,
+    schema_messages,
+    type_name,
+)
 
 ENTRY_POINTS: Final = "cairn.messages"
 """Entry point group of packages of interfaces: the package's name in ROS 2 = its module."""
+
+_MOST_NESTED: Final = 100
+"""Most types within each other; Python's stack has room for about three times as many."""
+
+_OWN: Final = Path(__file__).parent
 
 _PYTHON_TYPES = {"bool": bool, "float32": float, "float64": float, "string": str}
 
@@ -48,6 +62,28 @@ def interface(name: str) -> type[Any]:
     services) and `.FeedbackMessage`. Raises `DefinitionError` if it is not defined, or wrongly.
     """
     return _registry.interface(full_type_name(name))
+
+
+def find_message(name: str) -> type[Any] | None:
+    """Return the message class of a full name; None if it is not that of a valid message type."""
+    try:
+        found = interface(name)
+    except DefinitionError:
+        return None
+    is_message = not issubclass(found, Service | Action)
+    return found if is_message and type_name(found) == name else None
+
+
+def interface_type_names() -> list[str]:
+    """Return the full names of all known messages, services and actions, sorted.
+
+    Of a service or action, its parts are not among them.
+    """
+    names = {name for name in schema_messages() if name.startswith("cairn_")}
+    for package, folder in packages().items():
+        for kind in KINDS:
+            names |= {f"{package}/{kind}/{name}" for name in interface_names(folder, kind)}
+    return sorted(names)
 
 
 def package_of(module: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
@@ -79,7 +115,7 @@ def packages() -> dict[str, Path]:
     """Return the folders of all known packages of interfaces, by their names in ROS 2.
 
     They are those of Cairn, those of the entry point group `cairn.messages`, and those that were
-    imported before.
+    imported before. A package that cannot be imported is left out, and logged.
     """
     return _registry.packages()
 
@@ -87,6 +123,11 @@ def packages() -> dict[str, Path]:
 def module_name(package: str) -> str:
     """Return the name of the Python module of a known package."""
     return _registry.module_name(package)
+
+
+@cache
+def _entry_points() -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=ENTRY_POINTS))
 
 
 class _Registry:
@@ -98,15 +139,20 @@ class _Registry:
         self._modules: dict[str, str] = {}  # by package in ROS 2
         self._folders: dict[str, Path] = {}
         self._making: set[str] = set()
-        own = Path(__file__).parent
-        for folder in own.iterdir():
+        for folder in _OWN.iterdir():
             if any((folder / kind).is_dir() for kind in KINDS):
                 self._folders[folder.name] = folder
                 self._modules[folder.name] = f"{__package__}.{folder.name}"
 
     def add(self, ros_package: str, module: str) -> Path:
         """Add a package that is imported as `module`; return its folder."""
-        folder = Path(next(iter(sys.modules[module].__path__)))
+        places = list(getattr(sys.modules[module], "__path__", ()))
+        if not places:
+            raise DefinitionError(
+                f"{module}, which should hold the interfaces of {ros_package}, is not a package; "
+                f"correct the entry point in the group {ENTRY_POINTS}"
+            )
+        folder = Path(places[0])
         with self._lock:
             known = self._modules.setdefault(ros_package, module)
             if known != module:
@@ -120,8 +166,11 @@ class _Registry:
     def packages(self) -> dict[str, Path]:
         """Return the folders of all packages, by name."""
         with self._lock:
-            for point in entry_points(group=ENTRY_POINTS):
-                self._load(point.name)
+            for point in _entry_points():
+                try:
+                    self._load(point.name)
+                except DefinitionError as error:
+                    _log.warning("package of interfaces left out: %s", error)
             return dict(sorted(self._folders.items()))
 
     def module_name(self, package: str) -> str:
@@ -139,15 +188,18 @@ class _Registry:
     def _make(self, name: str) -> type[Any]:
         ros_package, kind, last = name.split("/")
         self._load(ros_package)
+        own_module = self._modules.get(ros_package)
+        if own_module is None and (_OWN / f"{ros_package}.py").is_file():
+            own_module = f"{__package__}.{ros_package}"  # without definitions, such as cairn_msgs
+        own = own_module and getattr(import_module(own_module), last, None)
+        if isinstance(own, type) and own.__dict__.get("__ros_type__") == name:
+            self._classes[name] = own
+            return own
         if ros_package not in self._folders:
             raise DefinitionError(
                 f"{name}: there is no package {ros_package}; import its definitions by `cairn "
                 f"schema import FOLDER`, and name it in the entry point group {ENTRY_POINTS}"
             )
-        own = getattr(import_module(self._modules[ros_package]), last, None)
-        if isinstance(own, type) and own.__dict__.get("__ros_type__") == name:
-            self._classes[name] = own
-            return own
         stem = last.partition("_")[0]  # Spin.action defines Spin_SendGoal_Request
         path = self._folders[ros_package] / kind / f"{stem}.{kind}"
         if not path.is_file():
@@ -157,6 +209,8 @@ class _Registry:
             raise DefinitionError(f"{name}: {path} does not define it")
         if not self._making.isdisjoint(defined):
             raise DefinitionError(f"{path}: {stem} contains itself")
+        if len(self._making) > _MOST_NESTED:
+            raise DefinitionError(f"{path}: nested in more than {_MOST_NESTED} other types")
         self._making.update(defined)
         made: dict[str, type[Any]] = {}
         try:
@@ -181,13 +235,15 @@ class _Registry:
                 prefix = self._modules[known].removesuffix(known)
                 self.add(ros_package, import_module(f"{prefix}{ros_package}").__name__)
                 return
-        for point in entry_points(group=ENTRY_POINTS, name=ros_package):
+        for point in _entry_points():
+            if point.name != ros_package:
+                continue
             try:
                 module = import_module(point.value)
-            except ImportError as error:
+            except Exception as error:  # a package's module may fail in any way
                 raise DefinitionError(
                     f"entry point {ENTRY_POINTS}: {point.name} = {point.value} cannot be "
-                    f"imported: {error}"
+                    f"imported: {error!r}; correct the package that provides it, or uninstall it"
                 ) from error
             self.add(ros_package, module.__name__)
 
@@ -262,5 +318,7 @@ def _many(element: Any, one: FieldDefinition) -> Any:
 def _repeated(element: type[Any], one: FieldDefinition) -> Callable[[], tuple[Any, ...]]:
     return lambda: (element(),) * (one.count or 0)
 
+
+_log = logging.getLogger("cairn.schemas")
 
 _registry: Final = _Registry()

@@ -175,11 +175,15 @@ def schema_messages() -> dict[str, type[Any]]:
 
 
 def classes_in(message: type[Any]) -> Iterator[type[Any]]:
-    """Yield a message class and those of its fields, at any depth."""
-    yield message
-    for field in fields_of(message):
-        if isinstance(field.element, type):
-            yield from classes_in(field.element)
+    """Yield a message class and those of its fields, at any depth, each once."""
+    waiting, seen = [message], set[type[Any]]()
+    while waiting:
+        one = waiting.pop()
+        if one not in seen:
+            seen.add(one)
+            yield one
+            parts = [field.element for field in fields_of(one)]
+            waiting += [part for part in reversed(parts) if isinstance(part, type)]
 
 
 @dataclass(frozen=True)
@@ -257,14 +261,17 @@ def decoding_constructor(message: type[T]) -> Callable[..., T]:
     """
     hints = get_type_hints(message, include_extras=True)
     names = [field.name for field in fields(message)]  # type: ignore[arg-type]
-    # No field of a ROS 2 message begins with an underscore.
-    namespace: dict[str, Any] = {"_message": message, "_new": object.__new__, "_isfinite": isfinite}
+    # No field of a ROS 2 message begins with an underscore, but one may be named `tuple`.
+    namespace: dict[str, Any] = {
+        "_message": message, "_new": object.__new__, "_isfinite": isfinite, "_len": len,
+        "_tuple": tuple,
+    }  # fmt: skip
     conditions = [
         text for name in names if (text := _validity_condition(name, hints[name], namespace))
     ]
     texts = {name: mark for name in names if (mark := _text_sequence(hints[name])) is not None}
     parts = [
-        f"{name}=tuple({name})" if _is_tuple(hints[name]) else f"{name}={name}" for name in names
+        f"{name}=_tuple({name})" if _is_tuple(hints[name]) else f"{name}={name}" for name in names
     ]
     arguments = ", ".join(names)
     lines = [f"def make({arguments}):"]
@@ -277,12 +284,12 @@ def decoding_constructor(message: type[T]) -> Callable[..., T]:
     if conditions:
         lines += [f"    if not ({' and '.join(conditions)}):"]
         lines += [f"        return _message({arguments})"]
-    lines += ["    made = _new(_message)", f"    made.__dict__.update({', '.join(parts)})"]
+    lines += ["    _made = _new(_message)", f"    _made.__dict__.update({', '.join(parts)})"]
     check = cross_field_check(message)
     if check is not None:
         namespace["_check"] = check
-        lines += ["    _check(made)"]
-    lines += ["    return made"]
+        lines += ["    _check(_made)"]
+    lines += ["    return _made"]
     exec(
         compile("\n".join(lines), f"<decoding constructor of {message.__qualname__}>", "exec"),
         namespace,
@@ -501,7 +508,7 @@ def _validity_condition(name: str, hint: Any, namespace: dict[str, Any]) -> str:
             return _array_condition(name, mark, namespace)
     several = several_of(hint)
     if several is not None:
-        return _count_condition(f"len({name})", several.length, several.most)
+        return _count_condition(f"_len({name})", several.length, several.most)
     return ""  # a message, or several, which were validated when they were made; or texts
 
 
@@ -535,7 +542,7 @@ def _number_condition(name: str, mark: Scalar) -> str:
 def _text_condition(name: str, mark: Text) -> str:
     if mark.one_of:
         return f"{name} in {mark.one_of!r}"
-    bound = "" if mark.most is None else f" and len({name}.encode()) <= {mark.most}"
+    bound = "" if mark.most is None else f" and _len({name}.encode()) <= {mark.most}"
     return f"'\\0' not in {name}{bound}"
 
 

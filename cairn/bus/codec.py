@@ -27,6 +27,7 @@ from rosbags.typesys.store import Typestore
 
 from cairn.bus.type_hash import field_type
 from cairn.errors import CairnError
+from cairn.schemas.definitions import PLACEHOLDER
 from cairn.schemas.message import (
     InvalidMessage,
     decoding_constructor,
@@ -238,15 +239,20 @@ def _least_size(cls: type[Any]) -> int:
 def to_plain(message: Any, longest: int | None = None) -> Any:
     """Return a message as dictionaries, lists and scalars, for people and for JSON.
 
-    It is of a message class, or a dictionary of fields, as of a type that Cairn does not know.
+    It is of a message class, or a dictionary of fields, as of a type that Cairn does not know. The
+    field that a message without fields has on the wire is left out.
     Sequences longer than `longest` are cut, with a note of how many elements were left out.
     """
     if is_dataclass(message):
         return {
-            field.name: to_plain(getattr(message, field.name), longest) for field in fields(message)
+            field.name: to_plain(getattr(message, field.name), longest)
+            for field in fields(message)
+            if field.name != PLACEHOLDER
         }
     if isinstance(message, dict):
-        return {name: to_plain(value, longest) for name, value in message.items()}
+        return {
+            name: to_plain(value, longest) for name, value in message.items() if name != PLACEHOLDER
+        }
     if isinstance(message, np.ndarray):
         shown = message if longest is None else message[:longest]
         return _cut(shown.tolist(), len(message))

@@ -169,7 +169,7 @@ def _layout(message: type[Any]) -> _Layout:
                 variable.append((field.name, _length))
         elif field.element == "string":
             fixed += 5  # its length, and a zero byte
-            variable.append((field.name, len))
+            variable.append((field.name, _text_bytes))
         else:
             fixed += _item_bytes(field.element) * (field.count or 1)
     _layouts[message] = fixed, tuple(variable)
@@ -185,9 +185,13 @@ def _sequence_measure(field: Field) -> Callable[[Any], int]:
             (lambda items: sum(map(_length, items))) if more else lambda items: inner * len(items)
         )
     if field.element == "string":
-        return lambda texts: sum(5 + len(text) for text in texts)
+        return lambda texts: sum(5 + _text_bytes(text) for text in texts)
     size = _item_bytes(field.element)
     return lambda array: size * len(array)
+
+
+def _text_bytes(text: str) -> int:
+    return len(text) if text.isascii() else len(text.encode())
 
 
 def _item_bytes(element: str) -> int:

@@ -2,23 +2,21 @@
 
 import hashlib
 import json
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, cast
 
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc
-from rosbags.typesys.store import Typestore
 
+from cairn.schemas.definitions import PLACEHOLDER
 from cairn.schemas.message import Field, classes_in, constants_of, fields_of, type_name
-
-if TYPE_CHECKING:
-    from rosbags.interfaces.typing import Constdefs
-
 
 _TYPE_IDS: Final = {
     "int8": 2, "uint8": 3, "int16": 4, "uint16": 5, "int32": 6, "uint32": 7, "int64": 8,
     "uint64": 9, "float32": 10, "float64": 11, "bool": 15, "byte": 16, "string": 17,
 }  # fmt: skip
 """Those of `type_description_interfaces/msg/FieldType`."""
+
+_SEPARATOR: Final = "=" * 80
 
 _NESTED, _BOUNDED_STRING = 1, 21
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
@@ -99,8 +97,30 @@ def _field_description(field: Field) -> dict[str, Any]:
 
 
 def definition(message: type[Any]) -> str:
-    """Return the text of the .msg file and of those it refers to, as rosbag2 stores them."""
-    return _typestore(message).generate_msgdef(type_name(message), ros_version=2)[0]
+    """Return the text of the .msg file and of those it refers to, as rosbag2 stores them.
+
+    A message of a service or action has its full name there: `nav2_msgs/action/Spin_Goal`.
+    """
+    text, *others = (own_definition(one) for one in classes_in(message))
+    _, *names = (type_name(one).replace("/msg/", "/") for one in classes_in(message))
+    return text + "".join(
+        f"{_SEPARATOR}\nMSG: {name}\n{other}" for name, other in zip(names, others, strict=True)
+    )
+
+
+def own_definition(message: type[Any]) -> str:
+    """Return the text of a .msg file with the constants and fields of one message class."""
+    lines = [f"{one.ros_type} {one.name}={one.value}" for one in constants_of(message)]
+    for field in fields_of(message):
+        if field.name == PLACEHOLDER:
+            continue
+        bounded = "" if field.text_most is None else f"<={field.text_most}"
+        element = field.element
+        one = type_name(element) if isinstance(element, type) else f"{element}{bounded}"
+        most = "" if field.most is None else f"<={field.most}"
+        many = "" if field.count is None else f"[{field.count or most}]"
+        lines.append(f"{one.replace('/msg/', '/')}{many} {field.name}")
+    return "".join(f"{line}\n" for line in lines)
 
 
 def field_type(field: Field) -> FieldDesc:
@@ -114,22 +134,3 @@ def field_type(field: Field) -> FieldDesc:
     if field.count:
         return cast("FieldDesc", (Nodetype.ARRAY, (one, field.count)))
     return cast("FieldDesc", (Nodetype.SEQUENCE, (one, field.most or 0)))
-
-
-def _typestore(message: type[Any]) -> Typestore:
-    """Return the definitions of a message class and of the classes of its fields."""
-    store = Typestore()
-    _define(store, message)
-    return store
-
-
-def _define(store: Typestore, message: type[Any]) -> None:
-    name = type_name(message)
-    if name in store.fielddefs:
-        return
-    for field in fields_of(message):
-        if isinstance(field.element, type):
-            _define(store, field.element)
-    constants = [(one.name, one.ros_type, one.value) for one in constants_of(message)]
-    described = [(field.name, field_type(field)) for field in fields_of(message)]
-    store.fielddefs[name] = (cast("Constdefs", constants), described)

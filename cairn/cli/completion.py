@@ -97,6 +97,13 @@ def assignments(ctx: typer.Context, incomplete: str) -> list[str]:
     return [f"{name}=" for name in parameters(ctx, incomplete)]
 
 
+def interface_types(incomplete: str) -> list[str]:
+    """Return the known types of messages, services and actions."""
+    from cairn.schemas.interfaces import interface_type_names
+
+    return _matching(interface_type_names(), incomplete)
+
+
 def fields(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the fields of the topic that is given before."""
     return _fields(ctx, incomplete, numeric=False)
@@ -114,7 +121,7 @@ def _fields(ctx: typer.Context, incomplete: str, *, numeric: bool) -> list[str]:
 
     def read(robot: Robot) -> list[str]:
         from cairn.cli.fields import field_paths
-        from cairn.cli.plugins import find_message
+        from cairn.cli.schemas import find_message
 
         paths = field_paths(find_message(robot.find_topic(topic).type_name))
         return [path.text for path in paths if path.is_numeric or not numeric]

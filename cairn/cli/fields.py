@@ -14,6 +14,7 @@ import yaml
 from cairn.bounded_yaml import parse_yaml
 from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
+from cairn.schemas.definitions import PLACEHOLDER
 from cairn.schemas.message import Field, InvalidMessage, fields_of, type_name
 
 _STEP = re.compile(r"\.?([A-Za-z_]\w*)|\.(\d+)|\[(-?\d+)\]|\[(-?\d*):(-?\d*)(?::(-?\d*))?\]")
@@ -101,10 +102,10 @@ def yaml_value(name: str, text: str) -> Any:
 def _message(message: type[Any], values: object, path: str) -> Any:
     name = type_name(message)
     if not isinstance(values, Mapping):
-        first = fields_of(message)[0].name
+        first = next((f"{field.name}: ..." for field in _fields_of(message)), "")
         raise CairnError(
             f"{name}: {path or 'the message'} = {values!r}: must be a mapping of fields, as in "
-            f"'{{{first}: ...}}'"
+            f"'{{{first}}}'"
         )
     arguments = {}
     for key, value in values.items():
@@ -127,7 +128,7 @@ def _message(message: type[Any], values: object, path: str) -> Any:
 
 
 def _field(message: type[Any], name: str, text: str) -> Field:
-    fields = {field.name: field for field in fields_of(message)}
+    fields = {field.name: field for field in _fields_of(message)}
     if name not in fields:
         close = suggestion(name, fields)
         every = "" if "expected" in close else f" The fields are {', '.join(fields)}"
@@ -173,8 +174,13 @@ def _value(value: Any, steps: tuple[str | int | slice, ...]) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+def _fields_of(message: type[Any]) -> list[Field]:
+    """Return the fields that a message has for users."""
+    return [field for field in fields_of(message) if field.name != PLACEHOLDER]
+
+
 def _leaves(message: type[Any]) -> Iterator[str]:
-    for field in fields_of(message):
+    for field in _fields_of(message):
         index = "" if field.count is None else "[0]"
         if isinstance(field.element, type):
             for path in _leaves(field.element):

@@ -1,4 +1,4 @@
-"""`cairn plugins` and `cairn schema`: the component classes and the message types that exist."""
+"""`cairn plugins`: the component classes that exist."""
 
 from __future__ import annotations
 
@@ -8,18 +8,13 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
-from cairn.bus.type_hash import definition, type_hash
 from cairn.cli.options import Json
 from cairn.cli.output import line, print_json, show
 from cairn.compilation import deferred_compilation
 from cairn.deployment.plugins import Plugin, installed_plugins, load_plugin
-from cairn.deployment.problems import suggestion
-from cairn.errors import CairnError
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import PortSpec, ports_of
-from cairn.schemas.message import classes_in, schema_messages, type_name
-
-schema = typer.Typer(help="The message types: ROS 2 definition text and type hash.")
+from cairn.schemas.message import type_name
 
 
 def plugins(
@@ -110,63 +105,7 @@ def _port(port: PortSpec) -> dict[str, str]:
     }
 
 
-@schema.command("list")
-def list_types(json: Json = False) -> None:
-    """List the message types with their ROS 2 type hashes."""
-    rows = [
-        {
-            "type": name,
-            "hash": type_hash(message),
-            "summary": (message.__doc__ or "").partition("\n")[0],
-        }
-        for name, message in sorted(known_messages().items())
-    ]
-    show(rows, ("type", "hash", "summary"), as_json=json)
-
-
-@schema.command("show")
-def show_type(
-    name: Annotated[str, typer.Argument(metavar="TYPE", help="As in nav_msgs/msg/Odometry.")],
-    json: Json = False,
-) -> None:
-    """Print a type's ROS 2 definition, with those of the types in it, and its hash."""
-    message = find_message(name)
-    text = definition(message)
-    if json:
-        print_json({"type": name, "hash": type_hash(message), "definition": text})
-        return
-    line(f"# {name}\n# {type_hash(message)}\n{text.rstrip()}")
-
-
-def known_messages() -> dict[str, type[Any]]:
-    """Return all message classes by type name."""
-    return _of_plugins() | schema_messages()
-
-
-def find_message(name: str) -> type[Any]:
-    """Return the message class of a type name; `CairnError` with similar names if there is none."""
-    ours = schema_messages()  # first, because importing the plugins takes time
-    if name in ours:
-        return ours[name]
-    known = _of_plugins() | ours
-    if name not in known:
-        raise CairnError(
-            f"unknown message type {name}; {suggestion(name, sorted(known))} (`cairn schema list` "
-            "lists all: Cairn's own and those of the ports of installed plugins)"
-        )
-    return known[name]
-
-
 def _installed() -> list[Plugin]:
     """Return the installed plugins; nothing waits for kernels, because no component runs."""
     with deferred_compilation():
         return installed_plugins()
-
-
-def _of_plugins() -> dict[str, type[Any]]:
-    return {
-        type_name(message): message
-        for plugin in _installed()
-        for port in plugin.ports
-        for message in classes_in(port.message)
-    }

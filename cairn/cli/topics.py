@@ -22,7 +22,7 @@ from cairn.cli import completion
 from cairn.cli.fields import FieldPath, field_path, message_of, yaml_value
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, print_json, show
-from cairn.cli.plugins import find_message
+from cairn.cli.schemas import find_message
 from cairn.cli.topic_plot import plot_topic
 from cairn.client import NoMessageError, Robot, Subscription
 from cairn.client import connect as connect_to

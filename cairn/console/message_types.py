@@ -1,4 +1,4 @@
-"""The message types that a console knows: Cairn's own, and those of installed plugins."""
+"""The message types that a console knows: all with definitions, and those of installed plugins."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from typing import Any, Final
 
 from cairn.bus.message_limits import default_max_bytes, is_bulk
 from cairn.bus.type_hash import definition, type_hash
-from cairn.schemas.message import schema_messages, type_name
+from cairn.schemas.interfaces import find_message
+from cairn.schemas.message import type_name
 
 _LIMIT_S: Final = 120.0  # importing the plugins takes seconds, on a busy computer longer
 _PROGRAM: Final = "from cairn.console.message_types import print_types; print_types()"
@@ -49,13 +50,12 @@ class MessageTypes:
     """Finds message types by name. Plugins' types are known after `load_plugins`."""
 
     def __init__(self) -> None:
-        self._classes = schema_messages()
         self._known: dict[str, MessageType] = {}
 
     def find(self, name: str) -> MessageType | None:
         """Return the type of this name; None if it is not known (yet)."""
-        if name not in self._known and name in self._classes:
-            self._known[name] = MessageType.of(self._classes[name])
+        if name not in self._known and (message := find_message(name)) is not None:
+            self._known[name] = MessageType.of(message)
         return self._known.get(name)
 
     async def load_plugins(self) -> None:
@@ -82,8 +82,7 @@ class MessageTypes:
 
 def print_types() -> None:
     """Print the message types of installed plugins as JSON, in one line."""
-    from cairn.cli.plugins import known_messages
+    from cairn.cli.schemas import messages_of_plugins
 
-    own = schema_messages()
-    found = [MessageType.of(one) for name, one in known_messages().items() if name not in own]
+    found = [MessageType.of(one) for one in messages_of_plugins().values()]
     sys.stdout.write(f"{json.dumps([asdict(one) for one in found])}\n")

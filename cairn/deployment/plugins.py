@@ -40,9 +40,13 @@ class Plugin:
     error: str = ""
 
 
-def installed_plugins() -> list[Plugin]:
-    """Return all installed plugins sorted by name, also those that cannot be imported."""
-    return [_listed(point) for point in sorted(_entry_points(), key=lambda point: point.name)]
+def installed_plugins(*, of_cairn: bool = True) -> list[Plugin]:
+    """Return all installed plugins sorted by name, also those that cannot be imported.
+
+    Without those `of_cairn`, only the packages of others are imported.
+    """
+    points = sorted(_entry_points(), key=lambda point: point.name)
+    return [_listed(point) for point in points if of_cairn or not point.value.startswith("cairn.")]
 
 
 def load_plugin(reference: str) -> "type[Component]":

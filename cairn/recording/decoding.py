@@ -17,7 +17,9 @@ from cairn.bus.codec import Codec
 from cairn.bus.type_hash import definition, type_hash
 from cairn.errors import RecordingError
 from cairn.recording.mcap_file import RecordedChannel, RecordedMessage
-from cairn.schemas.message import InvalidMessage, schema_messages
+from cairn.schemas.definitions import PLACEHOLDER
+from cairn.schemas.interfaces import find_message
+from cairn.schemas.message import InvalidMessage
 
 _SCHEMA_BYTES: Final = 256_000
 _MOST_TYPES: Final = 500
@@ -25,9 +27,7 @@ _MOST_FIELDS: Final = 5_000
 _LONGEST_ARRAY: Final = 1_000  # of strings or messages, for which code is generated one by one
 _FEW_MESSAGES: Final = 10_000
 # A message without fields has one byte on the wire.
-_NOTHING: Final[list[tuple[str, FieldDesc]]] = [
-    ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
-]
+_NOTHING: Final[list[tuple[str, FieldDesc]]] = [(PLACEHOLDER, (Nodetype.BASE, ("uint8", 0)))]
 _FAILURES: Final = (
     TypesysError, SerdeError, InvalidMessage, ValueError, KeyError, IndexError, AssertionError,
     RecursionError, MemoryError, SyntaxError,
@@ -57,7 +57,6 @@ class MessageDecoder:
 
     def __init__(self) -> None:
         self._codec = Codec()
-        self._known = schema_messages()
         self._decoders: dict[RecordedChannel, Callable[[bytes], Any]] = {}
 
     def decode(self, message: RecordedMessage) -> Any:
@@ -96,7 +95,7 @@ class MessageDecoder:
 
     def message_class(self, channel: RecordedChannel) -> type[Any] | None:
         """Return the class to which a channel's messages are decoded; None for a dictionary."""
-        known = self._known.get(channel.type)
+        known = find_message(channel.type)
         if known is None or channel.encoding != "cdr":
             return None
         recorded = channel.type_hash
@@ -142,7 +141,8 @@ def _defined(name: str, schema: bytes) -> Definition:
             is_number = element[0] == Nodetype.BASE and element[1][0] != "string"
             if length > (2**32 if is_number else _LONGEST_ARRAY):
                 raise ValueError(f"its field {field} has {length:,} elements")
-    return Definition(name, types)
+    # rosbags names the messages of services in its own way: its first one is that of the channel.
+    return Definition(name if name in types else next(iter(types)), types)
 
 
 def _by_definition(definition: Definition) -> Callable[[bytes], Any]:

@@ -11,7 +11,8 @@ from typing import Any
 from cairn.deployment.exclusive_topics import ports_of_plugin
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
-from cairn.schemas.message import classes_in, schema_messages, type_name
+from cairn.schemas.interfaces import find_message
+from cairn.schemas.message import classes_in, type_name
 
 _PACKAGES = {
     "cairn": "cairn-robotics", "zenoh": "eclipse-zenoh", "numpy": "numpy", "numba": "numba",
@@ -67,21 +68,22 @@ def started_parameters(deployment: Deployment) -> dict[str, Any]:
 
 
 class MessageClasses:
-    """Finds message classes: those of Cairn, then those of the ports of a deployment's plugins.
+    """Finds message classes: those with definitions, then those of a deployment's plugins' ports.
 
     The plugins are imported with the first message of another type.
     """
 
     def __init__(self, deployment: Deployment | None) -> None:
-        self._known = schema_messages()
+        self._of_plugins: dict[str, type[Any]] = {}
         self._deployment = deployment
 
     def find(self, name: str) -> type[Any] | None:
         """Return the message class of a type name; None if it is not known."""
-        if name not in self._known and self._deployment is not None:
+        known = find_message(name)
+        if known is None and self._deployment is not None:
             for member in self._deployment.members():
                 for port in ports_of_plugin(member.spec.plugin):
                     for message in classes_in(port.message):
-                        self._known.setdefault(type_name(message), message)
+                        self._of_plugins.setdefault(type_name(message), message)
             self._deployment = None
-        return self._known.get(name)
+        return known or self._of_plugins.get(name)

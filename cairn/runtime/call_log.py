@@ -15,7 +15,6 @@ from typing import Any, Final
 import numpy as np
 
 from cairn.bus.bus import Call, MessageId, Node, ServiceError
-from cairn.bus.codec import Codec
 from cairn.bus.qos import LATCHED
 from cairn.clock import Clock, from_ns
 from cairn.errors import CairnError
@@ -49,6 +48,8 @@ class CallLog:
         self, node: Node, topic: str, component: str, incarnation: int, clock: Clock
     ) -> None:
         """Publish on `topic` (a full name); `clock` has the stamps of the batches."""
+        from cairn.bus.codec import Codec  # imports rosbags: not for each `import cairn.Component`
+
         self.codec = Codec()
         self._publisher = node.advertise(topic, CallBatch, CALL_LOG_QOS)
         self._component = component

@@ -13,7 +13,7 @@ from tests.browser.conftest import node
 from tests.browser.messages import write
 
 HERE = Path(__file__).parent
-SAMPLES = 12  # of each message class
+SAMPLES = 12  # of each message type
 
 
 def test_decoder_agrees_with_cairn_and_with_foxglove(tmp_path: Path) -> None:

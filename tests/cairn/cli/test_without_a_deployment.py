@@ -125,7 +125,8 @@ def test_schemas_are_listed_and_shown_for_other_languages() -> None:
 
     twist = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
     assert rows["geometry_msgs/msg/Twist"]["hash"] == twist
-    assert shown.out.startswith(f"# geometry_msgs/msg/Twist\n# {twist}\ngeometry_msgs/Vector3 lin")
+    assert shown.out.startswith(f"# geometry_msgs/msg/Twist\n# {twist}\n# This expresses velocity")
+    assert "\nVector3  linear\n" in shown.out
     as_json = cairn("schema", "show", "geometry_msgs/msg/Twist", "--json").json
     assert as_json["hash"] == twist
     assert cairn("schema", "show", "geometry_msgs/msg/Twst").code == 1
