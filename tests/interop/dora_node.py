@@ -14,12 +14,14 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import dora
+import dora as dora_module
 import numpy as np
 import pyarrow as pa
 
 from cairn.schemas.interfaces import interface
 from cairn.schemas.message import Field, fields_of
+
+dora: Any = dora_module  # its stub lacks what is used here
 
 _PRIMITIVES = {
     "bool": pa.bool_(), "byte": pa.uint8(), "string": pa.string(),
@@ -71,8 +73,9 @@ class Node:
         self._ends[topic] = self._node.create_subscription(found, qos)
 
     def receive(self, topic: str) -> Any:
-        """Return the next message."""
-        return _plain(self._ends[topic].next())
+        """Return the next message, None if there is none yet."""
+        found = self._ends[topic].next()
+        return None if found is None else _plain(found)
 
     def service_client(self, name: str, type: str) -> None:  # noqa: A002
         """Make a client, which waits for the server."""
