@@ -79,6 +79,9 @@ class Component:
 
     request_roles: ClassVar[Mapping[str, Role]] = MappingProxyType({})
     """Which of its own requests users on the network with less than `administer` may make."""
+    service_roles: ClassVar[Mapping[str, Role]] = MappingProxyType({})
+    """Server and action server ports that users on the network with less than `administer` may use.
+    """
     request_max_bytes: ClassVar[Mapping[str, int]] = MappingProxyType({})
     """Longest requests [bytes of JSON] of its own verbs, where not 64 KiB; at most 256 KiB."""
     urgent_requests: ClassVar[frozenset[str]] = frozenset()

@@ -112,6 +112,9 @@ class MobileSupervisor(Supervisor):
     config: MobileSupervisorConfig
 
     request_roles = MappingProxyType({"go": "operate", "cancel": "operate", "mission": "view"})
+    service_roles = MappingProxyType(
+        dict.fromkeys((ToPose.action, ThroughPoses.action, Waypoints.action), "operate")
+    )
     request_max_bytes = MappingProxyType({"go": 256 << 10})
     urgent_requests = frozenset({"cancel"})
     operator_inputs = frozenset({"goal_pose"})
