@@ -263,23 +263,29 @@ class ZenohClient:
 
     def __init__(
         self,
-        node: "ZenohNode",
+        session: zenoh.Session,
+        codec: Codec,
         name: str,
+        key: str,
+        gid: bytes,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
         deliver: Callable[[Callable[[], None]], None],
+        on_close: Callable[[], None] = lambda: None,
     ) -> None:
+        """Call the service `name` at its key; `gid` is the identity of this client."""
+        self._on_close = on_close
         self.sent = 0
         request, self._response = service.Request, service.Response
         self.name = name
+        self._key = key
+        self._gid = gid
         self._max_bytes = default_max_bytes(self._response)
         self._post = post
         self._waiter = _Waiter(name, deliver)
         self._cancellation = zenoh.CancellationToken()
-        self._codec = node.bus.codec
-        self._session = node.bus.session
-        self._announcement = node.announce("SC", name, service, SERVICES)
-        self._gid = self._announcement.gid
+        self._codec = codec
+        self._session = session
         bulk = is_bulk(request) or is_bulk(self._response)
         self._options: dict[str, Any] = {
             "target": zenoh.QueryTarget.ALL_COMPLETE,
@@ -289,9 +295,7 @@ class ZenohClient:
             "congestion_control": zenoh.CongestionControl.BLOCK,
             "priority": zenoh.Priority.DATA_LOW if bulk else zenoh.Priority.INTERACTIVE_HIGH,
         }
-        self._querier = self._session.declare_querier(
-            self._announcement.key, target=zenoh.QueryTarget.ALL_COMPLETE
-        )
+        self._querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL_COMPLETE)
         self._pending: set[_PendingCall] = set()
         self._closed = False
 
@@ -324,7 +328,7 @@ class ZenohClient:
         handler: Any = zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False)
         try:
             replies = self._session.get(
-                self._announcement.key,
+                self._key,
                 zenoh.handlers.FifoChannel(_REPLIES) if waits else handler,
                 payload=self._codec.encode(request),
                 attachment=keys.Attachment(self.sent, time.time_ns(), self._gid).encode(),
@@ -349,7 +353,7 @@ class ZenohClient:
         self._waiter.close()
         self._cancellation.cancel()
         self._querier.undeclare()
-        self._announcement.close()
+        self._on_close()
 
     def finish(self, call: "_PendingCall", done: Callable[[], None]) -> None:
         """Post the end of a call, unless it has ended, or this client was closed."""

@@ -36,7 +36,7 @@ from cairn.bus.message_limits import (
     ring_length,
     too_long,
 )
-from cairn.bus.qos import Qos
+from cairn.bus.qos import SERVICES, Qos
 from cairn.bus.services import PrivateQueries, ZenohClient, ZenohServer
 from cairn.bus.session import close_session
 from cairn.bus.type_hash import type_hash
@@ -181,7 +181,11 @@ class ZenohNode:
         deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> ZenohClient:
         """Return a client of the service `name`."""
-        client = ZenohClient(self, name, service, post, deliver or post)
+        announcement = self.announce("SC", name, service, SERVICES)
+        client = ZenohClient(
+            self.bus.session, self.bus.codec, name, announcement.key, announcement.gid, service,
+            post, deliver or post, announcement.close,
+        )  # fmt: skip
         self._ends.append(client)
         return client
 

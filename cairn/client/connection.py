@@ -149,6 +149,11 @@ class Connection:
         graph = read_graph(self.session, keys.endpoints_pattern(self.domain, topic, "M$*"))
         return [entity for entity in graph if isinstance(entity, keys.EndpointEntity)]
 
+    def service_endpoints(self, service: str = "") -> list[keys.EndpointEntity]:
+        """Return the servers and clients of a service (full name), or of all services."""
+        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, service, "S$*"))
+        return [entity for entity in graph if isinstance(entity, keys.EndpointEntity)]
+
     def statuses(self) -> dict[str, ComponentStatus]:
         """Return the last status of every component that answers within 1 s, by full name."""
         return self.read_statuses(find_silent=False).answered

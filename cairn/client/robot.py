@@ -25,15 +25,21 @@ from cairn.client.connection import (
     resolve,
 )
 from cairn.client.navigation import NavigationGoal, Navigator
+from cairn.client.services import RunningGoal, ServiceInfo, call_service, find_services
 from cairn.client.velocity_gate import Teleoperation, find_gate, set_emergency_stop
 from cairn.errors import CairnError
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import VelocityGateStatus
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import Action, InvalidMessage, Service, type_name
 from cairn.schemas.rcl_interfaces import Log
 
 M = TypeVar("M")
+Request = TypeVar("Request")
+Response = TypeVar("Response")
+Goal = TypeVar("Goal")
+Result = TypeVar("Result")
+Feedback = TypeVar("Feedback")
 
 _log = logging.getLogger("cairn.client")
 
@@ -239,6 +245,61 @@ class Robot:
                 newest = max(samples, key=_sent_ns)
                 return self._codec.decode(message, newest.payload.to_bytes())
             return subscription.next(timeout_s)
+
+    def services(self) -> list[ServiceInfo]:
+        """Return all services, sorted; those of the given robot alone if one was given."""
+        return self._of_robot(find_services(self.connection)[0])
+
+    def actions(self) -> list[ServiceInfo]:
+        """Return all actions, sorted; those of the given robot alone if one was given."""
+        return self._of_robot(find_services(self.connection)[1])
+
+    def call(
+        self,
+        service: str,
+        kind: type[Service[Request, Response]],
+        request: Request,
+        *,
+        timeout_s: float = _REPLY_LIMIT_S,
+    ) -> Response:
+        """Call a service and return the response.
+
+        Args:
+            service: short name (`save_map`) or full name (`/robot/save_map`).
+            kind: class of the service, such as `cairn.schemas.nav2_msgs.srv.SaveMap`.
+            request: a `kind.Request`.
+            timeout_s: limit for the answer [s].
+
+        Raises:
+            ServiceError: if there is no server of this type, it refuses the call, ends, or does not
+                answer in time.
+        """
+        return call_service(self.connection, self._full(service), kind, request, timeout_s)
+
+    def send_goal(
+        self,
+        action: str,
+        kind: type[Action[Goal, Result, Feedback]],
+        goal: Goal,
+        *,
+        timeout_s: float = _REPLY_LIMIT_S,
+    ) -> RunningGoal[Goal, Result, Feedback]:
+        """Send a goal to an action and return it; use it in a `with` statement.
+
+        Args:
+            action: short name (`navigate_to_pose`) or full name.
+            kind: class of the action, such as `cairn.schemas.nav2_msgs.action.NavigateToPose`.
+            goal: a `kind.Goal`.
+            timeout_s: limit for its acceptance [s].
+
+        Raises:
+            ServiceError: if there is no server of this type, or it rejects the goal.
+        """
+        return RunningGoal(self.connection, self._full(action), kind, goal, timeout_s)
+
+    def _of_robot(self, found: list[ServiceInfo]) -> list[ServiceInfo]:
+        prefix = f"/{self._robot}/" if self._robot else "/"
+        return [one for one in found if one.name.startswith(prefix)]
 
     def publish(self, topic: str, message: Any) -> str:
         """Publish one message and return the topic's full name.

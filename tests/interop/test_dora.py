@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from cairn import RELIABLE, SENSOR
-from cairn.bus.actions import ActionCaller
+from cairn.bus.actions import ActionCaller, make_at_once
 from cairn.bus.bus import ServiceError
 from cairn.bus.codec import to_plain
 from cairn.bus.keys import EndpointEntity, NodeEntity
@@ -159,7 +159,18 @@ def test_dora_uses_an_action(dora: Dora, counter: ThreadedComponent) -> None:
 def test_dora_serves_an_action(network: Network, dora: Dora) -> None:
     dora.do("serve_fibonacci", name="/ros/fibonacci")
     asker = node(network.bus(), "/robot/asker")
-    caller: ActionCaller[Any, Any, Any] = ActionCaller(asker, "/ros/fibonacci", Fibonacci)
+    caller = ActionCaller(
+        "/ros/fibonacci", Fibonacci, lambda name, kind: asker.client(name, kind, make_at_once)
+    )
+
+    def receive() -> None:
+        message = feedback.take()
+        if message is not None:
+            caller.receive_feedback(message)
+
+    feedback = asker.subscribe(
+        caller.feedback_topic, Fibonacci.FeedbackMessage, RELIABLE.with_depth(100), receive
+    )
     assert eventually(lambda: caller.is_available)
 
     sent = caller.send(os.urandom(16), Fibonacci.Goal(order=4), LIMIT_S)
