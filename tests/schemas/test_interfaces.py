@@ -147,17 +147,17 @@ _NOTHING: Any = ([], [(PLACEHOLDER, _UINT8)])
 
 
 def _add_event(store: Typestore, service: str) -> None:
-    sides = [
+    described: Any = [
         (side.lower(), (Nodetype.SEQUENCE, ((Nodetype.NAME, f"{service}_{side}"), 1)))
         for side in ("Request", "Response")
     ]
-    info = ("info", (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo"))
-    store.fielddefs[f"{service}_Event"] = ([], [info, *sides])
+    described.insert(0, ("info", (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo")))
+    store.fielddefs[f"{service}_Event"] = ([], described)
 
 
 def _add_implementation(store: Typestore, action: str) -> None:
     def add(part: str, **members: Any) -> None:
-        described = [
+        described: Any = [
             (
                 name,
                 (Nodetype.NAME if "/" in one else Nodetype.BASE, one if "/" in one else (one, 0)),
