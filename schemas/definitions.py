@@ -22,7 +22,11 @@ KINDS: Final = ("msg", "srv", "action")
 PLACEHOLDER: Final = "structure_needs_at_least_one_member"
 """The one field, a uint8, that a definition without fields has on the wire."""
 
+_LONGEST_NAME: Final = 200
+"""Longest name of an interface; its file has a name of at most 255 bytes."""
+
 _LONGEST_FILE: Final = 1 << 20
+_LONGEST_REASON: Final = 300
 _MOST_FIELDS: Final = 1000
 _MOST_ITEMS: Final = 1_000_000
 """Most elements of an array; more would be a slip of the keyboard."""
@@ -101,7 +105,7 @@ def full_type_name(name: str) -> str:
     Raises `DefinitionError` if it is not the name of an interface.
     """
     match = _INTERFACE.fullmatch(name)
-    if match is None:
+    if match is None or len(name) > _LONGEST_NAME:
         raise DefinitionError(
             f"{name[:200]!r} is not the name of a ROS 2 interface such as std_msgs/msg/String, "
             "std_srvs/srv/Trigger or nav2_msgs/action/Spin"
@@ -235,7 +239,8 @@ def _parsed_message(name: str, lines: list[tuple[int, str]], source: str) -> Mes
                 raise ValueError(f"a message has at most {_MOST_FIELDS} fields and constants")
         except ValueError as error:
             kind = UnsupportedDefinition if isinstance(error, _Unsupported) else DefinitionError
-            raise kind(f"{source}:{number}: {line[:200]!r}: {error}") from error
+            reason = str(error)[:_LONGEST_REASON]
+            raise kind(f"{source}:{number}: {line[:200]!r}: {reason}") from error
         if isinstance(one, FieldDefinition):
             fields[one.name] = replace(one, line=number)
         else:

@@ -206,10 +206,10 @@ def _read(sources: Mapping[str, Path]) -> tuple[dict[str, _Defined], dict[str, s
 
 
 def _references(defined: _Defined) -> Iterator[FieldDefinition]:
-    """Yield the fields of a file that are messages of another file."""
+    """Yield the fields of a file that are messages of another file, or the message itself."""
     for message in defined.values():
         for one in message.fields:
-            if "/" in one.element and one.element not in defined:
+            if "/" in one.element and (one.element not in defined or one.element == message.name):
                 yield one
 
 

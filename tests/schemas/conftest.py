@@ -5,6 +5,7 @@ import pytest
 from cairn.bus.codec import Codec
 
 DEFAULT_MUTATIONS = 500
+DEFAULT_INTERFACE_MUTATIONS = 100  # of hundreds of types
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -12,14 +13,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--mutations",
         type=int,
-        default=DEFAULT_MUTATIONS,
-        help="Damaged buffers to decode for each message type.",
+        default=None,
+        help=f"Damaged buffers to decode for each message type: {DEFAULT_MUTATIONS}, or for types "
+        f"without rules of their own {DEFAULT_INTERFACE_MUTATIONS}.",
     )
 
 
 @pytest.fixture
 def mutations(request: pytest.FixtureRequest) -> int:
-    return int(request.config.getoption("--mutations", default=DEFAULT_MUTATIONS))
+    return request.config.getoption("--mutations", default=None) or DEFAULT_MUTATIONS
+
+
+@pytest.fixture
+def interface_mutations(request: pytest.FixtureRequest) -> int:
+    return request.config.getoption("--mutations", default=None) or DEFAULT_INTERFACE_MUTATIONS
 
 
 @pytest.fixture(scope="session")

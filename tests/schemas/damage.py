@@ -1,9 +1,15 @@
 """Damage encoded messages in ways that reveal missing checks of a decoder."""
 
+import resource
 import struct
+from collections import Counter
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+
+from cairn.bus.codec import Codec
+from cairn.schemas.message import InvalidMessage
 
 Buffers = list[bytes]
 
@@ -17,6 +23,31 @@ def damaged(originals: Buffers, random: np.random.Generator) -> bytes:
     for _ in range(random.integers(1, 5)):
         _FAULTS[random.integers(len(_FAULTS))](data, random)
     return bytes(data)
+
+
+def decode_damaged(codec: Codec, cls: type[Any], originals: Buffers, count: int) -> Counter[str]:
+    """Assert that damaged buffers are valid messages or rejected, in little memory.
+
+    Returns how many were "valid" and "rejected".
+    """
+    random = np.random.default_rng(len(originals[0]))
+    before = _peak_memory()
+    outcomes: Counter[str] = Counter()
+    for _ in range(count):
+        data = damaged(originals, random)
+        try:
+            message = codec.decode(cls, data)
+        except InvalidMessage:
+            outcomes["rejected"] += 1
+            continue
+        outcomes["valid"] += 1
+        assert codec.decode(cls, codec.encode(message)) == message, data.hex()
+    assert _peak_memory() - before < 32 * 2**20
+    return outcomes
+
+
+def _peak_memory() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _flip_bit(data: bytearray, random: np.random.Generator) -> None:
