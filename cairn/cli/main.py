@@ -44,6 +44,8 @@ COMMANDS = (
                 "List the topics with their publishers and subscribers.", _INSPECT),
     LazyCommand("topic", "cairn.cli.topics:topic",
                 "List, print, publish, plot and time messages.", _INSPECT),
+    LazyCommand("tf", "cairn.cli.transforms:tf",
+                "Show the tree of frames; print transforms.", _INSPECT),
     LazyCommand("logs", "cairn.cli.inspect:logs",
                 "Print the log messages of the components.", _INSPECT),
     LazyCommand("go", "cairn.supervisors.mobile.cli:go",

@@ -13,6 +13,7 @@ from cairn.bus.control import ControlError, NoReplyError
 from cairn.client.connection import Connection
 from cairn.client.navigation import NavigationGoal
 from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
+from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation
 
 __all__ = [
@@ -26,5 +27,6 @@ __all__ = [
     "Subscription",
     "Teleoperation",
     "Topic",
+    "TransformListener",
     "connect",
 ]
