@@ -11,6 +11,7 @@ import typer
 import yaml
 
 from cairn.bus.codec import to_plain
+from cairn.cli import completion
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, show
 from cairn.client import TransformListener
@@ -81,9 +82,21 @@ def show_tree(
 @tf.command("echo")
 def echo_transform(
     target: Annotated[
-        str, typer.Argument(help="The frame in which the pose is given.", metavar="TARGET")
+        str,
+        typer.Argument(
+            help="The frame in which the pose is given.",
+            metavar="TARGET",
+            autocompletion=completion.frames,
+        ),
     ],
-    source: Annotated[str, typer.Argument(help="The frame whose pose it is.", metavar="SOURCE")],
+    source: Annotated[
+        str,
+        typer.Argument(
+            help="The frame whose pose it is.",
+            metavar="SOURCE",
+            autocompletion=completion.frames,
+        ),
+    ],
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",

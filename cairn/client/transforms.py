@@ -59,7 +59,7 @@ class TransformListener:
         self._opened = opened
         self._codec = Codec()
         self._names: dict[bytes, str] = {}  # of publishers, by their gids
-        self._clock_ns: int | None = None
+        self._clock: tuple[str, int] | None = None  # the topic, and its time [ns]
         self._changed = threading.Condition()
         self._closed = False
         self._samples = SampleQueue()
@@ -100,7 +100,8 @@ class TransformListener:
 
         Stamps of transforms are in this time.
         """
-        return time.time_ns() if self._clock_ns is None else self._clock_ns
+        clock = self._clock
+        return time.time_ns() if clock is None else clock[1]
 
     def lookup(
         self, target: str, source: str, time_ns: int | None = None, *, timeout_s: float = 5.0
@@ -136,7 +137,8 @@ class TransformListener:
     def await_transforms(self, timeout_s: float = 5.0) -> None:
         """Wait until a transform has arrived; raise `CairnError` after the time limit [s]."""
         with self._changed:
-            if not self._changed.wait_for(lambda: self.buffer.frames() or self._closed, timeout_s):
+            self._changed.wait_for(lambda: self.buffer.frames() or self._closed, timeout_s)
+            if not self.buffer.frames():
                 raise self._nothing(timeout_s)
 
     def _nothing(self, timeout_s: float) -> CairnError:
@@ -179,17 +181,20 @@ class TransformListener:
             _log.debug("%s: invalid message: %s", topic, error)
             return
         if isinstance(received, Clock):
-            self._set_clock(to_ns(received.clock))
+            self._set_clock(topic, to_ns(received.clock))
             return
         publisher = self._publisher(topic, sample)
         self.buffer.add(received, static=kind == _STATIC, publisher=publisher)
         with self._changed:
             self._changed.notify_all()
 
-    def _set_clock(self, now: int) -> None:
-        if self._clock_ns is not None and now < self._clock_ns:
-            self.buffer.clear()
-        self._clock_ns = now
+    def _set_clock(self, topic: str, now: int) -> None:
+        if self._clock is not None and topic == self._clock[0]:
+            if now < self._clock[1]:
+                self.buffer.clear()
+        elif self._clock is not None and len(topic) < len(self._clock[0]):
+            return  # /clock, beside the robot's own
+        self._clock = topic, now
 
     def _publisher(self, topic: str, sample: Any) -> str:
         """Return the full name of the node that published a sample; empty if that is unknown."""

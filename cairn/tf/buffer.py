@@ -141,7 +141,8 @@ class Buffer:
             try:
                 self.set_transform(transform, static=static, publisher=publisher)
             except TransformError as error:
-                self._rejected += 1
+                with self._lock:
+                    self._rejected += 1
                 kind = type(error).__name__
                 frame = (
                     transform.child_frame_id[:_LONGEST_NAME] if kind != "BufferFullError" else ""
@@ -154,7 +155,8 @@ class Buffer:
         """Add a transform; a leading slash of its frame names is removed, as in tf2.
 
         A transform that is older than `cache_s` before the frame's newest one is dropped and
-        reported. If a frame gets another parent, the newest transform counts, which is reported.
+        reported. If a frame gets another parent or another publisher, the newest transform counts,
+        which is reported.
 
         Raises:
             InvalidArgumentError: if a number is not finite, the quaternion is not normalized, a
@@ -318,6 +320,13 @@ class Buffer:
                     f"{child_name}: its parent was {before}{_by(child.publisher)} and is now "
                     f"{parent_name}{_by(publisher)}; the newest transform counts. Let one "
                     "component publish the transform of each frame",
+                ))  # fmt: skip
+            elif publisher and child.publisher not in ("", publisher):
+                problems.append((
+                    ("publisher", child_name),
+                    f"{child_name}: its transform was published by {child.publisher} and is now "
+                    f"by {publisher}; the newest transform counts. Let one component publish the "
+                    "transform of each frame",
                 ))  # fmt: skip
         count = len(child)
         if static:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from cairn import LATCHED
+from cairn.cli import completion
 from cairn.cli.transforms import _drawn
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.tf2_msgs import TFMessage
@@ -120,6 +121,16 @@ def test_wrong_frame_is_an_error_with_a_remedy(
 
     assert answer.code == 1
     assert_words(answer.err, "cairn: ", *words)
+
+
+def test_missing_frame_is_reported_with_those_that_exist(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(completion, "_LIMIT_S", LIMIT_S)  # on a busy computer, too
+    answer = cairn("tf", "echo", "map", connect=endpoint)
+
+    assert answer.code == 2
+    assert_words(answer.err, "Missing argument 'SOURCE'", "There are: ", "base_link", "odom")
 
 
 def test_several_trees_and_invalid_transforms_are_noted() -> None:

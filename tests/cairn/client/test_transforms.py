@@ -207,6 +207,27 @@ def test_clock_is_the_time_and_set_back_it_clears_the_buffer(network: Network) -
         assert transforms.buffer.can_transform("odom", "laser")
 
 
+def test_clock_of_the_robot_counts_before_that_of_ros(network: Network) -> None:
+    node = network.bus().node("/rover/base", print)
+    node.advertise("/rover/component_status", ComponentStatus, LATCHED)
+    clocks = {topic: node.advertise(topic, Clock, RELIABLE) for topic in ("/clock", "/rover/clock")}
+
+    with cairn.client.connect(network.endpoint) as robot:
+        transforms = robot.transforms()
+
+        def shown(topic: str, seconds: int) -> bool:
+            clocks[topic].publish(Clock(clock=from_ns(seconds * SECOND)))
+            return transforms.now_ns() == seconds * SECOND
+
+        assert eventually(lambda: shown("/clock", 9))
+        assert eventually(lambda: shown("/rover/clock", 5))
+        clocks["/clock"].publish(Clock(clock=from_ns(100 * SECOND)))
+        later = stamped(0, "base", "later", Transform())
+        static.publish(TFMessage(transforms=(later,)))
+        transforms.lookup("base", "later", timeout_s=LIMIT_S)  # it arrives after the clock
+        assert transforms.now_ns() == 5 * SECOND
+
+
 def test_message_that_is_not_valid_does_not_end_the_listener(
     robot: Robot, setting: Setting
 ) -> None:

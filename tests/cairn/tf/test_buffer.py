@@ -100,6 +100,45 @@ def test_transform_between_two_stamps_is_interpolated_whatever_the_order_of_arri
     assert ((low <= found.translation) & (found.translation <= high)).all()
 
 
+@given(st.data())
+def test_lookup_in_a_moving_tree_is_that_of_the_interpolated_edges(data: st.DataObject) -> None:
+    buffer = Buffer()
+    parents: dict[str, str] = {}
+    for number in range(1, data.draw(st.integers(2, 5))):
+        child, parent = f"f{number}", f"f{data.draw(st.integers(0, number - 1))}"
+        parents[child] = parent
+        for stamp in sorted(data.draw(st.sets(st.integers(0, 20), min_size=2, max_size=4))):
+            buffer.set_transform(stamped(parent, child, stamp / 10, data.draw(transforms)))
+    source, target = (data.draw(st.sampled_from(["f0", *parents])) for _ in range(2))
+    time_ns = at(data.draw(st.integers(0, 200)) / 100)
+
+    def chain_of(frame: str) -> list[str]:
+        chain = [frame]
+        while chain[-1] in parents:
+            chain.append(parents[chain[-1]])
+        return chain
+
+    needed = set(chain_of(source)) ^ set(chain_of(target))  # below the common frame
+    known = buffer.frames()
+    has_all = all(
+        (known[one].oldest_ns or 0) <= time_ns <= (known[one].newest_ns or 0) for one in needed
+    )
+    assert buffer.can_transform(target, source, time_ns) == has_all
+    if not has_all:
+        with pytest.raises(ExtrapolationError) as caught:
+            buffer.lookup(target, source, time_ns)
+        assert caught.value.child in needed
+        return
+    poses = [np.eye(4), np.eye(4)]
+    for index, frame in enumerate((source, target)):
+        for one in chain_of(frame):
+            if one in needed:
+                edge = buffer.lookup(parents[one], one, time_ns)
+                poses[index] = reference_matrix(edge) @ poses[index]
+    wanted = np.linalg.inv(poses[1]) @ poses[0]
+    np.testing.assert_allclose(buffer.lookup(target, source, time_ns).matrix(), wanted, atol=1e-8)
+
+
 def test_target_is_the_frame_of_the_result() -> None:
     buffer = buffer_of(stamped("base_link", "laser", 1.0, along_x(0.2)))
 
@@ -398,6 +437,19 @@ def test_second_parent_is_reported_once_and_the_newest_transform_counts(
     assert buffer.lookup("odom", "base", at(2.25)).translation[0] == 1.0
     with pytest.raises(ConnectivityError):
         buffer.lookup("map", "base", at(2.25))
+
+
+def test_second_publisher_is_reported_once(problems: list[str]) -> None:
+    buffer = Buffer(on_problem=problems.append)
+    for publisher in ("", "/r/wheels", "/r/wheels", "", "/r/wheels"):
+        buffer.set_transform(stamped("odom", "base", 1.0), publisher=publisher)
+    assert problems == []
+
+    for publisher in ("/r/imu", "/r/wheels", "/r/imu"):
+        buffer.set_transform(stamped("odom", "base", 1.0), publisher=publisher)
+
+    assert len(problems) == 1
+    assert_words(problems[0], "base: ", "published by /r/wheels", "now by /r/imu", "one component")
 
 
 def test_transform_that_becomes_static_or_changing_is_reported_once(problems: list[str]) -> None:
