@@ -48,6 +48,8 @@ COMMANDS = (
                 "List and call services.", _INSPECT),
     LazyCommand("action", "cairn.cli.services:action",
                 "List actions, and send goals to them.", _INSPECT),
+    LazyCommand("tf", "cairn.cli.transforms:tf",
+                "Show the tree of frames; print transforms.", _INSPECT),
     LazyCommand("logs", "cairn.cli.inspect:logs",
                 "Print the log messages of the components.", _INSPECT),
     LazyCommand("go", "cairn.supervisors.mobile.cli:go",

@@ -15,6 +15,7 @@ from cairn.client.connection import Connection
 from cairn.client.navigation import NavigationGoal
 from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
 from cairn.client.services import RunningGoal, ServiceInfo
+from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation
 
 __all__ = [
@@ -31,5 +32,6 @@ __all__ = [
     "Subscription",
     "Teleoperation",
     "Topic",
+    "TransformListener",
     "connect",
 ]

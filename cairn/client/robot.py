@@ -26,6 +26,7 @@ from cairn.client.connection import (
 )
 from cairn.client.navigation import NavigationGoal, Navigator
 from cairn.client.services import RunningGoal, ServiceInfo, call_service, find_services
+from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation, find_gate, set_emergency_stop
 from cairn.errors import CairnError
 from cairn.runtime.rosout import ROSOUT
@@ -33,6 +34,7 @@ from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import VelocityGateStatus
 from cairn.schemas.message import Action, InvalidMessage, Service, type_name
 from cairn.schemas.rcl_interfaces import Log
+from cairn.tf import Buffer
 
 M = TypeVar("M")
 Request = TypeVar("Request")
@@ -125,6 +127,7 @@ class Robot:
         self._codec = Codec()
         self._publishers = Publishers(connection)
         self._subscriptions: set[Subscription[Any]] = set()
+        self._listeners: set[TransformListener] = set()
 
     def __enter__(self) -> Self:
         return self
@@ -136,17 +139,14 @@ class Robot:
         """End all subscriptions and the connection."""
         for subscription in tuple(self._subscriptions):
             subscription.close()
+        for listener in tuple(self._listeners):
+            listener.close()
         self.connection.close()
 
     @property
     def name(self) -> str:
         """Name of the robot; `CairnError` if there is none, or several and none was given."""
-        status_type = type_name(ComponentStatus)
-        robots = {
-            end.node.name.split("/")[1]
-            for end in self.connection.endpoints(f"*/{STATUS_TOPIC}")
-            if end.kind == "MP" and end.type_name == status_type
-        }
+        robots = self._robots()
         check_robot(self._robot, robots)
         if self._robot:
             return self._robot
@@ -301,6 +301,26 @@ class Robot:
         prefix = f"/{self._robot}/" if self._robot else "/"
         return [one for one in found if one.name.startswith(prefix)]
 
+    def transforms(
+        self, cache_s: float = 10.0, *, on_problem: Callable[[str], None] | None = None
+    ) -> TransformListener:
+        """Read the robot's transforms on a thread, until the result or the robot is closed.
+
+        If no robot of Cairn is on the bus and none was given, those on `/tf` and `/tf_static`
+        alone are read.
+
+        Args:
+            cache_s: how long transforms are kept [s].
+            on_problem: called with each problem once, such as a frame with two parents; by default
+                `notify` of `connect`.
+
+        Raises:
+            CairnError: if several robots are on the bus and none was given.
+        """
+        robot = self.name if self._robot or self._robots() else ""
+        buffer = Buffer(cache_s, on_problem=on_problem or self._notify)
+        return TransformListener(self.connection, robot, buffer, self._listeners)
+
     def publish(self, topic: str, message: Any) -> str:
         """Publish one message and return the topic's full name.
 
@@ -316,6 +336,15 @@ class Robot:
             key = keys.message_key(self.connection.domain, full, type(message))
         self._publishers.put(key, type_name(type(message)), self._codec.encode(message))
         return full
+
+    def _robots(self) -> set[str]:
+        """Return the names of the robots on the bus."""
+        status_type = type_name(ComponentStatus)
+        return {
+            end.node.name.split("/")[1]
+            for end in self.connection.endpoints(f"*/{STATUS_TOPIC}")
+            if end.kind == "MP" and end.type_name == status_type
+        }
 
     def _subscribed_topic(self, topic: str, message: type[Any]) -> str:
         """Return the full name of a topic to which something subscribes with a message type."""
