@@ -96,6 +96,8 @@ class ReasonCode(IntEnum):
     LOADING_FAILED = 81
     ARRIVED = 82
     CANCELED = 83
+    TIMED_OUT = 84
+    """The time that a mission was allowed is over."""
 
 
 class Reason(NamedTuple):
@@ -118,14 +120,25 @@ MAX_GOALS: Final = 1000
 class NavigateGoal:
     """The mission that AutoMove carries out: drive to `goals` in frame map, from index `first` on.
 
-    `mission_id` increases with each mission; 0 means that there was none. Without goals there is
-    nothing to do: the mission is finished, or was canceled. There are at most `MAX_GOALS` goals.
+    `mission_id` increases with each mission; 0 means that there was none. There are at most
+    `MAX_GOALS` goals. Instead of goals a mission may have a `motion`, which needs no map: TURN by
+    `amount` [rad] on the spot, or REVERSE by `amount` [m] straight back, at most at `speed`
+    ([rad/s], [m/s]; 0: as usual) and in `time_allowance` [s] (0: any time). Without both there is
+    nothing to do: the mission is finished, or was canceled.
     """
+
+    NO_MOTION: ClassVar[UInt8] = 0
+    TURN: ClassVar[UInt8] = 1
+    REVERSE: ClassVar[UInt8] = 2
 
     header: Header = Header()
     mission_id: UInt32 = 0
     first: UInt32 = 0
     goals: Packed[Pose] = Packed(Pose)
+    motion: Annotated[int, Scalar("uint8", at_most=2)] = 0
+    amount: FiniteFloat64 = 0.0
+    speed: NotNegative = 0.0
+    time_allowance: NotNegative = 0.0
 
     def __post_init__(self) -> None:
         """Check the number of goals."""
@@ -141,7 +154,8 @@ class NavCommand:
     `goal_id` identifies the command: a plan and a motion status carry the goal_id that they belong
     to. STAND: stand still. FOLLOW: plan to `goal` and follow the plan. BACK_OFF, LOOK_AROUND,
     EXPLORE: without a plan, back off a little, turn around once, or drive `distance` [m] to where
-    there is free space.
+    there is free space. TURN, REVERSE: turn by `angle` [rad] on the spot, or drive `distance` [m]
+    straight back, at most at `speed` ([rad/s], [m/s]; 0: as usual).
     """
 
     STAND: ClassVar[UInt8] = 0
@@ -149,12 +163,16 @@ class NavCommand:
     BACK_OFF: ClassVar[UInt8] = 2
     LOOK_AROUND: ClassVar[UInt8] = 3
     EXPLORE: ClassVar[UInt8] = 4
+    TURN: ClassVar[UInt8] = 5
+    REVERSE: ClassVar[UInt8] = 6
 
     header: Header = Header()
     goal_id: UInt32 = 0
-    behavior: Annotated[int, Scalar("uint8", at_most=4)] = 0
+    behavior: Annotated[int, Scalar("uint8", at_most=6)] = 0
     goal: Pose = Pose()
     distance: NotNegative = 0.0
+    angle: FiniteFloat64 = 0.0
+    speed: NotNegative = 0.0
     position_tolerance: NotNegative = 0.1
     heading_tolerance: NotNegative = 0.1
 

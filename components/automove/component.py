@@ -18,6 +18,7 @@ from cairn import (
     to_ns,
 )
 from cairn.components.automove.inputs import NavigatorInputs
+from cairn.components.automove.motion_mission import MotionMission
 from cairn.components.automove.recovery_selection import NavigatorLimits
 from cairn.components.automove.state_machine import GoalIds, NavigatorStateMachine
 from cairn.planar.messages import planar_pose, planar_poses, pose_message
@@ -95,7 +96,8 @@ class AutoMove(Supervisor):
     nav_command: Out[NavCommand] = Out(qos=LATCHED)
     navigation_status: Out[NavigationStatus] = Out(qos=LATCHED)
 
-    _navigator: NavigatorStateMachine | None = None
+    _navigator: NavigatorStateMachine | MotionMission | None = None
+    _activated_ns = 0
     _published: tuple[int, ...] | None = None
     _published_at = 0
     _under_way_ns = 0  # the last time at which the mission had no result
@@ -107,6 +109,7 @@ class AutoMove(Supervisor):
 
     def on_activate(self) -> None:
         """Load the children that the configuration does not load with the first mission."""
+        self._activated_ns = self.clock.now()
         super().on_activate()
         if self.config.load_plugins == "on_activation":
             for child in self.children.status():
@@ -116,7 +119,7 @@ class AutoMove(Supervisor):
     def on_navigate_goal(self, mission: NavigateGoal) -> None:
         """Start a mission, which preempts the current one; without goals, cancel it."""
         current = self._navigator
-        if not len(mission.goals):
+        if not len(mission.goals) and not mission.motion:
             same = current is not None and current.mission_id == mission.mission_id
             if current is not None and same and not current.finished:
                 current.cancel()
@@ -124,7 +127,7 @@ class AutoMove(Supervisor):
             return
         if current is not None and current.mission_id == mission.mission_id:
             return  # the current mission, published again
-        if mission.first >= len(mission.goals):
+        if not mission.motion and mission.first >= len(mission.goals):
             return
         if current is not None and not current.finished:
             self.log.info(
@@ -166,28 +169,50 @@ class AutoMove(Supervisor):
             self._publish(navigator)
 
     def _start(self, mission: NavigateGoal) -> None:
-        config = self.config
         now, requested = self.clock.now(), to_ns(mission.header.stamp)
-        self._navigator = navigator = NavigatorStateMachine(
-            mission_id=mission.mission_id,
-            goals=[(x, y, theta) for x, y, theta in planar_poses(mission.goals).tolist()],
-            goal_index=mission.first,
-            next_goal_id=lambda: self._goal_ids.next(self.clock.now()),
-            # A mission that an earlier process of AutoMove started continues.
-            started_s=(min(requested, now) or now) / SECOND,
-            limits=NavigatorLimits(
-                recoveries=config.recoveries,
-                recoveries_per_goal=config.recoveries_per_goal,
-                least_health=config.least_health,
-                sure_health=config.sure_health,
-                stopped_s=config.stopped,
-            ),
-        )
+        navigator: NavigatorStateMachine | MotionMission
+        if mission.motion:
+            navigator = MotionMission(
+                mission_id=mission.mission_id,
+                request=mission,
+                next_goal_id=self._next_goal_id,
+                started_s=now / SECOND,
+                limits=self._limits(),
+            )
+        else:
+            navigator = NavigatorStateMachine(
+                mission_id=mission.mission_id,
+                goals=[(x, y, theta) for x, y, theta in planar_poses(mission.goals).tolist()],
+                goal_index=mission.first,
+                next_goal_id=self._next_goal_id,
+                # A mission that an earlier process of AutoMove started continues.
+                started_s=(min(requested, now) or now) / SECOND,
+                limits=self._limits(),
+            )
+        self._navigator = navigator
+        if mission.motion and self.restarts and requested < self._activated_ns:
+            why = "AutoMove was restarted, and does not know how far the robot has moved"
+            navigator.fail(Reason(ReasonCode.LOADING_FAILED, why))
+            self._log_and_publish(navigator)
+            return
         self._load_plugins(navigator)
         self._log_and_publish(navigator)
         self.step()
 
-    def _load_plugins(self, navigator: NavigatorStateMachine) -> None:
+    def _next_goal_id(self) -> int:
+        return self._goal_ids.next(self.clock.now())
+
+    def _limits(self) -> NavigatorLimits:
+        config = self.config
+        return NavigatorLimits(
+            recoveries=config.recoveries,
+            recoveries_per_goal=config.recoveries_per_goal,
+            least_health=config.least_health,
+            sure_health=config.sure_health,
+            stopped_s=config.stopped,
+        )
+
+    def _load_plugins(self, navigator: NavigatorStateMachine | MotionMission) -> None:
         """Load the children that are not loaded yet, and publish which one is being loaded."""
         try:
             for child in self.children.status():
@@ -209,11 +234,11 @@ class AutoMove(Supervisor):
             if not self.children.stop_requested:  # while stopping, no plugins are needed any more
                 raise
 
-    def _log_and_publish(self, navigator: NavigatorStateMachine) -> None:
+    def _log_and_publish(self, navigator: NavigatorStateMachine | MotionMission) -> None:
         self._log(navigator)
         self._publish(navigator)
 
-    def _publish(self, navigator: NavigatorStateMachine) -> None:
+    def _publish(self, navigator: NavigatorStateMachine | MotionMission) -> None:
         """Publish command and status when they change, and periodically."""
         now = self.clock.now()
         if not navigator.finished:
@@ -234,7 +259,9 @@ class AutoMove(Supervisor):
                 goal_id=navigator.goal_id,
                 behavior=navigator.behavior,
                 goal=pose_message(navigator.target),
-                distance=navigator.explore_m,
+                distance=navigator.distance,
+                angle=navigator.angle,
+                speed=navigator.speed,
                 position_tolerance=self.config.position_tolerance,
                 heading_tolerance=self.config.heading_tolerance,
             )
@@ -256,13 +283,17 @@ class AutoMove(Supervisor):
             )
         )
 
-    def _log(self, navigator: NavigatorStateMachine) -> None:
-        x, y, _ = navigator.goal
+    def _log(self, navigator: NavigatorStateMachine | MotionMission) -> None:
         reason = navigator.reason.text
         match navigator.state:
             case NavigationStatus.LOCALIZING if reason:
                 self.log.warning("waiting for the robot to be localized: %s", reason)
+            case NavigationStatus.DRIVING if isinstance(navigator, MotionMission):
+                what = "turning" if navigator.angle else "driving back"
+                self.log.info("mission %d: %s", navigator.mission_id, what)
             case NavigationStatus.DRIVING:
+                assert isinstance(navigator, NavigatorStateMachine)
+                x, y, _ = navigator.goal
                 self.log.info(
                     "mission %d: driving to goal %d of %d at (%.2f, %.2f)",
                     navigator.mission_id, navigator.goal_index + 1, len(navigator.goals), x, y,

@@ -106,6 +106,21 @@ class NavigatorStateMachine:
         return self.goals[min(self.goal_index, len(self.goals) - 1)]
 
     @property
+    def distance(self) -> float:
+        """How far to explore [m]."""
+        return self.explore_m
+
+    @property
+    def angle(self) -> float:
+        """0: no command turns by an angle."""
+        return 0.0
+
+    @property
+    def speed(self) -> float:
+        """0: as usual."""
+        return 0.0
+
+    @property
     def target(self) -> Pose:
         """The pose to plan to now: the goal, or an alternative during a recovery."""
         return self.goal if self.alternative is None else self.alternative.pose

@@ -206,6 +206,9 @@ class Explorer(Component):
         if not self._is_exploring:
             return
         goal = self._goal
+        if mission.motion:
+            self._end(ExplorationStatus.STOPPED, f"preempted by mission {mission.mission_id}")
+            return
         if not len(mission.goals):
             if goal is not None and goal.mission_id == mission.mission_id:
                 goal.closed_ns = goal.closed_ns or self.clock.now()

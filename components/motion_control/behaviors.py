@@ -248,28 +248,73 @@ class BackOff:
         return self._end
 
 
+class Reverse:
+    """Drive straight back, where scans show no obstacle; end if there is one."""
+
+    _END_M, _LEAST, _LEAST_SPEED = BackOff._END_M, BackOff._LEAST, BackOff._LEAST_SPEED
+    _STOP_GAP_M = BackOff._STOP_GAP_M
+
+    def __init__(self, limits: MotionLimits, length: float, speed: float) -> None:
+        self._limits = limits
+        self._length = length
+        self._speed = min(speed, BackOff.SPEED) if speed > 0.0 else BackOff.SPEED
+        self._start: Pose | None = None
+        self._zero = np.zeros(1)
+        self._free = np.empty(1)
+        self._clear = np.empty(1)
+
+    def step(self, inputs: BehaviorInput) -> BehaviorResult:
+        """Return the result for the current inputs."""
+        if self._start is None:
+            self._start = inputs.odom
+        left = self._length - distance(self._start, inputs.odom)
+        if left <= self._END_M:
+            return BehaviorResult(state=MotionState.DONE)
+        limits = self._limits
+        check_arcs(
+            inputs.obstacles.points * -1.0,
+            self._zero,
+            self._zero,
+            limits.keepout_radius,
+            limits.contact_radius,
+            self._free,
+            self._clear,
+        )
+        free = float(self._free[0]) - self._STOP_GAP_M
+        if free < self._LEAST:
+            reason = f"an obstacle {max(0.0, free) + limits.margin:.2f} m behind"
+            return BehaviorResult(
+                state=MotionState.BLOCKED, reason=reason, left=left, code=ReasonCode.OBSTACLE
+            )
+        pace = min(self._speed, limits.speed_to_stop_in(left), limits.speed_to_stop_in(free))
+        return BehaviorResult(VelocityTarget(speed=-max(self._LEAST_SPEED, pace)), left=left)
+
+
 class LookAround:
-    """Turn on the spot once."""
+    """Turn on the spot: once around, or by `angle` [rad], to the left if it is positive."""
 
     SPEED = 0.8  # [rad/s]: 0.08 rad between scans at 10 Hz
     _END_RAD = 0.02  # it is done this near to its end [rad], a degree
 
-    def __init__(self, limits: MotionLimits, angle: float = 2.0 * math.pi) -> None:
+    def __init__(
+        self, limits: MotionLimits, angle: float = 2.0 * math.pi, speed: float = 0.0
+    ) -> None:
         self._limits = limits
-        self._left = angle
+        self._left = abs(angle)
+        self._sign = math.copysign(1.0, angle)
+        self._speed = min(speed, self.SPEED) if speed > 0.0 else self.SPEED
         self._heading: float | None = None
 
     def step(self, inputs: BehaviorInput) -> BehaviorResult:
-        """Return the result for the current inputs."""
+        """Return the result for the current inputs; `left` is the angle to turn [rad]."""
         heading = inputs.odom[2]
         if self._heading is not None:
-            self._left -= wrap(heading - self._heading)
+            self._left -= self._sign * wrap(heading - self._heading)
         self._heading = heading
         if self._left <= self._END_RAD:
             return BehaviorResult(state=MotionState.DONE)
-        return BehaviorResult(
-            VelocityTarget(turn=min(self.SPEED, self._limits.turn_rate_for(self._left)))
-        )
+        turn = min(self._speed, self._limits.turn_rate_for(self._left))
+        return BehaviorResult(VelocityTarget(turn=self._sign * turn), left=self._left)
 
 
 class Explore:

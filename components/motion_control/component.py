@@ -32,6 +32,7 @@ from cairn.components.motion_control.behaviors import (
     Follow,
     LookAround,
     MotionState,
+    Reverse,
 )
 from cairn.components.motion_control.config import MotionControlConfig
 from cairn.components.motion_control.followed_path import FollowedPath
@@ -312,6 +313,10 @@ class MotionControl(Component):
             self._behavior = LookAround(self._limits)
         elif command.behavior == NavCommand.EXPLORE:
             self._behavior = Explore(self._limits, command.distance)
+        elif command.behavior == NavCommand.TURN:
+            self._behavior = LookAround(self._limits, command.angle, command.speed)
+        elif command.behavior == NavCommand.REVERSE:
+            self._behavior = Reverse(self._limits, command.distance, command.speed)
         elif command.behavior == NavCommand.FOLLOW:
             self._follow_plan()
 

@@ -9,14 +9,21 @@ from cairn import SECOND, CairnError, ServerGoal
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.builtin_interfaces import Duration
-from cairn.schemas.cairn_nav_msgs import MAX_GOALS, NavigationStatus, ReasonCode
+from cairn.schemas.cairn_nav_msgs import (
+    MAX_GOALS,
+    NavigateGoal,
+    NavigationStatus,
+    ReasonCode,
+)
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.nav2_msgs.action import (
+    BackUp,
     ComputePathToPose,
     FollowPath,
     FollowWaypoints,
     NavigateThroughPoses,
     NavigateToPose,
+    Spin,
 )
 from cairn.schemas.nav2_msgs.msg import MissedWaypoint
 from cairn.schemas.std_msgs import Header
@@ -27,6 +34,9 @@ UNKNOWN_ERROR: Final = 9000
 
 FRAME_ERROR: Final = 9002
 """Nav2's error TF_ERROR: where the robot or its goal is in frame map is not known."""
+
+TIMEOUT_ERROR: Final = 9003
+"""Nav2's error TIMEOUT."""
 
 _ERROR_CODES: Final = {
     ReasonCode.NOT_LOCATED: FRAME_ERROR,
@@ -44,6 +54,7 @@ _ERROR_CODES: Final = {
     ReasonCode.NO_PROGRESS: FollowPath.Result.FAILED_TO_MAKE_PROGRESS,
     ReasonCode.OBSTACLE: FollowPath.Result.FAILED_TO_MAKE_PROGRESS,
     ReasonCode.OFF_PATH: FollowPath.Result.NO_VALID_CONTROL,
+    ReasonCode.TIMED_OUT: TIMEOUT_ERROR,
     ReasonCode.NO_MOTION_STATUS: FollowPath.Result.CONTROLLER_TIMED_OUT,
 }
 """The error codes of Nav2 with the same meaning: its navigators pass on those of their servers."""
@@ -200,6 +211,105 @@ class Waypoints(ActionGoal):
         """Return what is kept of it on disk."""
         update = {"rounds_left": self.rounds_left, "missed": tuple(self.missed)}
         return super().record().model_copy(update=update)
+
+
+class MotionGoal(ActionGoal):
+    """A goal of one motion: `spin` or `back_up`."""
+
+    def __init__(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Raises `CairnError` if the robot cannot move like this."""
+        super().__init__(goal)
+        self.elapsed = Duration()
+        allowed = goal.goal.time_allowance
+        self.time_allowance = max(0.0, allowed.sec + allowed.nanosec / SECOND)
+
+    @property
+    def poses(self) -> Sequence[PoseStamped]:
+        """There are none."""
+        return ()
+
+    @property
+    def motion(self) -> int:
+        """What to do, as `NavigateGoal.motion`."""
+        raise NotImplementedError
+
+    @property
+    def amount(self) -> float:
+        """How much: [rad] to the left, or [m] back."""
+        raise NotImplementedError
+
+    @property
+    def speed(self) -> float:
+        """The highest speed; 0: as usual."""
+        return 0.0
+
+    def moved(self, status: NavigationStatus) -> float:
+        """Return how much is done; note the time that it took."""
+        self.elapsed = _duration(status.elapsed)
+        return max(0.0, abs(self.amount) - status.distance_left)
+
+
+class SpinGoal(MotionGoal):
+    """`spin`: turn on the spot."""
+
+    action = "spin"
+    motion = NavigateGoal.TURN
+
+    @property
+    def amount(self) -> float:
+        """How far to turn [rad], to the left if it is positive."""
+        return float(self.goal.goal.target_yaw)
+
+    def feedback(self, status: NavigationStatus, _: PoseStamped) -> Spin.Feedback:
+        """Return how far the robot has turned."""
+        return Spin.Feedback(angular_distance_traveled=self.moved(status))
+
+    def result(self, code: int, text: str) -> Spin.Result:
+        """Return the result."""
+        return Spin.Result(
+            total_elapsed_time=self.elapsed,
+            error_code=_of_motion(code, Spin.Result),
+            error_msg=text,
+        )
+
+
+class BackUpGoal(MotionGoal):
+    """`back_up`: drive straight back."""
+
+    action = "back_up"
+    motion = NavigateGoal.REVERSE
+
+    @property
+    def amount(self) -> float:
+        """How far to drive back [m]; Nav2 takes the amount of `target.x`, whatever its sign."""
+        return abs(float(self.goal.goal.target.x))
+
+    @property
+    def speed(self) -> float:
+        """The highest speed [m/s]."""
+        return abs(float(self.goal.goal.speed))
+
+    def feedback(self, status: NavigationStatus, _: PoseStamped) -> BackUp.Feedback:
+        """Return how far the robot has driven."""
+        return BackUp.Feedback(distance_traveled=self.moved(status))
+
+    def result(self, code: int, text: str) -> BackUp.Result:
+        """Return the result."""
+        return BackUp.Result(
+            total_elapsed_time=self.elapsed,
+            error_code=_of_motion(code, BackUp.Result),
+            error_msg=text,
+        )
+
+
+def _of_motion(code: int, result: type[Spin.Result] | type[BackUp.Result]) -> int:
+    """Return the error code of a motion's result for one of navigation."""
+    if code == 0:
+        return 0
+    if code == TIMEOUT_ERROR:
+        return result.TIMEOUT
+    is_blocked = code == FollowPath.Result.FAILED_TO_MAKE_PROGRESS
+    return result.COLLISION_AHEAD if is_blocked else result.UNKNOWN
 
 
 def goal_message(action: str, goals: Sequence[Pose]) -> Any:

@@ -37,13 +37,22 @@ from cairn.schemas.cairn_nav_msgs import (
     Zone,
     Zones,
 )
-from cairn.schemas.geometry_msgs import PoseStamped
-from cairn.schemas.nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
+from cairn.schemas.geometry_msgs import Point, PoseStamped
+from cairn.schemas.nav2_msgs.action import (
+    BackUp,
+    FollowWaypoints,
+    NavigateThroughPoses,
+    NavigateToPose,
+    Spin,
+)
 from cairn.schemas.std_msgs import Header
 from cairn.supervisors.mobile.action_goals import (
     FRAME_ERROR,
     UNKNOWN_ERROR,
     ActionGoal,
+    BackUpGoal,
+    MotionGoal,
+    SpinGoal,
     ThroughPoses,
     ToPose,
     Waypoints,
@@ -53,10 +62,12 @@ from cairn.supervisors.mobile.action_goals import (
     planar_goals,
 )
 from cairn.supervisors.mobile.mission_file import (
+    ActionRecord,
     Coordinate,
     Goal,
     Mission,
     MissionFile,
+    MotionRecord,
     parse_goals,
     parse_token,
 )
@@ -100,10 +111,11 @@ class MobileSupervisorConfig(Config):
 class MobileSupervisor(Supervisor):
     """Keeps the base, the range scanner and AutoMove running (paper, step 1).
 
-    Accepts missions (the actions of Nav2 `navigate_to_pose`, `navigate_through_poses` and
-    `follow_waypoints`; requests `go` and `cancel`, topic `goal_pose`, parameter `mission`; the
-    request `mission` returns the last one), loads AutoMove for the first unless it is loaded, and
-    keeps each mission until it has its result, so that an AutoMove that was restarted continues it.
+    Accepts missions (the actions of Nav2 `navigate_to_pose`, `navigate_through_poses`,
+    `follow_waypoints`, `spin` and `back_up`; requests `go` and `cancel`, topic `goal_pose`,
+    parameter `mission`; the request `mission` returns the last one), loads AutoMove for the first
+    unless it is loaded, and keeps each mission until it has its result, so that an AutoMove that
+    was restarted continues it.
 
     Goals on `exploration_goal` preempt each other and no mission of anyone else; one without goals
     cancels the one before.
@@ -128,6 +140,9 @@ class MobileSupervisor(Supervisor):
     follow_waypoints: ActionServer[
         FollowWaypoints.Goal, FollowWaypoints.Result, FollowWaypoints.Feedback
     ]
+
+    spin: ActionServer[Spin.Goal, Spin.Result, Spin.Feedback]
+    back_up: ActionServer[BackUp.Goal, BackUp.Result, BackUp.Feedback]
 
     goal_pose: In[PoseStamped] = In(optional=True)
     exploration_goal: In[NavigateGoal] = In(optional=True)
@@ -206,6 +221,16 @@ class MobileSupervisor(Supervisor):
         """Start a mission to several poses, which may go on if one cannot be reached."""
         self._pursue(Waypoints(goal, stop_on_failure=self.config.stop_on_failure))
 
+    @goal("spin")
+    def on_spin(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Turn on the spot, after having ended the mission under way."""
+        self._move(SpinGoal(goal))
+
+    @goal("back_up")
+    def on_back_up(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Drive straight back, after having ended the mission under way."""
+        self._move(BackUpGoal(goal))
+
     @cancel("navigate_to_pose")
     def on_cancel_to_pose(self, goal: ServerGoal[Any, Any, Any]) -> None:
         """Cancel the mission."""
@@ -219,6 +244,16 @@ class MobileSupervisor(Supervisor):
     @cancel("follow_waypoints")
     def on_cancel_waypoints(self, goal: ServerGoal[Any, Any, Any]) -> None:
         """Cancel the mission."""
+        self._cancel_goal(goal)
+
+    @cancel("spin")
+    def on_cancel_spin(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Stop turning."""
+        self._cancel_goal(goal)
+
+    @cancel("back_up")
+    def on_cancel_back_up(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Stop driving back."""
         self._cancel_goal(goal)
 
     @every(hz=10)
@@ -272,6 +307,8 @@ class MobileSupervisor(Supervisor):
             reason = status.reason[:_LONGEST_RESULT]
             result = f"{NAVIGATION_STATES[status.state]}: {reason}"
             code = 0 if success else error_code(status.reason_code)
+            if isinstance(self._goal, MotionGoal):
+                self._goal.moved(status)
             if status.state == NavigationStatus.CANCELED or not self._goes_on(
                 mission, None if success else status.goal, code
             ):
@@ -289,6 +326,20 @@ class MobileSupervisor(Supervisor):
             code = FRAME_ERROR if isinstance(error, WrongFrame) else UNKNOWN_ERROR
             goal.goal.abort(goal.result(code, str(error)))
 
+    def _move(self, goal: MotionGoal) -> None:
+        """Start a mission of one motion; abort the goal if that is not possible."""
+        motion = MotionRecord(
+            motion=goal.motion,
+            amount=goal.amount,
+            speed=goal.speed,
+            time_allowance=goal.time_allowance,
+        )
+        try:
+            self._start((), action=goal, motion=motion)
+        except CairnError as error:
+            self.log.error("goal of %s not pursued: %s", goal.action, error)
+            goal.goal.abort(goal.result(UNKNOWN_ERROR, str(error)))
+
     def _cancel_goal(self, goal: ServerGoal[Any, Any, Any]) -> None:
         mission = self._mission
         if mission is None or self._goal is None or self._goal.goal is not goal:
@@ -303,6 +354,7 @@ class MobileSupervisor(Supervisor):
         token: str | None = None,
         first: int = 0,
         action: ActionGoal | None = None,
+        motion: MotionRecord | None = None,
     ) -> Mission:
         self._load_automove()
         before = self._mission
@@ -318,14 +370,12 @@ class MobileSupervisor(Supervisor):
             token=token,
             first=first,
             action=None if action is None else action.record(),
+            motion=motion,
         )
         if self._goal is not None and self._goal is not action:
             self._end_goal("aborted", UNKNOWN_ERROR, f"preempted by mission {mission.mission_id}")
         self._goal = action
-        x, y, _ = goals[-1]
-        others = len(goals) - 1
-        via = f" via {others} other {'goal' if others == 1 else 'goals'}" if others else ""
-        self.log.info("mission %d: go to (%.2f, %.2f)%s", mission.mission_id, x, y, via)
+        self.log.info("mission %d: %s", mission.mission_id, _described(mission))
         if mission.replaces_configured and self.config.finish:
             self.log.warning(
                 "the configured mission is preempted: the deployment ends with mission %d",
@@ -372,8 +422,11 @@ class MobileSupervisor(Supervisor):
         except CairnError as error:
             self.log.error("mission not continued: %s", error)
             return
-        self.log.warning("mission %d continued", mission.mission_id)
         self._restore_goal(mission)
+        if mission.motion is not None:
+            self._close(mission, f"failed: {self.name} was restarted meanwhile")
+            return
+        self.log.warning("mission %d continued", mission.mission_id)
         self._update(mission.model_copy(update={"resumed": mission.resumed + 1}))
 
     def _goes_on(self, mission: Mission, failed: int | None, code: int) -> bool:
@@ -413,6 +466,9 @@ class MobileSupervisor(Supervisor):
             ThroughPoses.action: self.navigate_through_poses,
             Waypoints.action: self.follow_waypoints,
         }
+        if mission.motion is not None:
+            self._restore_motion(mission, record)
+            return
         message = goal_message(record.name, mission.goals)
         goal = servers[record.name].restore(bytes.fromhex(record.goal_id), message)
         if record.name == ToPose.action:
@@ -424,6 +480,17 @@ class MobileSupervisor(Supervisor):
             waypoints.rounds_left = record.rounds_left
             waypoints.missed = list(record.missed)
             self._goal = waypoints
+
+    def _restore_motion(self, mission: Mission, record: ActionRecord) -> None:
+        """Answer for a motion: how far the robot has moved is not known, so it ends."""
+        motion = mission.motion
+        assert motion is not None
+        identity = bytes.fromhex(record.goal_id)
+        if record.name == SpinGoal.action:
+            self._goal = SpinGoal(self.spin.restore(identity, Spin.Goal(target_yaw=motion.amount)))
+        else:
+            target = Point(x=-motion.amount)
+            self._goal = BackUpGoal(self.back_up.restore(identity, BackUp.Goal(target=target)))
 
     def _close(
         self, mission: Mission, result: str, *, success: bool = False, code: int = UNKNOWN_ERROR
@@ -473,5 +540,19 @@ class MobileSupervisor(Supervisor):
                 mission_id=mission.mission_id,
                 first=mission.first,
                 goals=packed_poses(np.array(goals, np.float64).reshape(-1, 3)),
+                **(mission.motion.model_dump() if mission.motion and not mission.result else {}),
             )
         )
+
+
+def _described(mission: Mission) -> str:
+    """Return what a mission is, for the log."""
+    motion = mission.motion
+    if motion is not None and motion.motion == NavigateGoal.TURN:
+        return f"turn by {motion.amount:.2f} rad"
+    if motion is not None:
+        return f"drive back {motion.amount:.2f} m"
+    x, y, _ = mission.goals[-1]
+    others = len(mission.goals) - 1
+    via = f" via {others} other {'goal' if others == 1 else 'goals'}" if others else ""
+    return f"go to ({x:.2f}, {y:.2f}){via}"

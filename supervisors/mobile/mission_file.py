@@ -44,20 +44,29 @@ class ActionRecord(_Stored):
     missed: tuple[tuple[int, int], ...] = ()
 
 
+class MotionRecord(_Stored):
+    """A motion that a mission has instead of goals: the fields of `NavigateGoal`."""
+
+    motion: int
+    amount: float
+    speed: float
+    time_allowance: float
+
+
 class MissionRequest(_Stored):
     """What does not change during a mission: goals x, y [m], heading [rad] in frame map.
 
-    `requested_ns` is the time of the request, by the supervisor's clock. `configured`: it is the
-    mission of the deployment; `replaces_configured`: it, or one before it, preempted that mission.
-    A client that chose a `token` can cancel the mission without knowing its id. `action` has the
-    goal of an action that the mission carries out, None for other missions.
+    Or a `motion` instead of goals. `requested_ns` is the time of the request, by the supervisor's
+    clock. `configured`: it is the mission of the deployment; `replaces_configured`: it, or one
+    before it, preempted that mission. A client that chose a `token` can cancel the mission without
+    knowing its id. `action` has the goal of an action that the mission carries out, None for other
+    missions.
     """
 
     mission_id: int
     requested_ns: int
-    goals: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = Field(
-        min_length=1, max_length=MAX_GOALS
-    )
+    goals: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = Field(max_length=MAX_GOALS)
+    motion: MotionRecord | None = None
     configured: bool = False
     replaces_configured: bool = False
     token: str | None = None
