@@ -156,7 +156,7 @@ def test_robot_backs_up_where_it_has_driven_and_not_where_it_sees_nothing(
 ) -> None:
     blind = robot.send_goal("back_up", BackUp, BackUp.Goal(target=Point(x=-0.3), speed=0.1))
     status, result = end(robot, blind)
-    assert (status, result.error_code) == (ABORTED, BackUp.Result.UNKNOWN)
+    assert (status, result.error_code) == (ABORTED, BackUp.Result.COLLISION_AHEAD)
     assert_words(result.error_msg, "does not move", "velocity gate")
 
     assert end(robot, to_pose(robot, 3.0, 1.2))[0] == SUCCEEDED
