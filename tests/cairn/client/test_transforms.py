@@ -10,6 +10,8 @@ import pytest
 
 import cairn.client
 from cairn import LATCHED, RELIABLE, SECOND, CairnError, from_ns
+from cairn.bus import keys
+from cairn.bus.codec import Codec
 from cairn.client import Connection, Robot
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.rosgraph_msgs import Clock
@@ -271,15 +273,16 @@ def test_clock_of_the_robot_counts_before_that_of_ros(network: Network) -> None:
 def test_message_that_is_not_valid_does_not_end_the_listener(
     robot: Robot, setting: Setting
 ) -> None:
-    from cairn.bus import keys
-
     transforms = robot.transforms()
     transforms.await_transforms(LIMIT_S)
     for topic in ("/robot/tf", "/robot/tf_static"):
         key = keys.message_key(0, topic, TFMessage)
         setting[0].router.session.put(key, b"no CDR")
+        moon = TFMessage(transforms=(stamped(1, "map", "moon", Transform()),))
+        setting[0].router.session.put("0/robot/**", Codec().encode(moon))
         setting[0].router.session.put(key, bytes(4 << 20), attachment=b"no attachment")
     newest = transforms.buffer.newest_common_time("odom", "base_link")
     assert newest is not None
 
     assert transforms.lookup("odom", "base_link", newest + SECOND // 5, timeout_s=LIMIT_S)
+    assert "moon" not in transforms.buffer.frames()
