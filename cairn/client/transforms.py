@@ -58,6 +58,7 @@ class TransformListener:
         self._connection = connection
         self._opened = opened
         self._codec = Codec()
+        self._messages: dict[str, type[Any]] = {}  # by the full names of their topics
         self._names: dict[bytes, str] = {}  # of publishers, by their gids
         self._clock: tuple[str, int] | None = None  # the topic, and its time [ns]
         self._changed = threading.Condition()
@@ -148,6 +149,7 @@ class TransformListener:
         )
 
     def _subscribe(self, topic: str, message: type[Any], *, latched: bool = False) -> None:
+        self._messages[topic] = message
         key = keys.message_key(self._connection.domain, topic, message)
         if latched:
             # Finds the caches of publishers that start later, too. It delivers nothing until all
@@ -171,8 +173,9 @@ class TransformListener:
 
     def _receive(self, sample: Any) -> None:
         topic = "/" + "/".join(str(sample.key_expr).split("/")[1:-2])
-        kind = topic.rpartition("/")[2]
-        message: type[Any] = Clock if kind == CLOCK_TOPIC else TFMessage
+        message = self._messages.get(topic)
+        if message is None:  # on a key with wildcards, as only hostile programs publish
+            return
         if len(sample.payload) > default_max_bytes(message):
             return
         try:
@@ -184,7 +187,8 @@ class TransformListener:
             self._set_clock(topic, to_ns(received.clock))
             return
         publisher = self._publisher(topic, sample)
-        self.buffer.add(received, static=kind == _STATIC, publisher=publisher)
+        is_static = topic.endswith(f"/{_STATIC}")
+        self.buffer.add(received, static=is_static, publisher=publisher)
         with self._changed:
             self._changed.notify_all()
 

@@ -53,7 +53,7 @@ class PublishedFrames:
         while not self._ended.wait(PERIOD_S):
             now = time.time_ns()
             odom = Transform.from_roll_pitch_yaw(0.0, 0.0, 0.5, (1.0, 2.0, 0.0))
-            if number % 5 == 0:
+            if number % 2 == 0:
                 message = TFMessage(transforms=(stamped(now, "map", "odom", odom),))
                 self._localizer.publish(message)
             base = stamped(now, "odom", "base_link", Transform((3.0, 0.0, 0.0)))

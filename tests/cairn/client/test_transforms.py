@@ -3,12 +3,16 @@
 import math
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
 
 import pytest
 
 import cairn.client
 from cairn import LATCHED, RELIABLE, SECOND, CairnError, from_ns
-from cairn.client import Robot
+from cairn.bus import keys
+from cairn.bus.codec import Codec
+from cairn.client import Connection, Robot
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.tf2_msgs import TFMessage
@@ -83,6 +87,43 @@ def test_static_transform_of_a_later_publisher_arrives(robot: Robot, setting: Se
     setting[1].publisher("arm", static=True).publish(TFMessage(transforms=(arm,)))
 
     assert transforms.lookup("laser", "arm", timeout_s=LIMIT_S).translation[2] == 0.8
+
+
+def test_static_transforms_arrive_in_each_of_two_ways(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One finds publishers that start later; the other does not wait for a process that is stopped.
+    subscribe = Connection.subscriber
+
+    @contextmanager
+    def deaf(_self: Connection, _key: str, **_settings: object) -> Iterator[None]:
+        yield
+
+    def not_latched(self: Connection, key: str, handler: object, *, latched: bool) -> object:
+        return (
+            SimpleNamespace(undeclare=int)
+            if latched
+            else subscribe(self, key, handler, latched=False)
+        )
+
+    for method, without in (("listen", deaf), ("subscriber", not_latched)):
+        with monkeypatch.context() as patch:
+            patch.setattr(Connection, method, without)
+            found = robot.transforms().lookup("base_link", "laser", timeout_s=LIMIT_S)
+        assert found.translation == (0.1, 0.0, 0.2)
+
+
+def test_closed_listener_keeps_nothing_that_is_published(robot: Robot) -> None:
+    ended = robot.transforms()
+    ended.lookup("map", "laser", timeout_s=LIMIT_S)
+    ended.close()
+    waiting = ended._samples.qsize()
+    newest = ended.buffer.frames()["base_link"].newest_ns
+    assert newest is not None
+
+    robot.transforms().lookup("odom", "base_link", newest + SECOND // 10, timeout_s=LIMIT_S)
+
+    assert ended._samples.qsize() == waiting
 
 
 def test_unknown_frame_is_reported_after_the_time_limit(robot: Robot) -> None:
@@ -210,6 +251,7 @@ def test_clock_is_the_time_and_set_back_it_clears_the_buffer(network: Network) -
 def test_clock_of_the_robot_counts_before_that_of_ros(network: Network) -> None:
     node = network.bus().node("/rover/base", print)
     node.advertise("/rover/component_status", ComponentStatus, LATCHED)
+    static = node.advertise("/rover/tf_static", TFMessage, LATCHED)
     clocks = {topic: node.advertise(topic, Clock, RELIABLE) for topic in ("/clock", "/rover/clock")}
 
     with cairn.client.connect(network.endpoint) as robot:
@@ -231,15 +273,16 @@ def test_clock_of_the_robot_counts_before_that_of_ros(network: Network) -> None:
 def test_message_that_is_not_valid_does_not_end_the_listener(
     robot: Robot, setting: Setting
 ) -> None:
-    from cairn.bus import keys
-
     transforms = robot.transforms()
     transforms.await_transforms(LIMIT_S)
     for topic in ("/robot/tf", "/robot/tf_static"):
         key = keys.message_key(0, topic, TFMessage)
         setting[0].router.session.put(key, b"no CDR")
+        moon = TFMessage(transforms=(stamped(1, "map", "moon", Transform()),))
+        setting[0].router.session.put("0/robot/**", Codec().encode(moon))
         setting[0].router.session.put(key, bytes(4 << 20), attachment=b"no attachment")
     newest = transforms.buffer.newest_common_time("odom", "base_link")
     assert newest is not None
 
     assert transforms.lookup("odom", "base_link", newest + SECOND // 5, timeout_s=LIMIT_S)
+    assert "moon" not in transforms.buffer.frames()

@@ -499,6 +499,18 @@ def test_time_set_back_is_reported_and_clear_starts_again(problems: list[str]) -
     assert buffer.lookup("odom", "laser", at(1.0)).translation[0] == 1.5
 
 
+def test_cleared_buffer_has_room_and_reports_again(problems: list[str]) -> None:
+    buffer = Buffer(max_transforms=20, on_problem=problems.append)
+    for _ in range(2):
+        for number in range(15):
+            buffer.set_transform(stamped("odom", "base", 0.1 * number))
+        buffer.add(TFMessage(transforms=(stamped("a", "a"),)), static=False)
+        assert buffer.frames()["base"].transforms == 15
+        buffer.clear()
+
+    assert len(problems) == 2
+
+
 # --- The tree -----------------------------------------------------------------------------------
 
 

@@ -20,11 +20,11 @@ ROBOT = """<?xml version="1.0" encoding="ISO-8859-1"?>
     <origin xyz="0.1 0 0.5" rpy="0.1 -0.2 1.5"/>
     <parent link="base_link"/> <child link="mast"/>
   </joint>
+  <transmission name="drive"><joint name="wheel_joint"><origin xyz="7 7 7"/></joint></transmission>
   <joint name="camera_joint" type="fixed"><parent link="mast"/><child link="camera"/></joint>
   <joint name="wheel_joint" type="continuous">
     <parent link="base_link"/><child link="wheel"/><axis xyz="0 1 0"/>
   </joint>
-  <transmission name="drive"><joint name="wheel_joint"><origin xyz="7 7 7"/></joint></transmission>
 </robot>
 """
 
