@@ -8,6 +8,7 @@ from rich.table import Table
 
 BENCHMARKS = (
     "roundtrip",
+    "services",
     "links",
     "latency",
     "startup",

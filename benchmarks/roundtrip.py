@@ -196,7 +196,7 @@ def raw(name: str, handler: str, endpoint: str) -> dict[str, float]:
 
 
 def _raw_ping(endpoint: str, handler: str, data: bytes, count: int) -> dict[str, float]:
-    with _session(connect=endpoint) as session:
+    with raw_session(connect=endpoint) as session:
         publisher = session.declare_publisher("bench/ping", express=False)
         back = threading.Semaphore(0)
         subscriber: Any
@@ -227,7 +227,7 @@ def _raw_ping(endpoint: str, handler: str, data: bytes, count: int) -> dict[str,
 
 
 def _raw_pong(endpoint: str, handler: str, parent: Connection) -> None:
-    with _session(listen=endpoint) as session:
+    with raw_session(listen=endpoint) as session:
         publisher = session.declare_publisher("bench/pong", express=False)
 
         def answer(sample: zenoh.Sample) -> None:
@@ -258,7 +258,8 @@ def _raw_pong(endpoint: str, handler: str, parent: Connection) -> None:
             drainer.join()  # one that wakes in Zenoh while the interpreter ends aborts the process
 
 
-def _session(*, listen: str | None = None, connect: str | None = None) -> zenoh.Session:
+def raw_session(*, listen: str | None = None, connect: str | None = None) -> zenoh.Session:
+    """Return a session of zenoh-python alone, a peer that scouts for no others."""
     config = zenoh.Config()
     settings: dict[str, Any] = {
         "mode": "peer",

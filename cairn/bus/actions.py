@@ -14,13 +14,12 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from cairn.bus.bus import Call, Node, ServiceError
-from cairn.bus.qos import RELIABLE
+from cairn.bus.bus import Call, Client, ServiceError
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.errors import CairnError, Escalate
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
-from cairn.schemas.message import Action, InvalidMessage, type_name
+from cairn.schemas.message import Action, InvalidMessage, Service, type_name
 from cairn.schemas.unique_identifier_msgs.msg import UUID
 
 Goal = TypeVar("Goal")
@@ -475,19 +474,21 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
 
     def __init__(
         self,
-        node: Node,
         name: str,
         action: type[Action[Goal, Result, Feedback]],
+        client: Callable[[str, type[Service[Any, Any]]], Client],
         on_change: Callable[[], None] = lambda: None,
     ) -> None:
         """Use the action `name` (a full name).
 
-        `on_change` is called, on any thread, after each change of what is known of a goal.
+        `client` makes a client of a service, by its full name. Have the messages on the topic
+        `feedback_topic` passed to `receive_feedback`. `on_change` is called, on any thread, after
+        each change of what is known of a goal.
         """
-        self._action = action
+        self.feedback_topic = f"{name}/{FEEDBACK}"
         self._on_change = on_change
         self._clients = [
-            node.client(f"{name}/{part}", service, _make)
+            client(f"{name}/{part}", service)
             for part, service in (
                 (SEND_GOAL, action.SendGoal),
                 (CANCEL_GOAL, CancelGoal),
@@ -497,9 +498,7 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
         self._goals: GoalClient[Goal, Result, Feedback] = GoalClient(
             name, action, *(client.call for client in self._clients)
         )
-        self._feedback = node.subscribe(
-            f"{name}/{FEEDBACK}", action.FeedbackMessage, RELIABLE.with_depth(100), self._receive
-        )
+        self.receive_feedback = self._goals.receive_feedback
 
     @property
     def is_available(self) -> bool:
@@ -510,11 +509,7 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
         self, identity: bytes, goal: Goal, timeout_s: float = 5.0
     ) -> SentGoal[Goal, Result, Feedback]:
         """Send a goal with an id of 16 random bytes; never waits."""
-
-        def cancel(answered: Callable[[int], None]) -> None:
-            self._goals.cancel(ClientGoal(identity, goal, self._goals), answered, timeout_s)
-
-        sent: SentGoal[Goal, Result, Feedback] = SentGoal(identity, cancel)
+        sent = self._known(identity, goal, timeout_s)
 
         def on_accepted() -> None:
             sent.is_accepted = True
@@ -524,6 +519,26 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
             sent.feedback.append(feedback)
             self._on_change()
 
+        on_result, on_failure = self._ends(sent)
+        self._goals.send(identity, goal, on_accepted, on_feedback, on_result, on_failure, timeout_s)
+        return sent
+
+    def close(self) -> None:
+        """Stop; goals that were sent continue."""
+        for client in self._clients:
+            client.close()
+
+    def _known(
+        self, identity: bytes, goal: Goal, timeout_s: float
+    ) -> SentGoal[Goal, Result, Feedback]:
+        def cancel(answered: Callable[[int], None]) -> None:
+            self._goals.cancel(ClientGoal(identity, goal, self._goals), answered, timeout_s)
+
+        return SentGoal(identity, cancel)
+
+    def _ends(
+        self, sent: SentGoal[Goal, Result, Feedback]
+    ) -> tuple[Callable[[int, Result], None], Callable[[ServiceError], None]]:
         def on_result(status: int, result: Result) -> None:
             sent.result = result
             sent.status = status
@@ -533,24 +548,9 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
             sent.error = error
             self._on_change()
 
-        self._goals.send(identity, goal, on_accepted, on_feedback, on_result, on_failure, timeout_s)
-        return sent
-
-    def close(self) -> None:
-        """Stop; goals that were sent continue."""
-        for client in self._clients:
-            client.close()
-        self._feedback.close()
-
-    def _receive(self) -> None:
-        try:
-            message = self._feedback.take()
-        except InvalidMessage:
-            return  # counted by the subscription
-        if message is not None:
-            self._goals.receive_feedback(message)
+        return on_result, on_failure
 
 
-def _make(call: Callable[[], None]) -> None:
-    """Make the call at once, on the thread on which the answer has arrived."""
+def make_at_once(call: Callable[[], None]) -> None:
+    """Make a call on the thread on which an answer has arrived: for scripts and tests."""
     call()

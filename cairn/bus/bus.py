@@ -133,7 +133,7 @@ class Server(Protocol):
     def take(self) -> Call | None:
         """Remove and return the oldest pending call; None if there is none.
 
-        Raises `InvalidMessage` if its request is not valid, after having refused it.
+        Raises `InvalidMessage` if its request is not valid, after having answered it.
         """
         ...
 
@@ -217,11 +217,18 @@ class Node(Protocol):
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,
+        invalid_response: Any = None,
+        *,
+        is_private: bool = False,
     ) -> Server:
         """Return a server of the service `name` (a full name: `/robot/save_map`).
 
         `wake` is called, on any thread, once for each call that becomes pending. A request longer
-        than `max_bytes`, by default that of its class, is refused.
+        than `max_bytes`, by default that of its class, is refused. `invalid_response` answers
+        requests that cannot be decoded; without one, they are refused: ROS 2 clients wait for a
+        response, and take no errors. A service that `is_private` to a node, such as
+        `/robot/localizer/get_parameters`, shares what it needs with the node's others of the same
+        package: it is called rarely, and every node has many.
         """
         ...
 
@@ -230,8 +237,13 @@ class Node(Protocol):
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> Client:
-        """Return a client of the service `name`, whose answers arrive through `post`."""
+        """Return a client of the service `name`, whose answers arrive through `post`.
+
+        An answer may also arrive through `deliver`, from a thread that may make the call itself,
+        which takes less time.
+        """
         ...
 
     def close(self) -> None:

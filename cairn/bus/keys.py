@@ -31,6 +31,7 @@ LONGEST_ATTACHMENT = _ATTACHMENT.size + 1 + PROOF_BYTES
 """Length of an attachment with the proof of an exclusive topic's writer [bytes]."""
 
 _ROOT = "%"
+_LONGEST_IDENTITY = 255
 _NUMBER = re.compile("[0-9]{1,19}", re.ASCII)
 _QOS = re.compile(
     "(?P<reliability>[0-4]?):(?P<durability>[0-4]?):(?P<history>[0-3]?),(?P<depth>[0-9]{0,19})"
@@ -102,12 +103,13 @@ class Attachment(NamedTuple):
 class NodeEntity:
     """A node, as described by its liveliness token.
 
-    `name` is its full name, `/robot/localizer`; `enclave` names its security keys, `/` for none.
+    `name` is its full name, `/robot/localizer`; `node_id` is unique in its session, a number in
+    rmw_zenoh, a text in dora-rs; `enclave` names its security keys, `/` for none.
     """
 
     domain: int
     zid: str
-    node_id: int
+    node_id: int | str
     name: str
     enclave: str = "/"
 
@@ -117,7 +119,7 @@ class EndpointEntity:
     """A publisher, subscription or service endpoint, as described by its liveliness token."""
 
     node: NodeEntity
-    endpoint_id: int
+    endpoint_id: int | str
     kind: EndpointKind
     topic: str
     type_name: str
@@ -135,6 +137,12 @@ def data_key(domain: int, topic: str, ros_name: str, type_hash: str) -> str:
     return f"{domain}/{topic.strip('/')}/{dds_type(ros_name)}/{type_hash}"
 
 
+def private_services_key(domain: int, service: str, ros_name: str) -> str:
+    """Return the key expression of a service and those beside it of the same package."""
+    prefix, package = service.rpartition("/")[0], ros_name.partition("/")[0]
+    return f"{domain}{prefix}/*/{package}::srv::dds_::$*/*"
+
+
 def message_key(domain: int, topic: str, message: type[Any]) -> str:
     """Return the key expression of a topic (full name) with messages of class `message`."""
     return data_key(domain, topic, type_name(message), type_hash(message))
@@ -143,6 +151,19 @@ def message_key(domain: int, topic: str, message: type[Any]) -> str:
 def cached_samples_key(key: str) -> str:
     """Return the key on which latched publishers of `key` answer with their cached messages."""
     return f"{key}/@adv/**"
+
+
+def is_infrastructure(topic: str) -> bool:
+    """Return whether a topic (full name) is one that every node has, or a part of an action.
+
+    Lists of topics leave these out unless they are asked for.
+    """
+    last = topic.rpartition("/")[2]
+    return (
+        topic in ("/rosout", "/parameter_events")
+        or last in ("component_status", "transition_event")
+        or "/_action/" in topic
+    )
 
 
 def tokens_pattern(domain: int) -> str:
@@ -160,10 +181,13 @@ def nodes_pattern(domain: int | Literal["*"], name: str = "") -> str:
     return f"{TOKENS}/{domain}/*/*/*/NN/*/{path}"
 
 
-def endpoints_pattern(domain: int, topic: str = "", kind: EndpointKind | Literal["*"] = "*") -> str:
-    """Return the key expression that matches the tokens of a topic's endpoints, or of all topics.
+def endpoints_pattern(
+    domain: int, topic: str = "", kind: EndpointKind | Literal["*", "M$*", "S$*"] = "*"
+) -> str:
+    """Return the key expression that matches the tokens of the endpoints of a name, or of all.
 
-    `*` in a topic (full name) stands for any characters.
+    `*` in a topic or service (full name) stands for any characters. Kind `M$*` matches the
+    endpoints of topics, `S$*` those of services.
     """
     chunk = _mangle(topic).replace("*", "$*") if topic else "*"
     return f"{TOKENS}/{domain}/*/*/*/{kind}/*/*/*/{chunk}/*/*/*"
@@ -231,10 +255,12 @@ def parse_token(key: str) -> NodeEntity | EndpointEntity:
     if chunks[0] != TOKENS or len(chunks) not in (9, 13) or not all(chunks) or not _is_plain(key):
         raise WireFormatError(f"{_short(key)} is not a liveliness token of rmw_zenoh")
     _, domain, zid, node_id, endpoint_id, kind, enclave, namespace, name = chunks[:9]
-    if not all(_NUMBER.fullmatch(number) for number in (domain, node_id, endpoint_id)):
-        raise WireFormatError(f"{_short(key)}: domain, node and entity must be numbers")
+    if not _NUMBER.fullmatch(domain):
+        raise WireFormatError(f"{_short(key)}: the domain must be a number")
+    if max(len(node_id), len(endpoint_id)) > _LONGEST_IDENTITY:
+        raise WireFormatError(f"{_short(key)}: the identity of its node or entity is too long")
     full = f"{'' if namespace == _ROOT else _demangle(namespace)}/{name}"
-    node = NodeEntity(int(domain), zid, int(node_id), full, _demangle(enclave))
+    node = NodeEntity(int(domain), zid, _identity(node_id), full, _demangle(enclave))
     if kind == "NN" and len(chunks) == 9:
         return node
     if kind not in ("MP", "MS", "SS", "SC") or len(chunks) != 13:
@@ -244,7 +270,7 @@ def parse_token(key: str) -> NodeEntity | EndpointEntity:
     topic, dds, type_hash, qos = chunks[9:]
     return EndpointEntity(
         node=node,
-        endpoint_id=int(endpoint_id),
+        endpoint_id=_identity(endpoint_id),
         kind=cast("EndpointKind", kind),
         topic=_demangle(topic),
         type_name=ros_type(dds),
@@ -275,6 +301,11 @@ def parse_qos_chunk(chunk: str) -> Qos:
         "transient_local" if match["durability"] == "1" else "volatile",
         int(match["depth"] or 0) or DEFAULT_DEPTH,
     )
+
+
+def _identity(chunk: str) -> int | str:
+    # Only as it is written can it be written again: not 007.
+    return int(chunk) if _NUMBER.fullmatch(chunk) and str(int(chunk)) == chunk else chunk
 
 
 def _mangle(name: str) -> str:

@@ -103,6 +103,9 @@ class LockstepNode:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,
+        invalid_response: Any = None,  # noqa: ARG002 - no object is invalid
+        *,
+        is_private: bool = False,  # noqa: ARG002 - each has what it needs
     ) -> LockstepServer:
         """Return a server of the service `name`."""
         server = LockstepServer(self, name, service, wake, max_bytes)
@@ -114,6 +117,7 @@ class LockstepNode:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002 - one thread
     ) -> LockstepClient:
         """Return a client of the service `name`."""
         client = LockstepClient(self, name, service, post)

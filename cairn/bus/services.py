@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
 
+from cairn.bell import Bell
 from cairn.bus import keys
 from cairn.bus.bus import ServiceError
 from cairn.bus.codec import Codec
@@ -35,7 +36,11 @@ MOST_PENDING: Final = 2000
 """Calls of one server that wait until its component takes them; further ones are refused."""
 
 _RING: Final = 4096
+_PRIVATE_RING: Final = 256
 _LONGEST_REASON: Final = 1000
+_REPLIES: Final = 16  # of several servers of one name; Zenoh's thread waits for room for more
+_LONGEST_WAIT_S: Final = 60.0
+_LONGEST_SLEEP_S: Final = 3600.0
 
 
 class ZenohServer:
@@ -48,6 +53,9 @@ class ZenohServer:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None,
+        invalid_response: Any,
+        *,
+        is_private: bool,
     ) -> None:
         self.received = 0
         self.invalid = 0
@@ -57,23 +65,27 @@ class ZenohServer:
         self._node = node.name
         self._codec = node.bus.codec
         self._wake = wake
+        self._invalid_response = invalid_response
         self._max_bytes = default_max_bytes(self._request) if max_bytes is None else max_bytes
         self._pending = _PendingQueries()
         for cls in (self._request, self._response):
             self._codec.register(cls)
         self._announcement = node.announce("SS", name, service, SERVICES)
         self._closed = False
-        self._queries = _Queries(
-            node.bus.session,
-            self._announcement.key,
-            ring_length(_RING, self._max_bytes),
-            self._receive,
-        )
+        key = self._announcement.key
+        self._queries: _Queries | None = None
+        self._private: PrivateQueries | None = None
+        if is_private:
+            self._private = node.private_queries(name, service)
+            self._private.add(key, self._receive)
+        else:
+            ring = ring_length(_RING, self._max_bytes)
+            self._queries = _Queries(node.bus.session, key, ring, self._receive)
 
     def take(self) -> "ZenohCall | None":
         """Remove and return the oldest pending call; None if there is none.
 
-        Raises `InvalidMessage` if its request is not valid; the client has the same error then.
+        Raises `InvalidMessage` if its request is not valid; the client has its answer then.
         """
         query = self._pending.take()
         if query is None:
@@ -86,7 +98,10 @@ class ZenohServer:
             )
         except InvalidMessage as error:
             self.invalid += 1
-            call.refuse(f"{self.name}: invalid request: {error}")
+            if self._invalid_response is not None:
+                call.reply(self._invalid_response)
+            else:
+                call.refuse(f"{self.name}: invalid request: {error}")
             raise
         self.received += 1
         return call
@@ -96,7 +111,10 @@ class ZenohServer:
         if self._closed:
             return
         self._closed = True
-        self._queries.close()
+        if self._queries is not None:
+            self._queries.close()
+        if self._private is not None:
+            self._private.remove(self._announcement.key)
         while (query := self._pending.take()) is not None:
             _refuse(query, f"{self.name}: {self._node} does not serve it any more")
         self._announcement.close()
@@ -147,6 +165,32 @@ class _Queries:
                 return
             self._receive(query)
             del query  # the client learns of the end of this process when nothing holds its query
+
+
+class PrivateQueries:
+    """Reads the queries of several services of a node on one thread."""
+
+    def __init__(self, session: zenoh.Session, key_expression: str) -> None:
+        """Read the queries of the services whose keys are added."""
+        self._receivers: dict[str, Callable[[zenoh.Query], None]] = {}
+        self._queries = _Queries(session, key_expression, _PRIVATE_RING, self._dispatch)
+
+    def add(self, key: str, receive: Callable[[zenoh.Query], None]) -> None:
+        """Call `receive` with each query of a key from now on."""
+        self._receivers[key] = receive
+
+    def remove(self, key: str) -> None:
+        """Leave the queries of a key without an answer."""
+        self._receivers.pop(key, None)
+
+    def close(self) -> None:
+        """Receive nothing more."""
+        self._queries.close()
+
+    def _dispatch(self, query: zenoh.Query) -> None:
+        receive = self._receivers.get(str(query.key_expr))
+        if receive is not None:  # otherwise another node's
+            receive(query)
 
 
 class _PendingQueries:
@@ -219,20 +263,29 @@ class ZenohClient:
 
     def __init__(
         self,
-        node: "ZenohNode",
+        session: zenoh.Session,
+        codec: Codec,
         name: str,
+        key: str,
+        gid: bytes,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None],
+        on_close: Callable[[], None] = lambda: None,
     ) -> None:
+        """Call the service `name` at its key; `gid` is the identity of this client."""
+        self._on_close = on_close
         self.sent = 0
         request, self._response = service.Request, service.Response
         self.name = name
+        self._key = key
+        self._gid = gid
         self._max_bytes = default_max_bytes(self._response)
         self._post = post
-        self._codec = node.bus.codec
-        self._session = node.bus.session
-        self._announcement = node.announce("SC", name, service, SERVICES)
-        self._gid = self._announcement.gid
+        self._waiter = _Waiter(name, deliver)
+        self._cancellation = zenoh.CancellationToken()
+        self._codec = codec
+        self._session = session
         bulk = is_bulk(request) or is_bulk(self._response)
         self._options: dict[str, Any] = {
             "target": zenoh.QueryTarget.ALL_COMPLETE,
@@ -242,9 +295,7 @@ class ZenohClient:
             "congestion_control": zenoh.CongestionControl.BLOCK,
             "priority": zenoh.Priority.DATA_LOW if bulk else zenoh.Priority.INTERACTIVE_HIGH,
         }
-        self._querier = self._session.declare_querier(
-            self._announcement.key, target=zenoh.QueryTarget.ALL_COMPLETE
-        )
+        self._querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL_COMPLETE)
         self._pending: set[_PendingCall] = set()
         self._closed = False
 
@@ -271,18 +322,27 @@ class ZenohClient:
         self.sent += 1
         call = _PendingCall(self, on_reply, on_failure, timeout_s)
         self._pending.add(call)
-        attachment = keys.Attachment(self.sent, time.time_ns(), self._gid).encode()
+        # Zenoh's thread wakes the waiter without Python, which takes half as long as a call of
+        # Python does. One that waits long would keep it from others.
+        waits = timeout_s <= _LONGEST_WAIT_S and self._waiter.reserve()
+        handler: Any = zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False)
         try:
-            self._session.get(
-                self._announcement.key,
-                zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False),
+            replies = self._session.get(
+                self._key,
+                zenoh.handlers.FifoChannel(_REPLIES) if waits else handler,
                 payload=self._codec.encode(request),
-                attachment=attachment,
+                attachment=keys.Attachment(self.sent, time.time_ns(), self._gid).encode(),
                 timeout=timeout_s,
+                cancellation_token=self._cancellation,
                 **self._options,
             )
         except zenoh.ZError as error:
+            if waits:
+                self._waiter.release()
             call.fail(ServiceError(f"{self.name}: the request cannot be sent: {error}"))
+        else:
+            if waits:
+                self._waiter.wait_for(call, replies)
 
     def close(self) -> None:
         """Stop calling: answers that arrive later are ignored."""
@@ -290,8 +350,10 @@ class ZenohClient:
             return
         self._closed = True
         self._pending.clear()
+        self._waiter.close()
+        self._cancellation.cancel()
         self._querier.undeclare()
-        self._announcement.close()
+        self._on_close()
 
     def finish(self, call: "_PendingCall", done: Callable[[], None]) -> None:
         """Post the end of a call, unless it has ended, or this client was closed."""
@@ -299,7 +361,10 @@ class ZenohClient:
             self._pending.remove(call)
         except KeyError:
             return
-        self._post(done)
+        if self._waiter.is_current:
+            self._waiter.deliver(done)
+        else:
+            self._post(done)
 
     def decoded(self, payload: zenoh.ZBytes) -> Any:
         """Return a response; raises `ServiceError` if it is not valid."""
@@ -312,6 +377,72 @@ class ZenohClient:
             return self._codec.decode(self._response, payload.to_bytes())
         except InvalidMessage as error:
             raise ServiceError(f"{self.name}: invalid response: {error}") from error
+
+
+class _Waiter:
+    """A thread that waits for the answer to one call of a client at a time."""
+
+    def __init__(self, name: str, deliver: Callable[[Callable[[], None]], None]) -> None:
+        self.deliver = deliver
+        """Hands the answer to the component; this thread may make the call itself."""
+        self._name = name
+        self._bell = Bell()
+        self._free = threading.Lock()
+        self._job: tuple[_PendingCall, Any] | None = None
+        self._thread: threading.Thread | None = None
+        self._closed = False
+
+    @property
+    def is_current(self) -> bool:
+        """Whether this is called on its thread."""
+        return threading.current_thread() is self._thread
+
+    def reserve(self) -> bool:
+        """Return whether it is free, and reserved for the next call now."""
+        return self._free.acquire(blocking=False)
+
+    def release(self) -> None:
+        """Make it free again."""
+        self._free.release()
+
+    def wait_for(self, call: "_PendingCall", replies: Any) -> None:
+        """Wait for the replies to a call, for which it was reserved."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
+            self._thread.start()
+        self._job = (call, replies)
+        self._bell.ring()
+
+    def close(self) -> None:
+        """End the thread, after the call for which it waits."""
+        self._closed = True
+        self._bell.ring()
+
+    def _run(self) -> None:
+        while True:
+            self._bell.wait(_LONGEST_SLEEP_S)
+            job, self._job = self._job, None
+            if job is not None:
+                self._wait(*job)
+            if self._closed and self._job is None:
+                return
+
+    def _wait(self, call: "_PendingCall", replies: Any) -> None:
+        """Hand over the first answer; be free for the next call before that is handled."""
+        answered = False
+        while True:
+            try:
+                reply = replies.recv()
+            except zenoh.ZError:  # there are no more
+                break
+            if reply.ok is not None and not answered:
+                answered = True
+                self._free.release()
+            call.on_reply(reply)
+            if answered:
+                return
+        self._free.release()
+        call.on_end()
 
 
 class _PendingCall:

@@ -36,8 +36,8 @@ from cairn.bus.message_limits import (
     ring_length,
     too_long,
 )
-from cairn.bus.qos import Qos
-from cairn.bus.services import ZenohClient, ZenohServer
+from cairn.bus.qos import SERVICES, Qos
+from cairn.bus.services import PrivateQueries, ZenohClient, ZenohServer
 from cairn.bus.session import close_session
 from cairn.bus.type_hash import type_hash
 from cairn.schemas.message import InvalidMessage, Service, type_name
@@ -116,6 +116,7 @@ class ZenohNode:
         zid = str(bus.session.info.zid())
         self._entity = keys.NodeEntity(bus.domain, zid, bus.next_id(), name)
         self._ends: list[ZenohPublisher | ZenohSubscription | ZenohServer | ZenohClient] = []
+        self._private: dict[str, PrivateQueries] = {}
         self._closed = False
         self._report = report
         self._conflicts = PublisherLog(report)
@@ -161,9 +162,14 @@ class ZenohNode:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,
+        invalid_response: Any = None,
+        *,
+        is_private: bool = False,
     ) -> ZenohServer:
         """Return a server of the service `name`."""
-        server = ZenohServer(self, name, service, wake, max_bytes)
+        server = ZenohServer(
+            self, name, service, wake, max_bytes, invalid_response, is_private=is_private
+        )
         self._ends.append(server)
         return server
 
@@ -172,11 +178,24 @@ class ZenohNode:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> ZenohClient:
         """Return a client of the service `name`."""
-        client = ZenohClient(self, name, service, post)
+        announcement = self.announce("SC", name, service, SERVICES)
+        client = ZenohClient(
+            self.bus.session, self.bus.codec, name, announcement.key, announcement.gid, service,
+            post, deliver or post, announcement.close,
+        )  # fmt: skip
         self._ends.append(client)
         return client
+
+    def private_queries(self, name: str, service: type[Service[Any, Any]]) -> PrivateQueries:
+        """Return what reads the queries of a private service and of those of the same package."""
+        pattern = keys.private_services_key(self.bus.domain, name, type_name(service))
+        queries = self._private.get(pattern)
+        if queries is None:
+            queries = self._private[pattern] = PrivateQueries(self.bus.session, pattern)
+        return queries
 
     def announce(
         self,
@@ -207,6 +226,8 @@ class ZenohNode:
         for end in self._ends:
             end.close()
         self._ends.clear()
+        for queries in self._private.values():
+            queries.close()
         self._token.undeclare()
 
 

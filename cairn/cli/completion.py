@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 _LIMIT_S = 1.0
 """A robot that does not answer within this time has no names to complete."""
+
+_FRAMES_S = 0.25
+"""How long frames are collected: transforms of slow publishers are not waited for."""
 
 
 def deployments(incomplete: str) -> list[str]:
@@ -39,7 +43,9 @@ def topics(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the topics of the running robot."""
 
     def read(robot: Robot) -> list[str]:
-        return [one.name for one in robot.topics()]
+        from cairn.bus.keys import is_infrastructure
+
+        return [one.name for one in robot.topics() if not is_infrastructure(one.name)]
 
     return _matching(_short_names(_asked(ctx, read)), incomplete)
 
@@ -78,6 +84,18 @@ def zones(ctx: typer.Context, incomplete: str) -> list[str]:
         from cairn.schemas.cairn_nav_msgs import Zones
 
         return sorted(zone.name for zone in robot.latest("zones", Zones, timeout_s=_LIMIT_S).zones)
+
+    return _matching(_asked(ctx, read), incomplete)
+
+
+def frames(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the frames of the running robot."""
+
+    def read(robot: Robot) -> list[str]:
+        with robot.transforms() as transforms:
+            transforms.await_transforms(_LIMIT_S / 2)
+            time.sleep(_FRAMES_S)  # further topics
+            return list(transforms.buffer.frames())
 
     return _matching(_asked(ctx, read), incomplete)
 

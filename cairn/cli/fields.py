@@ -187,3 +187,11 @@ def _leaves(message: type[Any]) -> Iterator[str]:
                 yield f"{field.name}{index}.{path}"
         else:
             yield f"{field.name}{index}"
+
+
+def plain_values(topic: str, text: str) -> Mapping[str, Any]:
+    """Return the fields in a text of YAML or JSON; `CairnError` if it is no mapping."""
+    values = yaml_value(topic, text)
+    if not isinstance(values, Mapping):
+        raise CairnError(f"{text!r} is not a mapping of fields; write it as '{{data: 1}}'")
+    return values

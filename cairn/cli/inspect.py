@@ -10,12 +10,13 @@ from typing import Annotated, Any
 import psutil
 import typer
 
+from cairn.bus.keys import is_infrastructure
 from cairn.cli import completion
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, show
 from cairn.client import connect as connect_to
-from cairn.client.connection import STATUS_TOPIC, check_robot
-from cairn.runtime.rosout import ROSOUT, render
+from cairn.client.connection import check_robot
+from cairn.runtime.rosout import render
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
@@ -81,7 +82,7 @@ def graph(
     robot: RobotName = "",
     all_: Annotated[
         bool,
-        typer.Option("--all", help="Also /rosout and component_status, which all publish."),
+        typer.Option("--all", help="Also those that every component has, such as /rosout."),
     ] = False,
     json: Json = False,
 ) -> None:
@@ -97,7 +98,7 @@ def graph(
             "subscribers": _listed(one.subscribers, one.name),
         }
         for one in topics
-        if all_ or not (one.name == ROSOUT or one.name.rpartition("/")[2] == STATUS_TOPIC)
+        if all_ or not is_infrastructure(one.name)
     ]
     if len(rows) > _MAX_ROWS:
         note(f"{len(rows) - _MAX_ROWS} topics are left out; choose a robot with --robot")

@@ -19,7 +19,7 @@ import yaml
 from cairn.bus import keys
 from cairn.bus.codec import to_plain
 from cairn.cli import completion
-from cairn.cli.fields import FieldPath, field_path, message_of, yaml_value
+from cairn.cli.fields import FieldPath, field_path, message_of, plain_values
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, print_json, show
 from cairn.cli.schemas import find_message
@@ -57,6 +57,10 @@ def list_topics(
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
+    all_: Annotated[
+        bool,
+        typer.Option("--all", help="Also those that every component has, such as /rosout."),
+    ] = False,
     json: Json = False,
 ) -> None:
     """List the topics with message type and numbers of publishers and subscribers."""
@@ -71,6 +75,7 @@ def list_topics(
             "subscribers": len(one.subscribers),
         }
         for one in topics
+        if all_ or not keys.is_infrastructure(one.name)
     ]
     columns = ("topic", "type", "publishers", "subscribers")
     show(rows, columns, as_json=json, nothing=f"there is no topic{elsewhere}")
@@ -158,7 +163,7 @@ def publish_topic(
     robot: RobotName = "",
 ) -> None:
     """Publish a message on a topic that a component subscribes to, once or at a rate."""
-    values = _plain_values(topic, fields)
+    values = plain_values(topic, fields)
     with connect_to(connect, domain, robot) as client:
         message = find_message(type_ or client.find_topic(topic).type_name)
         refused = _Refusals(client)
@@ -376,13 +381,6 @@ def _print_invalid(error: InvalidMessage, *, is_row: bool, as_json: bool) -> Non
 
 def _document(value: Any) -> str:
     return yaml.safe_dump(value, sort_keys=False, default_flow_style=None) + "---"
-
-
-def _plain_values(topic: str, text: str) -> Mapping[str, Any]:
-    values = yaml_value(topic, text)
-    if not isinstance(values, Mapping):
-        raise CairnError(f"{text!r} is not a mapping of fields; write it as '{{data: 1}}'")
-    return values
 
 
 def _is_stamped(message: type[Any], values: Mapping[str, Any]) -> bool:

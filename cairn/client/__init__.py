@@ -9,10 +9,13 @@ with cairn.client.connect() as robot:
 ```
 """
 
+from cairn.bus.bus import ServiceError
 from cairn.bus.control import ControlError, NoReplyError
 from cairn.client.connection import Connection
 from cairn.client.navigation import NavigationGoal
 from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
+from cairn.client.services import RunningGoal, ServiceInfo
+from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation
 
 __all__ = [
@@ -23,8 +26,12 @@ __all__ = [
     "NoReplyError",
     "Parameter",
     "Robot",
+    "RunningGoal",
+    "ServiceError",
+    "ServiceInfo",
     "Subscription",
     "Teleoperation",
     "Topic",
+    "TransformListener",
     "connect",
 ]

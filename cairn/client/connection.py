@@ -146,12 +146,13 @@ class Connection:
 
         `*` in the topic stands for any characters.
         """
-        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, topic))
-        return [
-            entity
-            for entity in graph
-            if isinstance(entity, keys.EndpointEntity) and entity.kind in ("MP", "MS")
-        ]
+        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, topic, "M$*"))
+        return [entity for entity in graph if isinstance(entity, keys.EndpointEntity)]
+
+    def service_endpoints(self, service: str = "") -> list[keys.EndpointEntity]:
+        """Return the servers and clients of a service (full name), or of all services."""
+        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, service, "S$*"))
+        return [entity for entity in graph if isinstance(entity, keys.EndpointEntity)]
 
     def statuses(self) -> dict[str, ComponentStatus]:
         """Return the last status of every component that answers within 1 s, by full name."""

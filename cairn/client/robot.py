@@ -25,15 +25,23 @@ from cairn.client.connection import (
     resolve,
 )
 from cairn.client.navigation import NavigationGoal, Navigator
+from cairn.client.services import RunningGoal, ServiceInfo, call_service, find_services
+from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation, find_gate, set_emergency_stop
 from cairn.errors import CairnError
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import VelocityGateStatus
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import Action, InvalidMessage, Service, type_name
 from cairn.schemas.rcl_interfaces import Log
+from cairn.tf import Buffer
 
 M = TypeVar("M")
+Request = TypeVar("Request")
+Response = TypeVar("Response")
+Goal = TypeVar("Goal")
+Result = TypeVar("Result")
+Feedback = TypeVar("Feedback")
 
 _log = logging.getLogger("cairn.client")
 
@@ -119,6 +127,7 @@ class Robot:
         self._codec = Codec()
         self._publishers = Publishers(connection)
         self._subscriptions: set[Subscription[Any]] = set()
+        self._listeners: set[TransformListener] = set()
 
     def __enter__(self) -> Self:
         return self
@@ -130,17 +139,14 @@ class Robot:
         """End all subscriptions and the connection."""
         for subscription in tuple(self._subscriptions):
             subscription.close()
+        for listener in tuple(self._listeners):
+            listener.close()
         self.connection.close()
 
     @property
     def name(self) -> str:
         """Name of the robot; `CairnError` if there is none, or several and none was given."""
-        status_type = type_name(ComponentStatus)
-        robots = {
-            end.node.name.split("/")[1]
-            for end in self.connection.endpoints(f"*/{STATUS_TOPIC}")
-            if end.kind == "MP" and end.type_name == status_type
-        }
+        robots = self._robots()
         check_robot(self._robot, robots)
         if self._robot:
             return self._robot
@@ -192,7 +198,10 @@ class Robot:
         Raises `CairnError` if there is no such topic, or if it is used with several types.
         """
         endpoints = self.connection.endpoints()
-        full = self._resolve({end.topic for end in endpoints}, topic)
+        topics = {end.topic for end in endpoints}
+        if topic not in topics:  # an error lists those of the robot's own components
+            topics = {one for one in topics if not keys.is_infrastructure(one)} or topics
+        full = self._resolve(topics, topic)
         ends = [end for end in endpoints if end.topic == full]
         types = sorted({end.type_name for end in ends})
         if len(types) > 1:
@@ -237,6 +246,81 @@ class Robot:
                 return self._codec.decode(message, newest.payload.to_bytes())
             return subscription.next(timeout_s)
 
+    def services(self) -> list[ServiceInfo]:
+        """Return all services, sorted; those of the given robot alone if one was given."""
+        return self._of_robot(find_services(self.connection)[0])
+
+    def actions(self) -> list[ServiceInfo]:
+        """Return all actions, sorted; those of the given robot alone if one was given."""
+        return self._of_robot(find_services(self.connection)[1])
+
+    def call(
+        self,
+        service: str,
+        kind: type[Service[Request, Response]],
+        request: Request,
+        *,
+        timeout_s: float = _REPLY_LIMIT_S,
+    ) -> Response:
+        """Call a service and return the response.
+
+        Args:
+            service: short name (`save_map`) or full name (`/robot/save_map`).
+            kind: class of the service, such as `cairn.schemas.nav2_msgs.srv.SaveMap`.
+            request: a `kind.Request`.
+            timeout_s: limit for the answer [s].
+
+        Raises:
+            ServiceError: if there is no server of this type, it refuses the call, ends, or does not
+                answer in time.
+        """
+        return call_service(self.connection, self._full(service), kind, request, timeout_s)
+
+    def send_goal(
+        self,
+        action: str,
+        kind: type[Action[Goal, Result, Feedback]],
+        goal: Goal,
+        *,
+        timeout_s: float = _REPLY_LIMIT_S,
+    ) -> RunningGoal[Goal, Result, Feedback]:
+        """Send a goal to an action and return it; use it in a `with` statement.
+
+        Args:
+            action: short name (`navigate_to_pose`) or full name.
+            kind: class of the action, such as `cairn.schemas.nav2_msgs.action.NavigateToPose`.
+            goal: a `kind.Goal`.
+            timeout_s: limit for its acceptance [s].
+
+        Raises:
+            ServiceError: if there is no server of this type, or it rejects the goal.
+        """
+        return RunningGoal(self.connection, self._full(action), kind, goal, timeout_s)
+
+    def _of_robot(self, found: list[ServiceInfo]) -> list[ServiceInfo]:
+        prefix = f"/{self._robot}/" if self._robot else "/"
+        return [one for one in found if one.name.startswith(prefix)]
+
+    def transforms(
+        self, cache_s: float = 10.0, *, on_problem: Callable[[str], None] | None = None
+    ) -> TransformListener:
+        """Read the robot's transforms on a thread, until the result or the robot is closed.
+
+        If no robot of Cairn is on the bus and none was given, those on `/tf` and `/tf_static`
+        alone are read.
+
+        Args:
+            cache_s: how long transforms are kept [s].
+            on_problem: called with each problem once, such as a frame with two parents; by default
+                `notify` of `connect`.
+
+        Raises:
+            CairnError: if several robots are on the bus and none was given.
+        """
+        robot = self.name if self._robot or self._robots() else ""
+        buffer = Buffer(cache_s, on_problem=on_problem or self._notify)
+        return TransformListener(self.connection, robot, buffer, self._listeners)
+
     def publish(self, topic: str, message: Any) -> str:
         """Publish one message and return the topic's full name.
 
@@ -252,6 +336,15 @@ class Robot:
             key = keys.message_key(self.connection.domain, full, type(message))
         self._publishers.put(key, type_name(type(message)), self._codec.encode(message))
         return full
+
+    def _robots(self) -> set[str]:
+        """Return the names of the robots on the bus."""
+        status_type = type_name(ComponentStatus)
+        return {
+            end.node.name.split("/")[1]
+            for end in self.connection.endpoints(f"*/{STATUS_TOPIC}")
+            if end.kind == "MP" and end.type_name == status_type
+        }
 
     def _subscribed_topic(self, topic: str, message: type[Any]) -> str:
         """Return the full name of a topic to which something subscribes with a message type."""

@@ -387,7 +387,7 @@ class _GraphReader:
         self._report = report
         self._closed = threading.Event()
         self._subscriber = connection.session.liveliness().declare_subscriber(
-            keys.endpoints_pattern(connection.domain),
+            keys.endpoints_pattern(connection.domain, kind="M$*"),
             zenoh.handlers.RingChannel(_MAX_TOKENS),
             history=True,
         )
@@ -424,7 +424,7 @@ class _GraphReader:
             return  # of another profile or version
         if len(endpoints) == _MAX_TOKENS:
             return
-        if isinstance(entity, keys.EndpointEntity) and entity.kind in ("MP", "MS"):
+        if isinstance(entity, keys.EndpointEntity):
             endpoints[token] = entity
 
     def _set(self, endpoints: Mapping[str, keys.EndpointEntity]) -> None:

@@ -15,7 +15,7 @@ from cairn.bus.roles import Role
 from cairn.deployment.model import ROOT, Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.call_log import call_log_topic
-from cairn.runtime.ports import ports_of
+from cairn.runtime.ports import actions_of, ports_of
 from cairn.schemas.message import type_name
 
 _EVERY_MESSAGE: Final = (
@@ -39,6 +39,10 @@ joins find each other.
 _LOCAL: Final = "the local router"
 _VIEWED_BY_ALL: Final = "parameters"
 """The request that every component answers with its parameters and their values."""
+_VIEWED_SERVICES: Final = (
+    "get_$*", "describe_parameters", "list_parameters", "_container/list_nodes",
+)  # fmt: skip
+"""The services below each node's name that only read."""
 _RUN: Final = "run"
 """The request that the root answers with the deployment as it runs."""
 
@@ -102,7 +106,7 @@ def _view_rules(
     topics, cached = f"{domain}/**", f"{domain}/**/@adv/**"
     denied = tuple(key for topic in confidential for key in confidential[topic])
     tokens = keys.tokens_pattern(domain)
-    queryables = (cached, f"@cairn/{domain}/component/*/*/*")
+    queryables = (topics, cached, f"@cairn/{domain}/component/*/*/*")
     queries = (cached, *requests)
     return [
         _rule("view: subscribe", "ingress", ("declare_subscriber",), (topics, cached)),
@@ -159,11 +163,22 @@ def _operate_rules(
             ),
         ]
     if requests:
+        clients = tuple(
+            f"{keys.TOKENS}/{domain}/*/*/*/SC/*/*/*/%{service.replace('/', '%')}/**"
+            for service in _names(requests)
+        )
+        if clients:
+            rules.append(_rule("operate: clients", "ingress", ("liveliness_token",), clients))
         rules += [
             _rule("operate: request", "ingress", ("query",), tuple(requests)),
             _rule("operate: reply", "egress", ("reply",), tuple(requests)),
         ]
     return rules
+
+
+def _names(requests: Iterable[str]) -> list[str]:
+    """Return the names of services, without the first slash, from the keys of requests."""
+    return [key.split("/", 1)[1].rsplit("/", 2)[0] for key in requests if key[0] != "@"]
 
 
 def _rule(
@@ -206,11 +221,30 @@ def _input_topics(
     return topics
 
 
+def _services(deployment: Deployment) -> dict[str, Role]:
+    """Return the services (full names) that a role below `administer` may call."""
+    found: dict[str, Role] = {}
+    for member in deployment.members():
+        cls = load_plugin(member.spec.plugin)
+        actions = actions_of(cls)
+        for port, role in sorted(cls.service_roles.items()):
+            name = full_name(deployment.robot, member.spec.topics.get(port, port))
+            if port in actions:
+                found |= {f"{name}/{part}": role for part in actions[port].services()}
+            else:
+                found[name] = role
+    return found
+
+
 def _requests(deployment: Deployment) -> dict[Role, list[str]]:
     """Return the keys of the requests that each role adds to those of the role below it."""
     found: dict[Role, list[str]] = {"view": [], "operate": [], "administer": []}
     root = full_name(deployment.robot, ROOT)
     found["view"].append(keys.control_key(deployment.domain, root, _RUN))
+    for node in (root, *(full_name(deployment.robot, one.name) for one in deployment.members())):
+        found["view"] += [f"{deployment.domain}{node}/{name}/*/*" for name in _VIEWED_SERVICES]
+    for service, role in _services(deployment).items():
+        found[role].append(f"{deployment.domain}{service}/*/*")
     for member in deployment.members():
         component = full_name(deployment.robot, member.name)
         roles = {_VIEWED_BY_ALL: "view", **load_plugin(member.spec.plugin).request_roles}

@@ -8,7 +8,7 @@ components' own classes require of their neighbors.
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
@@ -22,7 +22,15 @@ from cairn.deployment.validation import validation_problems
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
-from cairn.runtime.ports import PortSpec, handlers_of, ports_of
+from cairn.runtime.ports import (
+    ActionSpec,
+    PortSpec,
+    ServiceSpec,
+    actions_of,
+    handlers_of,
+    ports_of,
+    services_of,
+)
 from cairn.schemas.message import type_name
 
 if TYPE_CHECKING:
@@ -41,6 +49,7 @@ class CheckedComponent:
     node: DocumentNode
     cls: "type[Component] | None" = None
     ports: "dict[str, PortSpec] | None" = None
+    services: "dict[str, ServiceSpec | ActionSpec]" = field(default_factory=dict)
     config: Config | None = None
 
     def topic(self, port: str) -> str:
@@ -120,14 +129,17 @@ def _resolve_plugin(
         return component, [Problem(plugin.where, dotted(path), error.found, error.remedy)]
     try:
         ports, config = ports_of(cls), cls.config_class()
+        services: dict[str, ServiceSpec | ActionSpec] = {**services_of(cls), **actions_of(cls)}
         handlers_of(cls)
+        if unknown := sorted(cls.service_roles.keys() - services.keys()):
+            raise CairnError(f"{cls.__name__}.service_roles names unknown ports: {unknown}")
         for attribute in ("operator_inputs", "confidential_inputs"):
             if unknown := sorted(getattr(cls, attribute) - ports.keys()):
                 raise CairnError(f"{cls.__name__}.{attribute} names unknown ports: {unknown}")
     except CairnError as error:
         remedy = "correct the class, or use another plugin"
         return component, [Problem(plugin.where, dotted(path), str(error), remedy)]
-    known = replace(component, cls=cls, ports=ports)
+    known = replace(component, cls=cls, ports=ports, services=services)
     parameters = component.node.find("parameters") or DocumentNode({}, component.node.where)
     if not isinstance(parameters.value, Mapping):
         return known, []
@@ -142,11 +154,12 @@ def _unknown_ports(component: CheckedComponent) -> Iterator[Problem]:
     topics = component.node.find("topics")
     if topics is None or component.ports is None:
         return
+    known = {*component.ports, *component.services}
     for port, node in topics.entries.items():
-        if port not in component.ports:
+        if port not in known:
             at = node.key_at or node.at
             path = dotted((*component.path, "topics", port))
-            yield Problem(at, path, f"there is no port {port}", suggestion(port, component.ports))
+            yield Problem(at, path, f"there is no port {port}", suggestion(port, known))
 
 
 def _conflicting_keys(component: CheckedComponent) -> Iterator[Problem]:
@@ -231,9 +244,69 @@ def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> 
         yield from _exclusive_conflicts(topic, uses)
         if topic not in written:
             yield from _missing_publishers(topic, uses, written, complete)
+    yield from _service_problems(root, components, own, complete=complete)
     yield from _neighbor_problems(topics, external)
     yield from _device_problems(root, components)
     yield from _clock_problems(root, topics[_CLOCK], _CLOCK in external)
+
+
+@dataclass(frozen=True)
+class _ServiceUse:
+    """One server or client of a service or an action."""
+
+    component: CheckedComponent
+    port: ServiceSpec | ActionSpec
+
+    @property
+    def type_name(self) -> str:
+        """The type of the service or action."""
+        port = self.port
+        return type_name(port.action if isinstance(port, ActionSpec) else port.service)
+
+    def problem(self, found: str, remedy: str) -> Problem:
+        path = dotted((*self.component.path, "topics", self.port.name))
+        return Problem(self.component.line(self.port.name), path, found, remedy)
+
+
+def _service_problems(
+    root: DocumentNode, components: list[CheckedComponent], own: str, *, complete: bool
+) -> Iterator[Problem]:
+    """Yield services with two types or two servers, and clients without a server."""
+    services: defaultdict[str, list[_ServiceUse]] = defaultdict(list)
+    for component in components:
+        for port in component.services.values():
+            name = component.topic(port.name).removeprefix(own)
+            services[name].append(_ServiceUse(component, port))
+    external = {name.removeprefix(own) for name in _texts(root.find("external_services"))}
+    served = external | {
+        name for name, uses in services.items() if any(use.port.role == "server" for use in uses)
+    }
+    for name, uses in services.items():
+        uses = sorted(uses, key=lambda use: use.port.role, reverse=True)
+        for use in uses[1:]:
+            first = uses[0]
+            if use.type_name != first.type_name:
+                yield use.problem(
+                    f"service {name} has two types: {use.type_name} here, {first.type_name} in "
+                    f"{first.component.name}.{first.port.name}",
+                    "give one of them another name",
+                )
+            elif use.port.role == "server":
+                yield use.problem(
+                    f"service {name} has two servers: {first.component.name} is one already",
+                    "give one of them another name",
+                )
+        if name not in served:
+            unknown = "" if complete else " (a plugin that could not be loaded may provide it)"
+            remedy = "add its server, correct the name, or list it under external_services"
+            close = suggestion(name, served)
+            for use in uses:
+                if not use.port.optional:
+                    yield use.problem(
+                        f"no component provides service {name}, which client {use.port.name} "
+                        f"needs{unknown}",
+                        f"{remedy}; {close}" if close.startswith("did you mean") else remedy,
+                    )
 
 
 def _type_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:

@@ -215,6 +215,11 @@ class Deployment(_Section):
     external_topics: tuple[Topic, ...] = Field(
         (), strict=False, description="Topics published by programs outside the deployment."
     )
+    external_services: tuple[Topic, ...] = Field(
+        (),
+        strict=False,
+        description="Services and actions that programs outside the deployment provide.",
+    )
     stop_limit_s: float = Field(
         10.0,
         ge=2,

@@ -643,8 +643,10 @@ class _RerunBus:
         qos: Qos,  # noqa: ARG002
         exclusive: Exclusive | None = None,  # noqa: ARG002
         *,
-        shared: bool = False,  # noqa: ARG002
-    ) -> "_RerunPublisher":
+        shared: bool = False,
+    ) -> "_RerunPublisher | _NothingPublished":
+        if shared:  # of every node, and not logged
+            return _NothingPublished()
         return _RerunPublisher(self._rerun, topic, message)
 
     def subscribe(
@@ -666,7 +668,12 @@ class _RerunBus:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,  # noqa: ARG002
-    ) -> "_RerunServer":
+        invalid_response: Any = None,  # noqa: ARG002
+        *,
+        is_private: bool = False,
+    ) -> "_RerunServer | _NothingServed":
+        if is_private:  # of every node, and not logged
+            return _NothingServed()
         return _RerunServer(self._rerun, name, service, wake)
 
     def client(
@@ -674,8 +681,31 @@ class _RerunBus:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],  # noqa: ARG002
+        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002
     ) -> "_RerunClient":
         return _RerunClient(self._rerun, name, service)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _NothingPublished:
+    published = 0
+    gid = bytes(16)
+    has_subscribers = False
+
+    def publish(self, message: Any) -> int:  # noqa: ARG002
+        return 0
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _NothingServed:
+    received = invalid = refused = 0
+
+    def take(self) -> None:
+        return None
 
     def close(self) -> None:
         """Do nothing."""

@@ -29,6 +29,7 @@ from cairn.runtime.ports import ActionClient, ActionServer, ActionSpec
 from cairn.runtime.service_ports import ClientPort, ServerPort
 from cairn.runtime.topic_ports import InputPort, OutputPort
 from cairn.schemas.action_msgs.msg import GoalStatusArray
+from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.message import type_name
 
 
@@ -58,10 +59,15 @@ class ActionServerPort:
             CANCEL_GOAL: self._goals.cancel_goal,
             GET_RESULT: self._goals.get_result,
         }
+        # A goal that is not valid is rejected, which ROS 2 clients understand.
+        invalid = {
+            SEND_GOAL: spec.action.SendGoal.Response(accepted=False),
+            CANCEL_GOAL: CancelGoal.Response(return_code=CancelGoal.Response.ERROR_REJECTED),
+        }
         self.servers = [
             ServerPort(
                 service, f"{action}/{part}", owner, node, scheduler,
-                f"{on_goal.__name__} ({service.name})", answers[part], call_log,
+                f"{on_goal.__name__} ({service.name})", answers[part], call_log, invalid.get(part),
             )
             for part, service in spec.services().items()
         ]  # fmt: skip

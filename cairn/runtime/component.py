@@ -1,7 +1,7 @@
 """The base class of every component: what its author overrides, and what it may use."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, get_type_hints
 
@@ -16,6 +16,7 @@ from cairn.runtime.parameters import LOG_LEVEL, Config
 
 if TYPE_CHECKING:
     from cairn.runtime.launch_request import LaunchRequest
+    from cairn.runtime.node_services import NodeService
 
 
 class ComponentContext(Protocol):
@@ -47,6 +48,14 @@ class ComponentContext(Protocol):
         """Add a problem to the component's status; None: it is solved."""
         ...
 
+    def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
+        """Make a control request of the component itself, as a client does."""
+        ...
+
+    def serve_node(self, name: str, services: "Sequence[NodeService]") -> None:
+        """Serve services below the node of that full name, in every state, until the end."""
+        ...
+
 
 class Component:
     """A task component or a driver, with ports, parameters and a life cycle.
@@ -70,6 +79,9 @@ class Component:
 
     request_roles: ClassVar[Mapping[str, Role]] = MappingProxyType({})
     """Which of its own requests users on the network with less than `administer` may make."""
+    service_roles: ClassVar[Mapping[str, Role]] = MappingProxyType({})
+    """Server and action server ports that users on the network with less than `administer` may use.
+    """
     request_max_bytes: ClassVar[Mapping[str, int]] = MappingProxyType({})
     """Longest requests [bytes of JSON] of its own verbs, where not 64 KiB; at most 256 KiB."""
     urgent_requests: ClassVar[frozenset[str]] = frozenset()

@@ -6,6 +6,8 @@ from enum import StrEnum
 
 from cairn.clock import SECOND
 from cairn.errors import CairnError
+from cairn.schemas.lifecycle_msgs.msg import State, TransitionDescription, TransitionEvent
+from cairn.schemas.lifecycle_msgs.msg import Transition as RosTransition
 
 MAX_RECOVERIES = 3
 RECOVERY_WINDOW_S = 10
@@ -46,6 +48,60 @@ STATE_AFTER = {
     if transition is not Transition.SHUTDOWN
 }
 """The state to which each transition leads in which a component stays."""
+
+
+_STATE_IDS = {
+    LifecycleState.UNCONFIGURED: State.PRIMARY_STATE_UNCONFIGURED,
+    LifecycleState.INACTIVE: State.PRIMARY_STATE_INACTIVE,
+    LifecycleState.ACTIVE: State.PRIMARY_STATE_ACTIVE,
+    LifecycleState.FINALIZED: State.PRIMARY_STATE_FINALIZED,
+}
+
+
+def ros_state(state: str) -> State:
+    """Return a state as ROS 2 numbers it; one that is none of a managed node's is unknown."""
+    known = _STATE_IDS.get(LifecycleState(state)) if state in set(LifecycleState) else None
+    return State(id=known or State.PRIMARY_STATE_UNKNOWN, label=state)
+
+
+def ros_transition(transition: Transition, start: LifecycleState) -> RosTransition:
+    """Return a transition as ROS 2 numbers it, which has one to shut down from each state."""
+    numbers = {
+        Transition.CONFIGURE: RosTransition.TRANSITION_CONFIGURE,
+        Transition.CLEANUP: RosTransition.TRANSITION_CLEANUP,
+        Transition.ACTIVATE: RosTransition.TRANSITION_ACTIVATE,
+        Transition.DEACTIVATE: RosTransition.TRANSITION_DEACTIVATE,
+        Transition.SHUTDOWN: {
+            LifecycleState.UNCONFIGURED: RosTransition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+            LifecycleState.INACTIVE: RosTransition.TRANSITION_INACTIVE_SHUTDOWN,
+        }.get(start, RosTransition.TRANSITION_ACTIVE_SHUTDOWN),
+    }
+    return RosTransition(id=numbers[transition], label=transition.value)
+
+
+def possible_transitions(state: LifecycleState | None = None) -> list[TransitionDescription]:
+    """Return the transitions that exist from a state, or all, as ROS 2 describes them."""
+    return [
+        TransitionDescription(
+            transition=ros_transition(transition, start),
+            start_state=ros_state(start),
+            goal_state=ros_state(target),
+        )
+        for (start, transition), target in _TARGETS.items()
+        if state in (None, start)
+    ]
+
+
+def transition_event(
+    now: int, transition: Transition, start: LifecycleState, target: LifecycleState
+) -> TransitionEvent:
+    """Return the message about a transition that was made at time `now` [ns]."""
+    return TransitionEvent(
+        timestamp=max(0, now),
+        transition=ros_transition(transition, start),
+        start_state=ros_state(start),
+        goal_state=ros_state(target),
+    )
 
 
 def target_state(state: LifecycleState, transition: Transition) -> LifecycleState:

@@ -105,13 +105,17 @@ ReadPath = Annotated[Path, ReadPathMark()]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter as shown to an operator; parameters in groups have dotted names."""
+    """One parameter as shown to an operator; parameters in groups have dotted names.
+
+    `range` has the least and the greatest number, each None without a limit.
+    """
 
     name: str
     value: Any
     type: str
     description: str
     bounds: str
+    range: tuple[float | None, float | None] = (None, None)
 
 
 LOG_LEVEL: Final = "log_level"
@@ -139,7 +143,12 @@ def describe_parameters(config: Config) -> list[Parameter]:
     """Return all parameters of a configuration, in order of declaration."""
     return [
         Parameter(
-            name, value, _type_name(field.annotation), field.description or "", bounds_text(field)
+            name,
+            value,
+            _type_name(field.annotation),
+            field.description or "",
+            bounds_text(field),
+            _range(field),
         )
         for name, value, field in _leaves(config, "")
     ]
@@ -189,6 +198,17 @@ def bounds_text(field: FieldInfo) -> str:
                 shown = f"{limit:.7g}" if isinstance(limit, float) else limit
                 bounds.append("not empty" if one else f"{sign} {shown}")
     return ", ".join(bounds)
+
+
+def _range(field: FieldInfo) -> tuple[float | None, float | None]:
+    """Return the least and the greatest value that a field's bounds name, excluded or not."""
+    low = high = None
+    for constraint in (*field.metadata, *_constraints_within(field.annotation)):
+        for attribute in ("gt", "ge"):
+            low = getattr(constraint, attribute, None) if low is None else low
+        for attribute in ("lt", "le"):
+            high = getattr(constraint, attribute, None) if high is None else high
+    return low, high
 
 
 @dataclass(frozen=True)

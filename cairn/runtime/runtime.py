@@ -6,7 +6,7 @@ import os
 import threading
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cairn.bus.bus import Bus, Node, full_name
-from cairn.bus.qos import LATCHED
+from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
 from cairn.deployment.model import LogLevel
 from cairn.errors import CairnError, Escalate
@@ -30,11 +30,24 @@ from cairn.runtime.call_records import Record, RecordKind, StartInfo
 from cairn.runtime.component import Component
 from cairn.runtime.input_files import input_files, path_parameters
 from cairn.runtime.launch_request import LaunchRequest
-from cairn.runtime.lifecycle import LifecycleState, RecoveryLimit, Transition, target_state
+from cairn.runtime.lifecycle import (
+    LifecycleState,
+    RecoveryLimit,
+    Transition,
+    target_state,
+    transition_event,
+)
 from cairn.runtime.loop import Scheduler
+from cairn.runtime.node_services import (
+    NodeService,
+    ParameterServices,
+    describe_type,
+    serve_node,
+)
 from cairn.runtime.parameters import (
     LOG_LEVEL,
     Config,
+    Parameter,
     ReadPathMark,
     checked_log_level,
     describe_log_level,
@@ -46,8 +59,10 @@ from cairn.runtime.port_table import PortTable
 from cairn.runtime.rosout import wire_safe_text
 from cairn.runtime.timers import CLOCK_TOPIC, ClockInput, ComponentTimers
 from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.lifecycle_msgs.msg import TransitionEvent
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
+from cairn.schemas.type_description_interfaces.srv import GetTypeDescription
 
 DISCOVERY_TIMEOUT_S = 2.0
 """Limit for the discovery barrier at activation; processes not reached are logged then."""
@@ -119,6 +134,8 @@ class Runtime:
             self._scheduler = LoggedScheduler(scheduler, self.call_log)
             if simulated_clock is None:  # otherwise the clock messages are logged
                 self.clock = LoggedClock(system_clock, self.call_log)
+        self._parameter_services: ParameterServices | None = None
+        self._unlogged_scheduler = scheduler
         try:
             self._logged(start, self._construct, component, simulated_clock)
         except (Exception, SystemExit) as error:
@@ -126,6 +143,7 @@ class Runtime:
             raise CairnError(
                 f"{self.name}: plugin {launch.spec.plugin} cannot be constructed: {_text(error)}"
             ) from error
+        self._open_node_services()
 
     @property
     def state(self) -> LifecycleState:
@@ -160,7 +178,7 @@ class Runtime:
         self._logged((RecordKind.TRANSITION, transition.value), self._make_transition, transition)
 
     def _make_transition(self, transition: Transition) -> None:
-        target = target_state(self._state, transition)
+        start, target = self._state, target_state(self._state, transition)
         self._in_transition = transition
         try:
             self._call(f"on_{transition}", self._step, transition)
@@ -172,6 +190,9 @@ class Runtime:
         finally:
             self._in_transition = None
         self._state = target
+        if self._transitions.has_subscribers:
+            event = transition_event(self._system_clock.now(), transition, start, target)
+            self._transitions.publish(event)
         if transition is Transition.SHUTDOWN:
             self._ended(self._finishing or ExitReport(True, "shut down"))
         else:
@@ -189,6 +210,8 @@ class Runtime:
             self.component.config = new
         self._set_log_level(level)
         self.log.info("parameters changed: %s", dict(changes))
+        if self._parameter_services is not None:
+            self._parameter_services.publish_change(list(changes))
 
     def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Return the reply to a control request; raises `CairnError` if it is rejected or fails."""
@@ -196,11 +219,17 @@ class Runtime:
             self.transition(Transition(verb))
             return self._state.value
         if verb == "parameters":
-            described = [*describe_parameters(self.config), describe_log_level(self._log_level)]
-            return [vars(parameter) for parameter in described]
+            described = self._described_parameters()
+            return [
+                {name: value for name, value in vars(parameter).items() if name != "range"}
+                for parameter in described
+            ]
         if self.call_log is None:
             return self._answer(verb, arguments)
         return self._logged(request_record(verb, arguments), self._answer, verb, arguments)
+
+    def _described_parameters(self) -> list[Parameter]:
+        return [*describe_parameters(self.config), describe_log_level(self._log_level)]
 
     def _answer(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         try:
@@ -339,6 +368,30 @@ class Runtime:
                 if self._state is not LifecycleState.UNCONFIGURED:
                     self.component.on_cleanup()
                 self.component.on_shutdown()
+
+    def serve_node(self, name: str, services: Sequence[NodeService]) -> None:
+        """Serve services below the node of that full name, in every state, until the end."""
+        serve_node(self.node, name, self._unlogged_scheduler, services)
+
+    def _open_node_services(self) -> None:
+        """Open the services and topics that every node of ROS 2 has; they are not logged."""
+        name = full_name(self.launch.context.robot, self.name)
+        self._parameter_services = ParameterServices(
+            self.node,
+            name,
+            self._system_clock,
+            self._described_parameters,
+            lambda changes: self.request("set_parameters", changes),
+            simulated_time=self.launch.context.simulated_time,
+        )
+        services = [
+            *self._parameter_services.services(),
+            NodeService("get_type_description", GetTypeDescription, describe_type),
+        ]
+        self.serve_node(name, services)
+        self._transitions = self.node.advertise(
+            f"{name}/transition_event", TransitionEvent, RELIABLE, shared=True
+        )
 
     def _on_clock_set(self) -> None:
         if self.call_log is not None:

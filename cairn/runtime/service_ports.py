@@ -28,11 +28,12 @@ class ServerPort:
         where: str,
         answer: Callable[[Call], None],
         call_log: CallLog | None,
+        invalid_response: Any = None,
     ) -> None:
         """Prepare the server of the service of that full name.
 
         `answer` answers a call, now or later; an exception that it raises fails the component, and
-        refuses the call.
+        refuses the call. `invalid_response` answers calls whose request is not valid.
         """
         self.bound: BoundServer[Any, Any] = BoundServer(spec, service)
         self._spec = spec
@@ -41,6 +42,7 @@ class ServerPort:
         self._where = where
         self._answer = answer
         self._call_log = call_log
+        self._invalid_response = invalid_response
         self._wake = partial(scheduler.deliver, self._on_wake_up)
         self._server: Server | None = None
         # The server to count, and the counts before it; one tuple, read by other threads.
@@ -50,7 +52,11 @@ class ServerPort:
         """Serve from now on."""
         if self._server is None:
             self._server = self._node.serve(
-                self.bound.service, self._spec.service, self._wake, self._spec.max_bytes
+                self.bound.service,
+                self._spec.service,
+                self._wake,
+                self._spec.max_bytes,
+                self._invalid_response,
             )
             self._counted = (self._server, self._counted[1])
 
@@ -167,7 +173,7 @@ class ClientPort:
         self._spec = spec
         self._owner = owner
         self._node = node
-        self._post = scheduler.receive
+        self._scheduler = scheduler
         self._call_log = call_log
         self._client: Client | None = None
         self._sent = 0
@@ -175,7 +181,12 @@ class ClientPort:
     def open(self) -> None:
         """Call from now on."""
         if self._client is None:
-            self._client = self._node.client(self.bound.service, self._spec.service, self._post)
+            self._client = self._node.client(
+                self.bound.service,
+                self._spec.service,
+                self._scheduler.receive,
+                self._scheduler.deliver,
+            )
 
     def close(self) -> None:
         """Call no more, and take no answers."""

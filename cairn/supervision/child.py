@@ -163,12 +163,16 @@ class SupervisorHost(Protocol):
 
 @dataclass(frozen=True)
 class ChildStatus:
-    """The state of a child; `reason` is that of its last end or failure, "" if it had none."""
+    """The state of a child; `reason` is that of its last end or failure, "" if it had none.
+
+    `held_in` is the state of its life cycle in which it is held, "" if it is not held.
+    """
 
     name: str
     state: State
     incarnation: int
     reason: str
+    held_in: str = ""
 
 
 class Child:
@@ -204,7 +208,8 @@ class Child:
 
     def status(self) -> ChildStatus:
         """Return the state of the child."""
-        return ChildStatus(self.name, self.state, self.incarnation, self.reason)
+        held_in = self.target.value if self.state == "held" else ""
+        return ChildStatus(self.name, self.state, self.incarnation, self.reason, held_in)
 
     @property
     def components(self) -> int:

@@ -28,6 +28,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
 
+from cairn.bus.bus import full_name
 from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
@@ -43,6 +44,7 @@ from cairn.supervision.child import (
     without_reserve,
 )
 from cairn.supervision.restart_policy import Decision, RestartPolicy
+from cairn.supervision.ros_services import ChildLifecycle, Container
 
 HELD_STATES = ("unconfigured", "inactive", "active")
 """The states of its life cycle in which a child can be held."""
@@ -82,6 +84,26 @@ class Supervisor(Component):
             self.children = ChildGroup(launch, host, self.log, on_exit)
         else:
             self.children = LoggedChildren(launch, host, self.log, on_exit, log)
+        self._serve_children(launch)
+
+    def _serve_children(self, launch: LaunchRequest) -> None:
+        """Serve what ROS 2 tools use to see and change the life cycle of the children."""
+        robot, request = launch.context.robot, self._context.request
+        for name in launch.spec.children:
+            child = ChildLifecycle(name, partial(self._lifecycle_of, name), request)
+            self._context.serve_node(full_name(robot, name), child.services())
+        plugins = {name: spec.plugin for name, spec in launch.spec.children.items()}
+        container = Container(
+            robot, plugins, lambda name: self._state_of(name) != "unloaded", request
+        )
+        self._context.serve_node(full_name(robot, self.name), container.services())
+
+    def _lifecycle_of(self, name: str) -> str:
+        status = {status.name: status for status in self.children.status()}[name]
+        return status.held_in or status.state
+
+    def _state_of(self, name: str) -> str:
+        return {status.name: status.state for status in self.children.status()}[name]
 
     def adopt_recorded(
         self, children: "ChildGroup", post: Callable[[Callable[[], None]], None]
@@ -131,7 +153,7 @@ class Supervisor(Component):
             # The request is answered, but the failure is the supervisor's own.
             self._post(partial(_raise, error))
             raise CairnError(f"{self.name}: {error}") from error
-        return {status.name: status.state for status in self.children.status()}[name]
+        return self._state_of(name)
 
     @every(hz=2)
     def check_children(self) -> None:

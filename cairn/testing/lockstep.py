@@ -26,7 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, cast
 
-from cairn.bus.actions import ActionCaller, SentGoal
+from cairn.bus.actions import ActionCaller, SentGoal, make_at_once
 from cairn.bus.bus import ServiceError, full_name
 from cairn.bus.lockstep_bus import (
     LockstepBus,
@@ -76,7 +76,7 @@ class LockstepReading(Generic[M]):
         topic: str,
         message: type[M],
         qos: Qos,
-        on_message: Callable[[], None],
+        on_message: Callable[[], object],
     ) -> None:
         self.topic = topic
         self.messages: list[M] = []
@@ -159,7 +159,7 @@ class Lockstep:
         topic: str,
         message: type[M],
         qos: Qos = EVERYTHING,
-        on_message: Callable[[], None] = _nothing,
+        on_message: Callable[[], object] = _nothing,
     ) -> LockstepReading[M]:
         """Subscribe to a topic; collect what is published from now on, and what is latched.
 
@@ -194,8 +194,9 @@ class Lockstep:
 
         Raises `ServiceError` if there is no server, it refuses, or does not answer in time.
         """
+        self.run_for(0.0)  # a deployment has started then
         answers: list[Any] = []
-        client = self.node.client(full_name(self.robot, service), kind, lambda call: call())
+        client = self.node.client(full_name(self.robot, service), kind, make_at_once)
         client.call(request, answers.append, answers.append, timeout_s)
         self.run_until(lambda: bool(answers), limit_s=timeout_s + 1.0)
         client.close()
@@ -207,7 +208,17 @@ class Lockstep:
         self, action: str, kind: type[Action[Goal, Result, Feedback]], goal: Goal
     ) -> SentGoal[Goal, Result, Feedback]:
         """Send a goal; what happens to it is found in the object returned, as time advances."""
-        caller = ActionCaller(self.node, full_name(self.robot, action), kind)
+        self.run_for(0.0)  # a deployment has started then
+        caller = ActionCaller(
+            full_name(self.robot, action),
+            kind,
+            lambda name, service: self.node.client(name, service, make_at_once),
+        )
+        feedback = self.read(
+            caller.feedback_topic,
+            kind.FeedbackMessage,
+            on_message=lambda: [caller.receive_feedback(one) for one in feedback.take()],
+        )
         sent = caller.send(next(self._goals).to_bytes(16, "big"), goal)
         self.run_for(0.0)
         return sent

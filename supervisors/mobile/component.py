@@ -11,14 +11,19 @@ from pydantic import Field
 from cairn import (
     LATCHED,
     SECOND,
+    ActionServer,
     CairnError,
     Config,
     In,
     Out,
     RetriedSave,
+    ServerGoal,
     StartFailed,
     Supervisor,
+    cancel,
+    every,
     from_ns,
+    goal,
     on,
 )
 from cairn.planar.messages import packed_poses, planar_pose, planar_poses
@@ -26,13 +31,27 @@ from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
     NAVIGATION_END_STATES,
     NAVIGATION_STATES,
+    LocalizationEstimate,
     NavigateGoal,
     NavigationStatus,
     Zone,
     Zones,
 )
 from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.nav2_msgs.action import FollowWaypoints, NavigateThroughPoses, NavigateToPose
 from cairn.schemas.std_msgs import Header
+from cairn.supervisors.mobile.action_goals import (
+    FRAME_ERROR,
+    UNKNOWN_ERROR,
+    ActionGoal,
+    ThroughPoses,
+    ToPose,
+    Waypoints,
+    WrongFrame,
+    error_code,
+    goal_message,
+    planar_goals,
+)
 from cairn.supervisors.mobile.mission_file import (
     Coordinate,
     Goal,
@@ -66,6 +85,11 @@ class MobileSupervisorConfig(Config):
         description="Whether the deployment ends when its mission ends; if another mission "
         "preempts it, when that one ends.",
     )
+    stop_on_failure: bool = Field(
+        True,
+        description="Whether the action follow_waypoints ends with the first waypoint that cannot "
+        "be reached; otherwise the robot drives on to the next one.",
+    )
     state_file: Path | None = Field(
         None,
         description="File of the mission's goals, beside which its progress is kept; a restarted "
@@ -76,7 +100,8 @@ class MobileSupervisorConfig(Config):
 class MobileSupervisor(Supervisor):
     """Keeps the base, the range scanner and AutoMove running (paper, step 1).
 
-    Accepts missions (requests `go` and `cancel`, topic `goal_pose`, parameter `mission`; the
+    Accepts missions (the actions of Nav2 `navigate_to_pose`, `navigate_through_poses` and
+    `follow_waypoints`; requests `go` and `cancel`, topic `goal_pose`, parameter `mission`; the
     request `mission` returns the last one), loads AutoMove for the first unless it is loaded, and
     keeps each mission until it has its result, so that an AutoMove that was restarted continues it.
 
@@ -87,19 +112,34 @@ class MobileSupervisor(Supervisor):
     config: MobileSupervisorConfig
 
     request_roles = MappingProxyType({"go": "operate", "cancel": "operate", "mission": "view"})
+    service_roles = MappingProxyType(
+        dict.fromkeys((ToPose.action, ThroughPoses.action, Waypoints.action), "operate")
+    )
     request_max_bytes = MappingProxyType({"go": 256 << 10})
     urgent_requests = frozenset({"cancel"})
     operator_inputs = frozenset({"goal_pose"})
+
+    navigate_to_pose: ActionServer[
+        NavigateToPose.Goal, NavigateToPose.Result, NavigateToPose.Feedback
+    ]
+    navigate_through_poses: ActionServer[
+        NavigateThroughPoses.Goal, NavigateThroughPoses.Result, NavigateThroughPoses.Feedback
+    ]
+    follow_waypoints: ActionServer[
+        FollowWaypoints.Goal, FollowWaypoints.Result, FollowWaypoints.Feedback
+    ]
 
     goal_pose: In[PoseStamped] = In(optional=True)
     exploration_goal: In[NavigateGoal] = In(optional=True)
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20), optional=True)
     zones: In[Zones] = In(qos=LATCHED, optional=True)
+    localization: In[LocalizationEstimate] = In(optional=True)
     navigate_goal: Out[NavigateGoal] = Out(qos=LATCHED)
 
     _mission: Mission | None = None
     _retrying = False  # a retry of saving the mission is scheduled
     _zones: tuple[Zone, ...] | None = None  # not known yet
+    _goal: ActionGoal | None = None  # that of the mission under way, if it is of an action
 
     def on_configure(self) -> None:
         """Check that missions can be kept; remove that of an earlier run."""
@@ -151,6 +191,52 @@ class MobileSupervisor(Supervisor):
         except CairnError as error:
             self.log.error("mission rejected: %s", error)
 
+    @goal("navigate_to_pose")
+    def on_navigate_to_pose(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Start a mission to one pose."""
+        self._pursue(ToPose(goal))
+
+    @goal("navigate_through_poses")
+    def on_navigate_through_poses(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Start a mission to several poses."""
+        self._pursue(ThroughPoses(goal))
+
+    @goal("follow_waypoints")
+    def on_follow_waypoints(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Start a mission to several poses, which may go on if one cannot be reached."""
+        self._pursue(Waypoints(goal, stop_on_failure=self.config.stop_on_failure))
+
+    @cancel("navigate_to_pose")
+    def on_cancel_to_pose(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Cancel the mission."""
+        self._cancel_goal(goal)
+
+    @cancel("navigate_through_poses")
+    def on_cancel_through_poses(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Cancel the mission."""
+        self._cancel_goal(goal)
+
+    @cancel("follow_waypoints")
+    def on_cancel_waypoints(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Cancel the mission."""
+        self._cancel_goal(goal)
+
+    @every(hz=10)
+    def publish_feedback(self) -> None:
+        """Publish the progress of an action's goal."""
+        goal, status = self._goal, self.navigation_status.latest
+        estimate = self.localization.latest
+        mission = self._mission
+        if goal is None or status is None or mission is None:
+            return
+        if status.mission_id != mission.mission_id:
+            return
+        pose = PoseStamped()
+        if estimate is not None:
+            header = Header(stamp=estimate.header.stamp, frame_id="map")
+            pose = PoseStamped(header=header, pose=estimate.pose.pose)
+        goal.goal.publish_feedback(goal.feedback(status, pose))
+
     @on("exploration_goal")
     def on_exploration_goal(self, request: NavigateGoal) -> None:
         """Start or cancel a mission of the explorer, unless another one is under way."""
@@ -185,12 +271,38 @@ class MobileSupervisor(Supervisor):
             success = status.state == NavigationStatus.SUCCEEDED
             reason = status.reason[:_LONGEST_RESULT]
             result = f"{NAVIGATION_STATES[status.state]}: {reason}"
-            self._close(mission, result, success=success)
+            code = 0 if success else error_code(status.reason_code)
+            if status.state == NavigationStatus.CANCELED or not self._goes_on(
+                mission, None if success else status.goal, code
+            ):
+                self._close(mission, result, success=success, code=code)
         elif mission.first < status.goal <= len(mission.goals):
             self._update(mission.model_copy(update={"first": status.goal}))
 
+    def _pursue(self, goal: ActionGoal) -> None:
+        """Start a mission for the goal of an action; abort the goal if that is not possible."""
+        try:
+            goals = parse_goals(planar_goals(goal))
+            self._start(goals, first=goal.first, action=goal)
+        except CairnError as error:
+            self.log.error("goal of %s not pursued: %s", goal.action, error)
+            code = FRAME_ERROR if isinstance(error, WrongFrame) else UNKNOWN_ERROR
+            goal.goal.abort(goal.result(code, str(error)))
+
+    def _cancel_goal(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        mission = self._mission
+        if mission is None or self._goal is None or self._goal.goal is not goal:
+            raise CairnError("its mission is not under way")
+        self._close(mission, "canceled: on request")
+
     def _start(
-        self, goals: tuple[Goal, ...], *, configured: bool = False, token: str | None = None
+        self,
+        goals: tuple[Goal, ...],
+        *,
+        configured: bool = False,
+        token: str | None = None,
+        first: int = 0,
+        action: ActionGoal | None = None,
     ) -> Mission:
         self._load_automove()
         before = self._mission
@@ -204,7 +316,12 @@ class MobileSupervisor(Supervisor):
             configured=configured,
             replaces_configured=before is not None and before.ends_configured and not before.result,
             token=token,
+            first=first,
+            action=None if action is None else action.record(),
         )
+        if self._goal is not None and self._goal is not action:
+            self._end_goal("aborted", UNKNOWN_ERROR, f"preempted by mission {mission.mission_id}")
+        self._goal = action
         x, y, _ = goals[-1]
         others = len(goals) - 1
         via = f" via {others} other {'goal' if others == 1 else 'goals'}" if others else ""
@@ -256,11 +373,69 @@ class MobileSupervisor(Supervisor):
             self.log.error("mission not continued: %s", error)
             return
         self.log.warning("mission %d continued", mission.mission_id)
+        self._restore_goal(mission)
         self._update(mission.model_copy(update={"resumed": mission.resumed + 1}))
 
-    def _close(self, mission: Mission, result: str, *, success: bool = False) -> None:
+    def _goes_on(self, mission: Mission, failed: int | None, code: int) -> bool:
+        """Start the next mission for the same goal of an action, if it has a further one."""
+        goal = self._goal
+        if goal is None or not goal.goes_on(failed, code):
+            return False
+        if failed is not None:
+            self.log.warning("waypoint %d not reached; the robot drives on", failed + 1)
+        try:
+            self._start(mission.goals, first=goal.first, action=goal)
+        except CairnError as error:
+            self.log.error("goal of %s not pursued any further: %s", goal.action, error)
+            return False
+        return True
+
+    def _end_goal(self, outcome: str, code: int, text: str) -> None:
+        """End the goal of an action whose mission has ended."""
+        ended, self._goal = self._goal, None
+        if ended is None or not ended.goal.is_active:
+            return
+        result = ended.result(code, text)
+        if outcome == "succeeded":
+            ended.goal.succeed(result)
+        elif ended.goal.is_canceling:
+            ended.goal.canceled(result)
+        else:  # also if another client has canceled the mission
+            ended.goal.abort(result)
+
+    def _restore_goal(self, mission: Mission) -> None:
+        """Continue to answer for the goal of an action that an earlier process accepted."""
+        record = mission.action
+        if record is None:
+            return
+        servers: dict[str, ActionServer[Any, Any, Any]] = {
+            ToPose.action: self.navigate_to_pose,
+            ThroughPoses.action: self.navigate_through_poses,
+            Waypoints.action: self.follow_waypoints,
+        }
+        message = goal_message(record.name, mission.goals)
+        goal = servers[record.name].restore(bytes.fromhex(record.goal_id), message)
+        if record.name == ToPose.action:
+            self._goal = ToPose(goal)
+        elif record.name == ThroughPoses.action:
+            self._goal = ThroughPoses(goal)
+        else:
+            waypoints = Waypoints(goal, stop_on_failure=self.config.stop_on_failure)
+            waypoints.rounds_left = record.rounds_left
+            waypoints.missed = list(record.missed)
+            self._goal = waypoints
+
+    def _close(
+        self, mission: Mission, result: str, *, success: bool = False, code: int = UNKNOWN_ERROR
+    ) -> None:
         self.log.info("mission %d %s", mission.mission_id, result)
         self._update(mission.model_copy(update={"result": result}))
+        outcome, _, reason = result.partition(": ")
+        if success:
+            code, reason = 0, ""
+        elif outcome == "canceled":
+            code = 0
+        self._end_goal(outcome, code, reason)
         if not self.config.finish:
             return
         if mission.configured:

@@ -31,12 +31,26 @@ class _Stored(BaseModel):
 S = TypeVar("S", bound=_Stored)
 
 
+class ActionRecord(_Stored):
+    """The goal of an action: `name` of the action, `goal_id` (hexadecimal, 16 bytes).
+
+    For `follow_waypoints`: the rounds that are left after the current one, and the waypoints that
+    were missed, with their error codes.
+    """
+
+    name: str
+    goal_id: str = Field(pattern="^[0-9a-f]{32}$")
+    rounds_left: int = Field(0, ge=0)
+    missed: tuple[tuple[int, int], ...] = ()
+
+
 class MissionRequest(_Stored):
     """What does not change during a mission: goals x, y [m], heading [rad] in frame map.
 
     `requested_ns` is the time of the request, by the supervisor's clock. `configured`: it is the
     mission of the deployment; `replaces_configured`: it, or one before it, preempted that mission.
-    A client that chose a `token` can cancel the mission without knowing its id.
+    A client that chose a `token` can cancel the mission without knowing its id. `action` has the
+    goal of an action that the mission carries out, None for other missions.
     """
 
     mission_id: int
@@ -47,6 +61,7 @@ class MissionRequest(_Stored):
     configured: bool = False
     replaces_configured: bool = False
     token: str | None = None
+    action: ActionRecord | None = None
 
 
 class MissionProgress(_Stored):

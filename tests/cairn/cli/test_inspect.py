@@ -241,7 +241,8 @@ def test_topic_echo_of_a_silent_topic_times_out(command: Command) -> None:
 
     assert answer.code == 1
     assert "velocity" in answer.err
-    assert ": /rosout, " in answer.err
+    assert ": /rover/" in answer.err
+    assert "/rosout" not in answer.err
     assert silent.code == 1
 
 

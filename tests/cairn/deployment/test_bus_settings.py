@@ -168,7 +168,14 @@ def test_viewers_read_everything_in_their_domain_and_change_nothing() -> None:
     assert allowed(one, "view", "ingress", "liveliness_token") == set()
     assert allowed(one, "view", "ingress", "declare_queryable") == set()
     assert allowed(one, "view", "ingress", "declare_subscriber") == {"3/**", "3/**/@adv/**"}
-    assert allowed(one, "view", "ingress", "query") == {
+    reading = {
+        f"3/rover/{node}/{service}/*/*"
+        for node in ("root", "mobile", "localizer")
+        for service in (
+            "get_$*", "describe_parameters", "list_parameters", "_container/list_nodes",
+        )
+    }  # fmt: skip
+    assert allowed(one, "view", "ingress", "query") == reading | {
         "3/**/@adv/**",
         "@cairn/3/component/rover/root/run",
         "@cairn/3/component/rover/mobile/mission",
@@ -189,7 +196,12 @@ def test_operators_also_publish_goals_and_give_orders() -> None:
     requests = allowed(one, "operate", "ingress", "query") - allowed(
         deployment(vera="view"), "view", "ingress", "query"
     )
-    assert requests == {
+    actions = {
+        f"3/rover/{action}/_action/{service}/*/*"
+        for action in ("navigate_to_pose", "navigate_through_poses", "follow_waypoints")
+        for service in ("send_goal", "cancel_goal", "get_result")
+    }
+    assert requests == actions | {
         "@cairn/3/component/rover/mobile/go",
         "@cairn/3/component/rover/mobile/cancel",
     }

@@ -35,12 +35,14 @@ class Localizer(Config):
 
 def test_parameters_are_described_with_type_value_and_bounds() -> None:
     assert describe_parameters(Localizer(particles=20)) == [
-        Parameter("particles", 20, "int", "Number of particles [1].", ">= 10, <= 200000"),
+        Parameter(
+            "particles", 20, "int", "Number of particles [1].", ">= 10, <= 200000", (10, 200_000)
+        ),
         Parameter("mode", "paper", "Literal['paper', 'improved']", "Which equations.", ""),
         Parameter("low", 0.0, "float", "Lower limit [m].", ""),
-        Parameter("high", None, "float | None", "Upper limit [m], or none.", "> 0"),
-        Parameter("filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1"),
-        Parameter("gain", None, "int | None", "Gain [1].", ">= 0, <= 255"),
+        Parameter("high", None, "float | None", "Upper limit [m], or none.", "> 0", (0, None)),
+        Parameter("filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1", (0, 1)),
+        Parameter("gain", None, "int | None", "Gain [1].", ">= 0, <= 255", (0, 255)),
         Parameter("map", None, "Path | None", "File of the map.", ""),
         Parameter("beams", (), "tuple[float, ...]", "Bearings [rad].", ""),
     ]

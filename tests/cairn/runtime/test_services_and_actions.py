@@ -9,6 +9,7 @@ from cairn import (
     ActionServer,
     CairnError,
     Client,
+    ClientGoal,
     Component,
     In,
     Out,
@@ -29,6 +30,7 @@ from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts
 from cairn.schemas.std_msgs import String
 from cairn.schemas.std_srvs.srv import Trigger
+from cairn.schemas.unique_identifier_msgs.msg import UUID
 from cairn.testing.lockstep import ComponentHarness, Lockstep
 from tests.wording import assert_words
 
@@ -104,6 +106,7 @@ class Starter(Component):
     word: In[String]
     answer: Out[String]
     fibonacci: ActionClient[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback]
+    sent: ClientGoal[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback]
 
     @on("word")
     def start(self, word: String) -> None:
@@ -270,7 +273,8 @@ def test_restored_goal_answers_its_client() -> None:
     client = counter.node.client(
         "/robot/fibonacci/_action/get_result", Fibonacci.GetResult, lambda call: call()
     )
-    request = Fibonacci.GetResult.Request(goal_id={"uuid": list(range(16))})
+    uuid = UUID(uuid=list(range(16)))  # type: ignore[arg-type]
+    request = Fibonacci.GetResult.Request(goal_id=uuid)
     client.call(request, answers.append, answers.append, 5.0)
     counter.run_for(0.0)
     restored.succeed(Fibonacci.Result(sequence=[1]))  # type: ignore[arg-type]

@@ -1,0 +1,244 @@
+"""Services and actions of a robot, as a script uses them."""
+
+from __future__ import annotations
+
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Generic, Self, TypeVar
+
+from cairn.bus import keys
+from cairn.bus.actions import ActionCaller, make_at_once
+from cairn.bus.bus import ServiceError
+from cairn.bus.codec import Codec
+from cairn.bus.services import ZenohClient
+from cairn.bus.type_hash import type_hash
+from cairn.client.connection import Connection
+from cairn.errors import CairnError
+from cairn.schemas.message import Action, Service, type_name
+
+Request = TypeVar("Request")
+Response = TypeVar("Response")
+Goal = TypeVar("Goal")
+Result = TypeVar("Result")
+Feedback = TypeVar("Feedback")
+
+_ACTION = "/_action/send_goal"
+_DISCOVERY_S = 2.0  # until what a router knows of servers has arrived
+_POLL_S = 0.02
+
+
+@dataclass(frozen=True)
+class ServiceInfo:
+    """A service or an action on the bus.
+
+    Attributes:
+        name: full name, `/robot/save_map`.
+        type_name: its type in ROS 2.
+        servers: full names of the nodes that provide it.
+        clients: full names of the nodes that use it.
+    """
+
+    name: str
+    type_name: str
+    servers: tuple[str, ...]
+    clients: tuple[str, ...]
+
+
+def find_services(connection: Connection) -> tuple[list[ServiceInfo], list[ServiceInfo]]:
+    """Return the services on the bus, without those that are part of an action, and the actions."""
+    ends: dict[tuple[str, str], dict[str, set[str]]] = {}
+    for end in connection.service_endpoints():
+        kinds = ends.setdefault((end.topic, end.type_name), {"SS": set(), "SC": set()})
+        kinds[end.kind].add(end.node.name)
+    services, actions = [], []
+    for (name, kind), found in sorted(ends.items()):
+        servers, clients = tuple(sorted(found["SS"])), tuple(sorted(found["SC"]))
+        if name.endswith(_ACTION):
+            action = kind.removesuffix("_SendGoal")
+            actions.append(ServiceInfo(name.removesuffix(_ACTION), action, servers, clients))
+        elif "/_action/" not in name:
+            services.append(ServiceInfo(name, kind, servers, clients))
+    return services, actions
+
+
+def service_client(
+    connection: Connection, name: str, service: type[Service[Any, Any]]
+) -> ZenohClient:
+    """Return a client of a service (full name), whose answers arrive on Zenoh's threads."""
+    key = keys.data_key(connection.domain, name, type_name(service), type_hash(service))
+    return ZenohClient(
+        connection.session, Codec(), name, key, secrets.token_bytes(16), service,
+        make_at_once, make_at_once,
+    )  # fmt: skip
+
+
+def call_service(
+    connection: Connection,
+    name: str,
+    service: type[Service[Request, Response]],
+    request: Request,
+    timeout_s: float,
+) -> Response:
+    """Call a service (full name) and return its response; raises `ServiceError`."""
+    client = service_client(connection, name, service)
+    try:
+        await_server(connection, name, type_name(service), lambda: client.is_available, timeout_s)
+        outcome: queue.Queue[Any] = queue.Queue()
+        client.call(request, outcome.put, outcome.put, timeout_s)
+        try:
+            answer = outcome.get(timeout=timeout_s + _DISCOVERY_S)
+        except queue.Empty:
+            raise ServiceError(f"{name}: no answer within {timeout_s:g} s") from None
+        if isinstance(answer, ServiceError):
+            raise answer
+        return answer  # type: ignore[no-any-return]
+    finally:
+        client.close()
+
+
+def await_server(
+    connection: Connection,
+    name: str,
+    kind: str,
+    is_available: Callable[[], bool],
+    timeout_s: float,
+) -> None:
+    """Wait until a server is known here; `ServiceError` with what there is if there is none."""
+    deadline = time.monotonic() + min(timeout_s, _DISCOVERY_S)
+    pause = threading.Event()
+    while not is_available():
+        if time.monotonic() > deadline:
+            raise ServiceError(_no_server(connection, name, kind))
+        pause.wait(_POLL_S)
+
+
+def _no_server(connection: Connection, name: str, kind: str) -> str:
+    services, actions = find_services(connection)
+    for one in (*services, *actions):
+        if one.name == name and one.servers and one.type_name != kind:
+            return f"{name} has type {one.type_name}, not {kind}"
+        if one.name == name and one.servers:
+            return (
+                f"{name}: its server {one.servers[0]} has another definition of {kind}, or cannot "
+                "be reached: over the network, your role may not use it"
+            )
+    return f"{name}: there is no server; `cairn service list` and `cairn action list` show all"
+
+
+class RunningGoal(Generic[Goal, Result, Feedback]):
+    """A goal that was sent to an action server: iterate over its feedback, await its result."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        name: str,
+        action: type[Action[Goal, Result, Feedback]],
+        goal: Goal,
+        timeout_s: float,
+    ) -> None:
+        """Send a goal to an action (full name); raises `ServiceError` if it is not accepted."""
+        self._changed = threading.Condition()
+        self._name = name
+        self._seen = 0
+        self._caller: ActionCaller[Goal, Result, Feedback] = ActionCaller(
+            name,
+            action,
+            lambda one, service: service_client(connection, one, service),
+            self._notify,
+        )
+        key = keys.message_key(
+            connection.domain, self._caller.feedback_topic, action.FeedbackMessage
+        )
+        codec, message = Codec(), action.FeedbackMessage
+
+        def receive(sample: Any) -> None:
+            try:
+                feedback = codec.decode(message, sample.payload.to_bytes())
+            except ValueError:
+                return  # of a false publisher
+            self._caller.receive_feedback(feedback)
+
+        self._subscriber = connection.subscriber(key, receive, latched=False)
+        try:
+            await_server(
+                connection, name, type_name(action), lambda: self._caller.is_available, timeout_s
+            )
+            self._sent = self._caller.send(secrets.token_bytes(16), goal, timeout_s)
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._sent.is_accepted or self._sent.has_ended, timeout_s + _DISCOVERY_S
+                )
+            if self._sent.error is not None:
+                raise self._sent.error
+            if not self._sent.is_accepted and not self._sent.has_ended:
+                raise ServiceError(f"{name}: the goal was not answered within {timeout_s:g} s")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def id(self) -> str:
+        """The goal's id: 32 hexadecimal digits."""
+        return self._sent.id.hex()
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it has a result, or is lost."""
+        return self._sent.has_ended
+
+    def __iter__(self) -> Iterator[Feedback]:
+        """Yield the feedback until the goal has ended."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._seen < len(self._sent.feedback) or self._sent.has_ended
+                )
+                if self._seen >= len(self._sent.feedback):
+                    return
+                feedback = self._sent.feedback[self._seen]
+                self._seen += 1
+            yield feedback
+
+    def result(self, timeout_s: float | None = None) -> tuple[int, Result]:
+        """Wait for the end; return the final status and the result.
+
+        The status is one of the constants of `action_msgs/msg/GoalStatus`. Raises `ServiceError` if
+        the server ended, `CairnError` if the goal has not ended within `timeout_s` [s]; it is not
+        canceled then.
+        """
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._sent.has_ended, timeout_s):
+                raise CairnError(f"{self._name}: the goal has not ended within {timeout_s:g} s")
+        if self._sent.error is not None:
+            raise self._sent.error
+        assert self._sent.status is not None
+        assert self._sent.result is not None
+        return self._sent.status, self._sent.result
+
+    def cancel(self, timeout_s: float = 5.0) -> bool:
+        """Request that it is canceled; return whether the server accepts that."""
+        self._sent.cancel()
+        deadline = time.monotonic() + timeout_s
+        pause = threading.Event()
+        while self._sent.cancel_code is None and time.monotonic() < deadline:
+            pause.wait(_POLL_S)
+        return self._sent.cancel_code == 0
+
+    def close(self) -> None:
+        """Receive nothing more; the goal itself continues."""
+        self._subscriber.undeclare()
+        self._caller.close()
+
+    def _notify(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
