@@ -109,7 +109,10 @@ def definition(message: type[Any]) -> str:
 
 
 def own_definition(message: type[Any]) -> str:
-    """Return the text of a .msg file with the constants and fields of one message class."""
+    """Return the text of a .msg file with the constants and fields of one message class.
+
+    It is never empty: in a recording, an empty text stands for a definition that is not known.
+    """
     lines = [f"{one.ros_type} {one.name}={one.value}" for one in constants_of(message)]
     for field in fields_of(message):
         if field.name == PLACEHOLDER:
@@ -120,7 +123,7 @@ def own_definition(message: type[Any]) -> str:
         most = "" if field.most is None else f"<={field.most}"
         many = "" if field.count is None else f"[{field.count or most}]"
         lines.append(f"{one.replace('/msg/', '/')}{many} {field.name}")
-    return "".join(f"{line}\n" for line in lines)
+    return "".join(f"{line}\n" for line in lines or ["# no fields"])
 
 
 def field_type(field: Field) -> FieldDesc:
