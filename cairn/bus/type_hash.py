@@ -2,10 +2,7 @@
 
 import hashlib
 import json
-from typing import Any, Final, cast
-
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc
+from typing import Any, Final
 
 from cairn.schemas.definitions import PLACEHOLDER
 from cairn.schemas.message import Field, classes_in, constants_of, fields_of, type_name
@@ -124,16 +121,3 @@ def own_definition(message: type[Any]) -> str:
         many = "" if field.count is None else f"[{field.count or most}]"
         lines.append(f"{one.replace('/msg/', '/')}{many} {field.name}")
     return "".join(f"{line}\n" for line in lines or ["# no fields"])
-
-
-def field_type(field: Field) -> FieldDesc:
-    """Return the type of a field as rosbags describes it."""
-    if isinstance(field.element, type):
-        one: Any = (Nodetype.NAME, type_name(field.element))
-    else:
-        one = (Nodetype.BASE, (field.element, field.text_most or 0))
-    if field.count is None:
-        return cast("FieldDesc", one)
-    if field.count:
-        return cast("FieldDesc", (Nodetype.ARRAY, (one, field.count)))
-    return cast("FieldDesc", (Nodetype.SEQUENCE, (one, field.most or 0)))

@@ -190,7 +190,7 @@ def _leaves(message: type[Any]) -> Iterator[str]:
 
 
 def plain_values(topic: str, text: str) -> Mapping[str, Any]:
-    """Return the fields in a text of YAML or JSON; `CairnError` if it is no mapping."""
+    """Return the fields in a text of YAML or JSON; `CairnError` if it is not a mapping."""
     values = yaml_value(topic, text)
     if not isinstance(values, Mapping):
         raise CairnError(f"{text!r} is not a mapping of fields; write it as '{{data: 1}}'")
