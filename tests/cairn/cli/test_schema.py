@@ -218,6 +218,23 @@ def test_types_of_installed_packages_are_known(installed: list[_Point]) -> None:
     assert cairn("schema", "list", "far_msgs").code == 0
 
 
+def test_invalid_type_does_not_hide_the_others(
+    installed: list[_Point], workspace: Path, tmp_path: Path
+) -> None:
+    (workspace / "python/clean_msgs/msg/Status.msg").write_text("uint8 Level\n")
+
+    shown = cairn("schema", "list", "clean_msgs", "--hash")
+    rows = dict(line.split() for line in shown.out.splitlines()[1:])
+    assert rows["clean_msgs/msg/Status"] == "invalid"
+    assert rows["clean_msgs/srv/Dock"].startswith("RIHS01_")
+    assert_words(shown.err, "left out clean_msgs/msg/Status", "Status.msg:1:", "'Level'")
+
+    exported = cairn("schema", "export", str(tmp_path / "ros"))
+    assert (exported.code, "left out clean_msgs/msg/Status" in exported.err) == (0, True)
+    files = {file.name for file in (tmp_path / "ros/share/clean_msgs").rglob("*.*")}
+    assert files == {"package.xml", "Dock.srv", "Dock.json"}
+
+
 def test_broken_package_does_not_hide_the_others(
     installed: list[_Point], workspace: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
