@@ -63,8 +63,7 @@ def _messages_page() -> str:
     parts = [
         "# Messages\n\nThe types of messages, services and actions that Cairn ships. Messages that "
         "Cairn's components use have their definitions here; `cairn schema show TYPE` prints those "
-        "of all types. [Messages, services and actions](../how-to/messages.md) shows how to use "
-        "them.\n"
+        "of all types. [Use and import ROS 2 types](../how-to/messages.md) shows how to use them.\n"
     ]
     described = schema_messages()
     names = [name for name in interface_type_names() if _is_of_cairn(name)]

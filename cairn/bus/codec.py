@@ -25,10 +25,10 @@ from rosbags.serde.primitives import (
 )
 from rosbags.typesys.store import Typestore
 
-from cairn.bus.type_hash import field_type
 from cairn.errors import CairnError
 from cairn.schemas.definitions import PLACEHOLDER
 from cairn.schemas.message import (
+    Field,
     InvalidMessage,
     decoding_constructor,
     fields_of,
@@ -117,7 +117,7 @@ class Codec:
                 self.register(element)
             # A byte is unsigned in ROS 2, signed in rosbags.
             as_sent = replace(field, element="uint8") if element == "byte" else field
-            plain.append((field.name, field_type(as_sent)))
+            plain.append((field.name, _field_type(as_sent)))
             wire.append(plain[-1])
             if field.packed and isinstance(element, type):
                 whole = f"Packed[{type_name(element)}]"
@@ -270,6 +270,19 @@ def _is_plain(data: bytes | memoryview) -> bool:
     return isinstance(data, bytes) or (
         data.readonly and data.format == "B" and data.ndim == 1 and data.c_contiguous
     )
+
+
+def _field_type(field: Field) -> FieldDesc:
+    """Return the type of a field as rosbags describes it."""
+    if isinstance(field.element, type):
+        one: Any = (Nodetype.NAME, type_name(field.element))
+    else:
+        one = (Nodetype.BASE, (field.element, field.text_most or 0))
+    if field.count is None:
+        return cast("FieldDesc", one)
+    if field.count:
+        return cast("FieldDesc", (Nodetype.ARRAY, (one, field.count)))
+    return cast("FieldDesc", (Nodetype.SEQUENCE, (one, field.most or 0)))
 
 
 def _as_tuple(*values: Any) -> tuple[Any, ...]:

@@ -2,10 +2,7 @@
 
 import hashlib
 import json
-from typing import Any, Final, cast
-
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc
+from typing import Any, Final
 
 from cairn.schemas.definitions import PLACEHOLDER
 from cairn.schemas.message import Field, classes_in, constants_of, fields_of, type_name
@@ -109,7 +106,10 @@ def definition(message: type[Any]) -> str:
 
 
 def own_definition(message: type[Any]) -> str:
-    """Return the text of a .msg file with the constants and fields of one message class."""
+    """Return the text of a .msg file with the constants and fields of one message class.
+
+    It is never empty: in a recording, an empty text stands for a definition that is not known.
+    """
     lines = [f"{one.ros_type} {one.name}={one.value}" for one in constants_of(message)]
     for field in fields_of(message):
         if field.name == PLACEHOLDER:
@@ -120,17 +120,4 @@ def own_definition(message: type[Any]) -> str:
         most = "" if field.most is None else f"<={field.most}"
         many = "" if field.count is None else f"[{field.count or most}]"
         lines.append(f"{one.replace('/msg/', '/')}{many} {field.name}")
-    return "".join(f"{line}\n" for line in lines)
-
-
-def field_type(field: Field) -> FieldDesc:
-    """Return the type of a field as rosbags describes it."""
-    if isinstance(field.element, type):
-        one: Any = (Nodetype.NAME, type_name(field.element))
-    else:
-        one = (Nodetype.BASE, (field.element, field.text_most or 0))
-    if field.count is None:
-        return cast("FieldDesc", one)
-    if field.count:
-        return cast("FieldDesc", (Nodetype.ARRAY, (one, field.count)))
-    return cast("FieldDesc", (Nodetype.SEQUENCE, (one, field.most or 0)))
+    return "".join(f"{line}\n" for line in lines or ["# no fields"])

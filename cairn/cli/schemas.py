@@ -60,7 +60,8 @@ def list_types(
             continue
         row = {"type": name, "kind": _KIND_TITLES[kind], "module": _module(name, of_plugins)}
         if hashes or json:
-            row["hash"] = type_hash(of_plugins.get(name) or interface(name))
+            valid = _valid(name, of_plugins)
+            row["hash"] = "invalid" if valid is None else type_hash(valid)
         rows.append(row)
     columns = ("type", "hash") if hashes else ("type", "module")
     show(rows, columns, as_json=json)
@@ -134,7 +135,7 @@ def export_types(
     """
     of_plugins = messages_of_plugins()
     names = sorted({*interface_type_names(), *of_plugins})
-    types = {name: of_plugins.get(name) or interface(name) for name in names}
+    types = {name: found for name in names if (found := _valid(name, of_plugins)) is not None}
     count = export_definitions(types, folder)
     line(f"wrote {len(types)} types of {count} packages; for tools that read them:")
     line(f"export AMENT_PREFIX_PATH={folder.resolve()}")
@@ -180,6 +181,15 @@ def messages_of_plugins() -> dict[str, type[Any]]:
         for message in classes_in(port.message)
     }
     return {name: one for name, one in messages.items() if find_defined_message(name) is None}
+
+
+def _valid(name: str, of_plugins: dict[str, type[Any]]) -> type[Any] | None:
+    """Return the class of a type; if its definition is invalid, print that and return None."""
+    try:
+        return of_plugins.get(name) or interface(name)
+    except DefinitionError as error:
+        note(f"left out {name}: {error}")
+        return None
 
 
 def _module(name: str, of_plugins: dict[str, type[Any]]) -> str:

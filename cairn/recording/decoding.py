@@ -141,8 +141,22 @@ def _defined(name: str, schema: bytes) -> Definition:
             is_number = element[0] == Nodetype.BASE and element[1][0] != "string"
             if length > (2**32 if is_number else _LONGEST_ARRAY):
                 raise ValueError(f"its field {field} has {length:,} elements")
+    types = {
+        one: (constants, [(field, _with_unsigned_bytes(kind)) for field, kind in of])
+        for one, (constants, of) in types.items()
+    }
     # rosbags names the messages of services in its own way: its first one is that of the channel.
     return Definition(name if name in types else next(iter(types)), types)
+
+
+def _with_unsigned_bytes(kind: Any) -> Any:
+    """Return the type of a field; a byte is signed in rosbags, and in ROS 2 unsigned."""
+    if kind[0] == Nodetype.BASE:
+        return (Nodetype.BASE, ("uint8", 0)) if kind[1][0] == "byte" else kind
+    if kind[0] == Nodetype.NAME:
+        return kind
+    element, count = kind[1]
+    return (kind[0], (_with_unsigned_bytes(element), count))
 
 
 def _by_definition(definition: Definition) -> Callable[[bytes], Any]:

@@ -59,7 +59,7 @@ _STATE_IDS = {
 
 
 def ros_state(state: str) -> State:
-    """Return a state as ROS 2 numbers it; a state that a managed node does not have is unknown."""
+    """Return a state as ROS 2 numbers it; one that managed nodes do not have is unknown."""
     known = _STATE_IDS.get(LifecycleState(state)) if state in set(LifecycleState) else None
     return State(id=known or State.PRIMARY_STATE_UNKNOWN, label=state)
 

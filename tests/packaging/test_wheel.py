@@ -89,6 +89,9 @@ def test_wheel_contains_one_package_with_its_data(wheel: Path) -> None:
     for file in (
         "cairn/py.typed",
         "cairn/schemas/py.typed",
+        "cairn/schemas/SOURCES.md",
+        "cairn/schemas/std_srvs/srv/__init__.py",
+        "cairn/schemas/std_srvs/srv/__init__.pyi",
         "cairn/deploy/sim.yaml",
         "cairn/deploy/maps/room.cairn",
         "cairn/deploy/worlds/hall.yaml",
@@ -100,6 +103,22 @@ def test_wheel_contains_one_package_with_its_data(wheel: Path) -> None:
     ):
         assert file in names
     assert not [name for name in names if "__pycache__" in name]
+    definitions = {
+        f"cairn/schemas/{file.relative_to(ROOT / 'schemas')}"
+        for kind in ("msg", "srv", "action")
+        for file in (ROOT / "schemas").glob(f"*/{kind}/*.*")
+    }
+    assert len(definitions) > 300
+    assert definitions <= set(names)
+
+
+def test_installed_package_finds_definitions_and_their_sources(
+    installed: Environment, tmp_path: Path
+) -> None:
+    shown = installed.run("cairn", "schema", "show", "nav2_msgs/action/Spin", folder=tmp_path)
+
+    assert "float32 target_yaw" in shown
+    assert "std_srvs/srv/Trigger" in installed.run("cairn", "schema", "list", folder=tmp_path)
 
 
 def test_packages_of_the_user_may_have_the_names_of_cairns_folders(

@@ -14,7 +14,7 @@ import pytest
 from cairn.bus.codec import Codec
 from cairn.bus.message_limits import length_of
 from cairn.errors import CairnError
-from cairn.schemas import package_files
+from cairn.schemas import interfaces, package_files
 from cairn.schemas.definitions import DefinitionError
 from cairn.schemas.interfaces import interface, packages
 from cairn.schemas.message import InvalidMessage
@@ -31,6 +31,12 @@ Write = Callable[[Path, dict[str, str]], Path]
 def name() -> str:
     """A name of a package that no other test has: a process has one package of each name."""
     return f"test{next(_numbers)}_msgs"
+
+
+@pytest.fixture(autouse=True)
+def _registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Packages of these tests are unknown to the others."""
+    monkeypatch.setattr(interfaces, "_registry", interfaces._Registry())
 
 
 @pytest.fixture

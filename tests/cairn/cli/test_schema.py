@@ -8,16 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from cairn.bus.type_hash import type_description, type_hash
+from cairn import LATCHED
+from cairn.bus.type_hash import definition, type_description, type_hash
 from cairn.cli.schemas import find_message, messages_of_plugins
 from cairn.compilation import deferred_compilation
 from cairn.deployment.plugins import installed_plugins
 from cairn.errors import CairnError
+from cairn.recording.mcap_file import McapFile
 from cairn.schemas import interfaces
 from cairn.schemas.interfaces import find_message as find_defined_message
 from cairn.schemas.interfaces import interface
 from cairn.schemas.message import classes_in, type_name
 from cairn.schemas.package_files import import_packages
+from tests.cairn.bus.network import Network, node
 from tests.commands import cairn
 from tests.schemas.random_messages import HASHES
 from tests.wording import assert_words, words_in_order
@@ -184,6 +187,14 @@ def test_import_into_a_folder_that_cannot_be_written(workspace: Path) -> None:
     assert_words(shown.err, "file cannot be written")
 
 
+@pytest.fixture
+def network() -> Iterator[Network]:
+    """A router, to which commands connect."""
+    network = Network()
+    yield network
+    network.close()
+
+
 class _Point:
     """An entry point of an installed package."""
 
@@ -216,6 +227,23 @@ def test_types_of_installed_packages_are_known(installed: list[_Point]) -> None:
         cairn("schema", "show", "clean_msgs/srv/Dock").out, "MSG: far_msgs/Far", "float32 x"
     )
     assert cairn("schema", "list", "far_msgs").code == 0
+
+
+def test_invalid_type_does_not_hide_the_others(
+    installed: list[_Point], workspace: Path, tmp_path: Path
+) -> None:
+    (workspace / "python/clean_msgs/msg/Status.msg").write_text("uint8 Level\n")
+
+    shown = cairn("schema", "list", "clean_msgs", "--hash")
+    rows = dict(line.split() for line in shown.out.splitlines()[1:])
+    assert rows["clean_msgs/msg/Status"] == "invalid"
+    assert rows["clean_msgs/srv/Dock"].startswith("RIHS01_")
+    assert_words(shown.err, "left out clean_msgs/msg/Status", "Status.msg:1:", "'Level'")
+
+    exported = cairn("schema", "export", str(tmp_path / "ros"))
+    assert (exported.code, "left out clean_msgs/msg/Status" in exported.err) == (0, True)
+    files = {file.name for file in (tmp_path / "ros/share/clean_msgs").rglob("*.*")}
+    assert files == {"package.xml", "Dock.srv", "Dock.json"}
 
 
 def test_broken_package_does_not_hide_the_others(
@@ -275,3 +303,34 @@ def test_export_again_renews_and_spares_what_it_did_not_write(tmp_path: Path) ->
     assert refused.code == 1
     assert_words(refused.err, "std_msgs", "was not written by", "empty folder")
     assert [file.name for file in (foreign / "share").iterdir()] == ["std_msgs"]
+
+
+@pytest.mark.processes
+def test_types_that_no_component_has_imported_are_echoed_and_recorded(
+    network: Network, tmp_path: Path
+) -> None:
+    endpoint = network.endpoint
+    temperature = interface("sensor_msgs/msg/Temperature")
+    feedback = interface("nav2_msgs/action/Spin_FeedbackMessage")
+    robot = node(network.bus(), "/rover/thermometer")
+    publishers = [
+        robot.advertise("/rover/temperature", temperature, LATCHED),
+        robot.advertise("/rover/spin/feedback", feedback, LATCHED),
+    ]
+    publishers[0].publish(temperature(temperature=21.5))
+    publishers[1].publish(feedback(feedback={"angular_distance_traveled": 0.5}))
+    echo = ("--count", "1", "--json")
+
+    shown = cairn("topic", "echo", "/rover/temperature", *echo, connect=endpoint)
+    assert shown.json["temperature"] == 21.5
+    shown = cairn("topic", "echo", "/rover/spin/feedback", *echo, connect=endpoint)
+    assert shown.json["feedback"] == {"angular_distance_traveled": 0.5}
+
+    file = tmp_path / "drive.mcap"
+    recorded = cairn("record", "--duration", "1", "-o", str(file), connect=endpoint)
+    assert recorded.code == 0, recorded.err
+    with McapFile(file) as recording:
+        recording.index()
+        found = {one.type: one.schema.decode() for one in recording.channels}
+    assert found["sensor_msgs/msg/Temperature"] == definition(temperature)
+    assert found["nav2_msgs/action/Spin_FeedbackMessage"] == definition(feedback)
