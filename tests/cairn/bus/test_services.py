@@ -250,7 +250,7 @@ def test_invalid_request_is_refused_with_the_reason() -> None:
         replies: queue.Queue[Any] = queue.Queue()
         for payload in (b"\x00\x01\x00\x00\x01", bytes(10_000)):
             clients.session.get(
-                calling.client._announcement.key,  # type: ignore[attr-defined]
+                calling.client._key,  # type: ignore[attr-defined]
                 replies.put,
                 payload=payload,
             )
