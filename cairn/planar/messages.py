@@ -7,10 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.errors import CairnError
 from cairn.planar import poses
+from cairn.schemas.builtin_interfaces import Duration
 from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
+    PoseStamped,
     PoseWithCovariance,
     Quaternion,
     Transform,
@@ -44,6 +47,27 @@ def planar_pose(pose: Pose) -> poses.Pose:
         w, x, y, z = w / largest, x / largest, y / largest, z / largest
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return pose.position.x, pose.position.y, yaw
+
+
+class WrongFrame(CairnError):
+    """A pose is in another frame than map."""
+
+
+def pose_in_map(pose: PoseStamped, name: str) -> poses.Pose:
+    """Return x [m], y [m] and yaw [rad] of a pose in frame map; a pose without a frame is in map.
+
+    Raises `WrongFrame`, with the `name` of the pose, if it is in another frame.
+    """
+    frame = pose.header.frame_id.removeprefix("/")
+    if frame not in ("", "map"):
+        raise WrongFrame(f"{name} is in frame {frame}, not map")
+    return planar_pose(pose.pose)
+
+
+def duration_message(seconds: float) -> Duration:
+    """Return a time [s] as a message, at most the longest one (68 years)."""
+    sec, nanosec = divmod(round(min(seconds, 2.0**31 - 1) * 1e9), 10**9)
+    return Duration(sec=sec, nanosec=nanosec)
 
 
 def transform_message(header: Header, child_frame: str, pose: poses.Pose) -> TransformStamped:

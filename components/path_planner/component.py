@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+from typing import Any, Final
+
 import numpy as np
 
 from cairn import (
@@ -9,12 +12,15 @@ from cairn import (
     RELIABLE,
     SECOND,
     SENSOR,
+    ActionServer,
     Component,
     Config,
     In,
     Out,
+    ServerGoal,
     every,
     from_ns,
+    goal,
     on,
     to_ns,
 )
@@ -34,7 +40,14 @@ from cairn.components.path_planner.planning import (
     remaining_cost,
 )
 from cairn.planar.grid import OccupancyCells, grid_of
-from cairn.planar.messages import packed_poses, planar_pose, pose_message
+from cairn.planar.messages import (
+    WrongFrame,
+    duration_message,
+    packed_poses,
+    planar_pose,
+    pose_in_map,
+    pose_message,
+)
 from cairn.planar.odometry import OdometryChange
 from cairn.planar.pose_tracker import PoseTracker, WaitingScans
 from cairn.planar.poses import Pose
@@ -49,6 +62,7 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.map_msgs import OccupancyGridUpdate
+from cairn.schemas.nav2_msgs.action import ComputePathToPose
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -72,6 +86,22 @@ _HORIZON_S, _FASTEST, _FASTEST_TURN = 3.0, 2.0, 4.0
 # time is not extrapolated.
 _NEARLY_S = 0.02
 
+_ERROR_CODES: Final = {
+    PlanOutcome.FOUND: ComputePathToPose.Result.NONE,
+    PlanOutcome.NOT_READY: ComputePathToPose.Result.TF_ERROR,
+    PlanOutcome.START_BLOCKED: ComputePathToPose.Result.START_OCCUPIED,
+    PlanOutcome.START_IN_KEEPOUT: ComputePathToPose.Result.START_OCCUPIED,
+    PlanOutcome.GOAL_BLOCKED: ComputePathToPose.Result.GOAL_OCCUPIED,
+    PlanOutcome.GOAL_IMPOSSIBLE: ComputePathToPose.Result.GOAL_OCCUPIED,
+    PlanOutcome.GOAL_IN_KEEPOUT: ComputePathToPose.Result.GOAL_OCCUPIED,
+    PlanOutcome.OUTSIDE_MAP: ComputePathToPose.Result.GOAL_OUTSIDE_MAP,
+    PlanOutcome.UNREACHABLE: ComputePathToPose.Result.NO_VALID_PATH,
+}
+"""The error codes of Nav2 with the same meaning."""
+
+_PLANNERS: Final = ("", "GridBased")
+"""Names of the one planner in goals of `compute_path_to_pose`: the second is Nav2's own default."""
+
 
 class PathPlanner(Component):
     """Plan the path to the goal of the current navigation command, and replan when necessary.
@@ -81,6 +111,13 @@ class PathPlanner(Component):
     """
 
     config: PathPlannerConfig
+
+    service_roles = MappingProxyType({"compute_path_to_pose": "operate"})
+
+    compute_path_to_pose: ActionServer[
+        ComputePathToPose.Goal, ComputePathToPose.Result, ComputePathToPose.Feedback
+    ]
+
     nav_command: In[NavCommand] = In(qos=LATCHED.with_depth(5))
     map: In[OccupancyGrid] = In(qos=LATCHED)
     map_updates: In[OccupancyGridUpdate] = In(qos=RELIABLE.with_depth(50))
@@ -257,6 +294,51 @@ class PathPlanner(Component):
             self._command, self._result = nav_command, None
             self._replan()
 
+    @goal("compute_path_to_pose")
+    def on_compute_path(self, goal: ServerGoal[Any, Any, Any]) -> None:
+        """Answer with a path, as Nav2's planner server; the robot does not drive it."""
+        began = self.clock.now()
+        code, reason, path = self._compute_path(goal.goal)
+        result = ComputePathToPose.Result(
+            path=path,
+            planning_time=duration_message((self.clock.now() - began) / SECOND),
+            error_code=code,
+            error_msg=reason,
+        )
+        if code == ComputePathToPose.Result.NONE:
+            goal.succeed(result)
+        else:
+            self.log.info("no path for compute_path_to_pose: %s", reason)
+            goal.abort(result)
+
+    def _compute_path(self, asked: ComputePathToPose.Goal) -> tuple[int, str, Path]:
+        """Return an error code of `ComputePathToPose.Result`, its reason, and the path."""
+        codes, none = ComputePathToPose.Result, Path()
+        if asked.planner_id not in _PLANNERS:
+            text = f"unknown planner {asked.planner_id!r}; leave planner_id empty"
+            return codes.INVALID_PLANNER, text, none
+        if self._costs is None:
+            return codes.TIMEOUT, self._missing_input(), none
+        try:
+            target = pose_in_map(asked.goal, "the goal")
+            start = pose_in_map(asked.start, "the start") if asked.use_start else None
+        except WrongFrame as error:
+            return codes.TF_ERROR, str(error), none
+        if start is None:
+            start = self._current_pose()
+            missing = self._missing_input()
+            if start is None or missing:
+                return codes.TF_ERROR, missing, none
+        if self._costs.cell(start[0], start[1]) is None:
+            text = f"the start ({start[0]:.2f}, {start[1]:.2f}) is outside the map"
+            return codes.START_OUTSIDE_MAP, text, none
+        self._forget_old_obstacles()
+        result = self._plan_between(self._costs, start, target)
+        if result.route is None:
+            return _ERROR_CODES[result.outcome], result.reason, none
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
+        return codes.NONE, "", path_message(header, result, most=len(result.route.poses))
+
     @every(hz=2)
     def look_for_better_path(self) -> None:
         """Look for a better path, or for a path if there is none."""
@@ -329,12 +411,11 @@ class PathPlanner(Component):
         missing = self._missing_input()
         if missing or pose is None or self._costs is None:
             return PlanResult(PlanOutcome.NOT_READY, reason=missing)
-        return self._planner.plan(
-            self._costs,
-            pose,
-            planar_pose(command.goal),
-            may_leave_keepout=self.config.in_keepout == "leave",
-        )
+        return self._plan_between(self._costs, pose, planar_pose(command.goal))
+
+    def _plan_between(self, costs: CostMap, start: Pose, goal: Pose) -> PlanResult:
+        leaves = self.config.in_keepout == "leave"
+        return self._planner.plan(costs, start, goal, may_leave_keepout=leaves)
 
     def _replan(self) -> None:
         result = self._plan_now()
@@ -430,12 +511,15 @@ def plan_message(header: Header, goal_id: int, result: PlanResult) -> Plan:
     )
 
 
-def path_message(header: Header, result: PlanResult) -> Path:
-    """Return the poses of a result for display, at most MAX_SHOWN_POSES; empty without a path."""
+def path_message(header: Header, result: PlanResult, most: int = MAX_SHOWN_POSES) -> Path:
+    """Return the poses of a result, evenly chosen if there are more than `most`.
+
+    The message has no poses without a path.
+    """
     if result.route is None:
         return Path(header=header)
     poses = result.route.poses
-    indices = np.linspace(0, len(poses) - 1, min(len(poses), MAX_SHOWN_POSES)).astype(np.int64)
+    indices = np.linspace(0, len(poses) - 1, min(len(poses), most)).astype(np.int64)
     return Path(
         header=header,
         poses=tuple(

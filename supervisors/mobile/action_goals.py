@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
 from cairn import SECOND, CairnError, ServerGoal
-from cairn.planar.messages import planar_pose, pose_message
+from cairn.planar.messages import duration_message, pose_in_map, pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.builtin_interfaces import Duration
 from cairn.schemas.cairn_nav_msgs import (
@@ -66,10 +66,6 @@ def error_code(reason: int) -> int:
     """Return Nav2's error code for the number of a `ReasonCode`, of this version or another."""
     known = _ERROR_CODES.get(ReasonCode(reason)) if reason in _KNOWN else None
     return UNKNOWN_ERROR if known is None else known
-
-
-class WrongFrame(CairnError):
-    """A pose of a goal is in another frame than map."""
 
 
 class ActionGoal:
@@ -245,7 +241,7 @@ class MotionGoal(ActionGoal):
 
     def moved(self, status: NavigationStatus) -> float:
         """Return how much is done; note the time that it took."""
-        self.elapsed = _duration(status.elapsed)
+        self.elapsed = duration_message(status.elapsed)
         return max(0.0, abs(self.amount) - status.distance_left)
 
 
@@ -327,16 +323,11 @@ def goal_message(action: str, goals: Sequence[Pose]) -> Any:
 def _common(status: NavigationStatus, pose: PoseStamped) -> dict[str, Any]:
     return {
         "current_pose": pose,
-        "navigation_time": _duration(status.elapsed),
-        "estimated_time_remaining": _duration(status.time_left),
+        "navigation_time": duration_message(status.elapsed),
+        "estimated_time_remaining": duration_message(status.time_left),
         "number_of_recoveries": min(status.recoveries, 2**15 - 1),
         "distance_remaining": status.distance_left,
     }
-
-
-def _duration(seconds: float) -> Duration:
-    sec, nanosec = divmod(round(min(seconds, 2.0**31 - 1) * SECOND), SECOND)
-    return Duration(sec=sec, nanosec=nanosec)
 
 
 def planar_goals(goal: ActionGoal) -> list[Pose]:
@@ -347,8 +338,4 @@ def planar_goals(goal: ActionGoal) -> list[Pose]:
     poses = goal.poses
     if goal.first >= len(poses):
         raise CairnError(f"the goal has {len(poses)} poses, and begins with pose {goal.first + 1}")
-    for number, pose in enumerate(poses, 1):
-        frame = pose.header.frame_id.removeprefix("/")
-        if frame not in ("", "map"):
-            raise WrongFrame(f"pose {number} is in frame {frame}, not map")
-    return [planar_pose(pose.pose) for pose in poses]
+    return [pose_in_map(pose, f"pose {number}") for number, pose in enumerate(poses, 1)]

@@ -26,7 +26,7 @@ from cairn import (
     goal,
     on,
 )
-from cairn.planar.messages import packed_poses, planar_pose, planar_poses
+from cairn.planar.messages import WrongFrame, packed_poses, planar_pose, planar_poses
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
     NAVIGATION_END_STATES,
@@ -56,7 +56,6 @@ from cairn.supervisors.mobile.action_goals import (
     ThroughPoses,
     ToPose,
     Waypoints,
-    WrongFrame,
     error_code,
     goal_message,
     planar_goals,
@@ -125,7 +124,9 @@ class MobileSupervisor(Supervisor):
 
     request_roles = MappingProxyType({"go": "operate", "cancel": "operate", "mission": "view"})
     service_roles = MappingProxyType(
-        dict.fromkeys((ToPose.action, ThroughPoses.action, Waypoints.action), "operate")
+        dict.fromkeys(
+            (ToPose.action, ThroughPoses.action, Waypoints.action, "spin", "back_up"), "operate"
+        )
     )
     request_max_bytes = MappingProxyType({"go": 256 << 10})
     urgent_requests = frozenset({"cancel"})
