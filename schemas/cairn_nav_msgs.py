@@ -115,6 +115,9 @@ ReasonNumber = Annotated[int, Scalar("uint8", at_most=int(max(ReasonCode)))]
 MAX_GOALS: Final = 1000
 """A mission has at most so many goals."""
 
+MAX_MOTION: Final = 1e6
+"""The longest motion without a map [m], [rad]."""
+
 
 @message("cairn_nav_msgs/msg/NavigateGoal")
 class NavigateGoal:
@@ -122,7 +125,7 @@ class NavigateGoal:
 
     `mission_id` increases with each mission; 0 means that there was none. There are at most
     `MAX_GOALS` goals. Instead of goals a mission may have a `motion`, which needs no map: TURN by
-    `amount` [rad] on the spot, or REVERSE by `amount` [m] straight back, at most at `speed`
+    `amount` [rad] on the spot, or REVERSE by |`amount`| [m] straight back, at most at `speed`
     ([rad/s], [m/s]; 0: as usual) and in `time_allowance` [s] (0: any time). Without both there is
     nothing to do: the mission is finished, or was canceled.
     """
@@ -136,7 +139,7 @@ class NavigateGoal:
     first: UInt32 = 0
     goals: Packed[Pose] = Packed(Pose)
     motion: Annotated[int, Scalar("uint8", at_most=2)] = 0
-    amount: FiniteFloat64 = 0.0
+    amount: Annotated[float, Scalar("float64", at_least=-MAX_MOTION, at_most=MAX_MOTION)] = 0.0
     speed: NotNegative = 0.0
     time_allowance: NotNegative = 0.0
 

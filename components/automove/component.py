@@ -36,6 +36,8 @@ from cairn.schemas.std_msgs import Header
 
 # The command is repeated so often, so that its readers know that AutoMove is alive [ns].
 _REPEAT_NS = SECOND // 2
+# A longer time to the goal is not reported [s]: 30 years; dividing by a speed could give infinity.
+_LONGEST_S = 1e9
 
 
 class AutoMoveConfig(Config):
@@ -275,7 +277,7 @@ class AutoMove(Supervisor):
                 goal=navigator.goal_index,
                 goals=len(navigator.goals),
                 distance_left=left_m,
-                time_left=left_m / self.config.speed,
+                time_left=min(left_m / self.config.speed, _LONGEST_S),
                 elapsed=max(0.0, self._under_way_ns / SECOND - navigator.started_s),
                 recoveries=navigator.recoveries,
                 reason=navigator.reason.text,

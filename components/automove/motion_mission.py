@@ -61,7 +61,7 @@ class MotionMission:
     @property
     def distance(self) -> float:
         """How far to drive back [m]."""
-        return self.request.amount if self.request.motion == NavigateGoal.REVERSE else 0.0
+        return abs(self.request.amount) if self.request.motion == NavigateGoal.REVERSE else 0.0
 
     @property
     def angle(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
@@ -11,6 +12,7 @@ from cairn.planar.poses import Pose
 from cairn.schemas.builtin_interfaces import Duration
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
+    MAX_MOTION,
     NavigateGoal,
     NavigationStatus,
     ReasonCode,
@@ -218,6 +220,10 @@ class MotionGoal(ActionGoal):
         self.elapsed = Duration()
         allowed = goal.goal.time_allowance
         self.time_allowance = max(0.0, allowed.sec + allowed.nanosec / SECOND)
+        if not abs(self.amount) <= MAX_MOTION:
+            raise CairnError(f"cannot {self.action} by {self.amount:g}: at most {MAX_MOTION:g}")
+        if not math.isfinite(self.speed):
+            raise CairnError(f"cannot {self.action} at {self.speed:g} m/s")
 
     @property
     def poses(self) -> Sequence[PoseStamped]:

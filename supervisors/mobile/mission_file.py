@@ -14,7 +14,7 @@ from cairn import CairnError
 from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.files import explain_os_error, replace_file
 from cairn.planar.zones import find_place
-from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_ZONE_NAME, Zone
+from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_MOTION, MAX_ZONE_NAME, Zone
 
 LARGEST_COORDINATE = 1e5
 """Coordinates of goals are at most so large [m]."""
@@ -47,10 +47,10 @@ class ActionRecord(_Stored):
 class MotionRecord(_Stored):
     """A motion that a mission has instead of goals: the fields of `NavigateGoal`."""
 
-    motion: int
-    amount: float
-    speed: float
-    time_allowance: float
+    motion: int = Field(ge=1, le=2)
+    amount: float = Field(ge=-MAX_MOTION, le=MAX_MOTION)
+    speed: float = Field(ge=0, allow_inf_nan=False)
+    time_allowance: float = Field(ge=0, allow_inf_nan=False)
 
 
 class MissionRequest(_Stored):

@@ -198,9 +198,11 @@ def test_operators_also_publish_goals_and_give_orders() -> None:
     )
     actions = {
         f"3/rover/{action}/_action/{service}/*/*"
-        for action in ("navigate_to_pose", "navigate_through_poses", "follow_waypoints")
+        for action in (
+            "navigate_to_pose", "navigate_through_poses", "follow_waypoints", "spin", "back_up",
+        )
         for service in ("send_goal", "cancel_goal", "get_result")
-    }
+    }  # fmt: skip
     assert requests == actions | {
         "@cairn/3/component/rover/mobile/go",
         "@cairn/3/component/rover/mobile/cancel",

@@ -129,6 +129,42 @@ def test_command_is_published_on_change_and_twice_a_second(make_harness: MakeHar
     assert statuses.take()[-1].elapsed == pytest.approx(ended.elapsed, abs=0.2)
 
 
+@pytest.mark.parametrize(
+    ("motion", "amount", "behavior", "commanded"),
+    [
+        (NavigateGoal.TURN, -1.5, NavCommand.TURN, (-1.5, 0.0)),
+        (NavigateGoal.REVERSE, 0.3, NavCommand.REVERSE, (0.0, 0.3)),
+        (NavigateGoal.REVERSE, -0.3, NavCommand.REVERSE, (0.0, 0.3)),
+    ],
+)
+def test_motion_is_commanded_and_ends_with_motion_control(
+    make_harness: MakeHarness,
+    motion: int,
+    amount: float,
+    behavior: int,
+    commanded: tuple[float, float],
+) -> None:
+    robot = make_harness(PLUGINS)
+    nav_commands = robot.read("nav_command", NavCommand)
+    statuses = robot.read("navigation_status", NavigationStatus)
+    goal = NavigateGoal(mission_id=1, motion=motion, amount=amount, speed=0.5)
+    robot.publish("navigate_goal", goal, qos=LATCHED)
+    robot.run_for(0.1)
+    command = nav_commands.take()[-1]
+    assert command.behavior == behavior
+    assert (command.angle, command.distance, command.speed) == (*commanded, 0.5)
+
+    # The time that is left is infinite in floating point: AutoMove reports the longest one.
+    moving = MotionStatus(goal_id=command.goal_id, state=MotionStatus.MOVING, distance_left=1.7e308)
+    robot.publish("motion_status", moving)
+    robot.run_for(1.0)
+    assert statuses.take()[-1].state == NavigationStatus.DRIVING
+
+    robot.publish("motion_status", MotionStatus(goal_id=command.goal_id, state=MotionStatus.DONE))
+    assert statuses.take()[-1].state == NavigationStatus.SUCCEEDED
+    assert nav_commands.take()[-1].behavior == NavCommand.STAND
+
+
 def test_give_way_recovery_sends_a_goal_to_the_planner(make_harness: MakeHarness) -> None:
     robot = make_harness(PLUGINS)
     nav_commands = robot.read("nav_command", NavCommand)

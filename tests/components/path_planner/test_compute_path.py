@@ -1,7 +1,6 @@
 """`compute_path_to_pose`, Nav2's action of planner servers: a path, or Nav2's error code."""
 
 import itertools
-from typing import Any
 
 import pytest
 
@@ -35,7 +34,8 @@ def compute(
     )
     sent = planner.send_goal("compute_path_to_pose", ComputePathToPose, asked)
     planner.run_for(0.1)
-    result: Any = sent.result
+    result = sent.result
+    assert result is not None
     found = result.error_code == CODES.NONE
     assert sent.status == (GoalStatus.STATUS_SUCCEEDED if found else GoalStatus.STATUS_ABORTED)
     assert bool(result.path.poses) == found

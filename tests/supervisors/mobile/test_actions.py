@@ -151,6 +151,29 @@ def test_spin_ends_with_its_time(robot: LockstepRobot) -> None:
     assert result.total_elapsed_time.sec == 2
 
 
+@pytest.mark.parametrize(
+    ("action", "kind", "goal"),
+    [
+        ("spin", Spin, Spin.Goal(target_yaw=math.nan)),
+        ("spin", Spin, Spin.Goal(target_yaw=-1e30)),
+        ("back_up", BackUp, BackUp.Goal(target=Point(x=1e200))),
+        ("back_up", BackUp, BackUp.Goal(target=Point(x=-0.3), speed=math.inf)),
+    ],
+)
+def test_impossible_motion_is_rejected_and_the_mission_continues(
+    drive: Callable[..., LockstepRobot],  # noqa: F811
+    action: str,
+    kind: Any,
+    goal: Any,
+) -> None:
+    robot = drive()
+    sent = to_pose(robot, 2.4, 1.2)
+    rejected = robot.send_goal(action, kind, goal)
+    robot.run_for(0.5)
+    assert rejected.error is not None
+    assert not sent.has_ended
+
+
 def test_robot_backs_up_where_it_has_driven_and_not_where_it_sees_nothing(
     robot: LockstepRobot,
 ) -> None:
