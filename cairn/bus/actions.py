@@ -383,7 +383,11 @@ class GoalClient(Generic[Goal, Result, Feedback]):
 
         def answered(response: Any) -> None:
             if not response.accepted:
-                failed(ServiceError(f"{self._name}: the server rejected the goal"))
+                failed(
+                    ServiceError(
+                        f"{self._name}: the server rejected the goal; its log has the reason"
+                    )
+                )
                 return
             on_accepted()
             self.await_result(identity, on_result, failed)
@@ -532,7 +536,11 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
         self, identity: bytes, goal: Goal, timeout_s: float
     ) -> SentGoal[Goal, Result, Feedback]:
         def cancel(answered: Callable[[int], None]) -> None:
-            self._goals.cancel(ClientGoal(identity, goal, self._goals), answered, timeout_s)
+            def on_answer(code: int) -> None:
+                answered(code)
+                self._on_change()
+
+            self._goals.cancel(ClientGoal(identity, goal, self._goals), on_answer, timeout_s)
 
         return SentGoal(identity, cancel)
 

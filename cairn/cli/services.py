@@ -55,7 +55,10 @@ def list_services(
     with connect_to(connect, domain, robot) as client:
         found = client.services()
     shown = [one for one in found if all_ or one.name.rpartition("/")[2] not in _NODE_SERVICES]
-    _show(shown, "service", "no service is provided", as_json=json)
+    nothing = "no service is provided"
+    if found and not shown:
+        nothing = f"only the {len(found)} services that every component has: --all lists them"
+    _show(shown, "service", nothing, as_json=json)
 
 
 @service.command("call")

@@ -228,10 +228,8 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
     def cancel(self, timeout_s: float = 5.0) -> bool:
         """Request that it is canceled; return whether the server accepts that."""
         self._sent.cancel()
-        deadline = time.monotonic() + timeout_s
-        pause = threading.Event()
-        while self._sent.cancel_code is None and time.monotonic() < deadline:
-            pause.wait(_POLL_S)
+        with self._changed:
+            self._changed.wait_for(lambda: self._sent.cancel_code is not None, timeout_s)
         return self._sent.cancel_code == 0
 
     def close(self) -> None:
