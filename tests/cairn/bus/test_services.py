@@ -1,8 +1,6 @@
 """The contract of services on every bus: Zenoh between processes and within one, and lockstep."""
 
 import queue
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,9 +14,8 @@ from cairn.bus.services import MOST_PENDING
 from cairn.schemas.example_interfaces.srv import AddTwoInts
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_srvs.srv import SetBool, Trigger
-from tests.cairn.bus.network import SECRET, Network, eventually, node
+from tests.cairn.bus.network import Network, eventually, node
 from tests.patience import LIMIT_S
-from tests.wording import assert_words
 
 SERVICE = "/robot/add"
 Outcome = Any
@@ -240,49 +237,6 @@ def test_closed_client_gets_no_answer(pair: Pair) -> None:
     last.reply(added(last))
     assert other.next().sum == 7
     assert calling.is_silent()
-
-
-SERVER = """
-import signal, sys
-from cairn.bus.session import open_peer
-from cairn.bus.zenoh_bus import ZenohBus
-from cairn.schemas.example_interfaces.srv import AddTwoInts
-
-bus = ZenohBus(open_peer([sys.argv[1]], secret=sys.argv[2]), secret=sys.argv[2])
-server = bus.node("/robot/adder", print).serve(
-    sys.argv[3], AddTwoInts, lambda: print("called", flush=True)
-)
-print("ready", flush=True)
-signal.pause()
-"""
-
-
-@pytest.mark.processes
-def test_client_of_a_killed_server_gets_an_error_long_before_its_time_limit() -> None:
-    network = Network()
-    program = [sys.executable, "-c", SERVER, network.endpoint, SECRET, SERVICE]
-    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ready\n"
-            bus = network.bus()
-            calling = Calling(node(bus, "/robot/asker"))
-            assert bus.wait_for_peers(LIMIT_S) == []
-            assert eventually(lambda: calling.client.is_available)
-            for _ in range(10):
-                calling.call(AddTwoInts.Request(a=1), timeout_s=100 * LIMIT_S)
-            assert [process.stdout.readline() for _ in range(10)] == ["called\n"] * 10
-
-            process.kill()
-            for _ in range(10):
-                error = calling.next()
-                assert isinstance(error, ServiceError)
-                assert_words(str(error), SERVICE, "ended")
-            calling.call(AddTwoInts.Request(a=1), timeout_s=100 * LIMIT_S)
-            assert_words(str(calling.next()), SERVICE, "no server")
-        finally:
-            process.kill()
-            network.close()
 
 
 @pytest.mark.processes
