@@ -1,8 +1,8 @@
 """Services over Zenoh as rmw_zenoh has them: a call is a query, its answer the reply.
 
 A server is a complete queryable at the key of its service, whose last part is the type hash: calls
-of another definition never reach it. Zenoh ends a query without a reply when the process of the
-server ends, so that a client learns of it at once. A server that does not take a call says why by
+of another definition never reach it. A query ends without a reply when the process of its server
+ends, so that a client learns of it at once. A server that does not take a call says why by
 an error reply, which ROS 2 clients log.
 """
 
@@ -41,6 +41,7 @@ _LONGEST_REASON: Final = 1000
 _REPLIES: Final = 16  # of several servers of one name; Zenoh's thread waits for room for more
 _LONGEST_WAIT_S: Final = 60.0
 _LONGEST_SLEEP_S: Final = 3600.0
+_LAST_ANSWERS_S: Final = 0.5
 
 
 class ZenohServer:
@@ -295,9 +296,11 @@ class ZenohClient:
             "congestion_control": zenoh.CongestionControl.BLOCK,
             "priority": zenoh.Priority.DATA_LOW if bulk else zenoh.Priority.INTERACTIVE_HIGH,
         }
-        self._querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL_COMPLETE)
         self._pending: set[_PendingCall] = set()
         self._closed = False
+        self._querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL_COMPLETE)
+        on_change = zenoh.handlers.Callback(self._matching_changed, indirect=False)
+        self._listener: Any = self._querier.declare_matching_listener(on_change)
 
     @property
     def is_available(self) -> bool:
@@ -352,6 +355,7 @@ class ZenohClient:
         self._pending.clear()
         self._waiter.close()
         self._cancellation.cancel()
+        self._listener.undeclare()
         self._querier.undeclare()
         self._on_close()
 
@@ -365,6 +369,19 @@ class ZenohClient:
             self._waiter.deliver(done)
         else:
             self._post(done)
+
+    def _matching_changed(self, status: Any) -> None:
+        """End the calls that wait for the last server soon after it has gone.
+
+        Zenoh 1.10 does not end a query that it sends while it closes the connection to the server.
+        """
+        if status.matching or self._closed:
+            return
+        gone, self._cancellation = self._cancellation, zenoh.CancellationToken()
+        # The last answers may arrive later than the news that the server has gone.
+        timer = threading.Timer(_LAST_ANSWERS_S, gone.cancel)
+        timer.daemon = True
+        timer.start()
 
     def decoded(self, payload: zenoh.ZBytes) -> Any:
         """Return a response; raises `ServiceError` if it is not valid."""

@@ -1,6 +1,8 @@
 """The contract of services on every bus: Zenoh between processes and within one, and lockstep."""
 
 import queue
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,11 +13,14 @@ import pytest
 from cairn.bus.bus import Bus, Call, Node, Server, ServiceError
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.services import MOST_PENDING
+from cairn.bus.session import open_client
+from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.example_interfaces.srv import AddTwoInts
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_srvs.srv import SetBool, Trigger
-from tests.cairn.bus.network import Network, eventually, node
+from tests.cairn.bus.network import SECRET, Network, eventually, node
 from tests.patience import LIMIT_S
+from tests.wording import assert_words
 
 SERVICE = "/robot/add"
 Outcome = Any
@@ -237,6 +242,53 @@ def test_closed_client_gets_no_answer(pair: Pair) -> None:
     last.reply(added(last))
     assert other.next().sum == 7
     assert calling.is_silent()
+
+
+SERVER = """
+import signal, sys
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.schemas.example_interfaces.srv import AddTwoInts
+
+bus = ZenohBus(open_peer([sys.argv[1]], secret=sys.argv[2]), secret=sys.argv[2])
+server = bus.node("/robot/adder", print).serve(
+    sys.argv[3], AddTwoInts, lambda: print("called", flush=True)
+)
+print("ready", flush=True)
+signal.pause()
+"""
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("mode", ["peer", "script"])
+def test_client_of_a_killed_server_gets_an_error_long_before_its_time_limit(mode: str) -> None:
+    network = Network()
+    program = [sys.executable, "-c", SERVER, network.endpoint, SECRET, SERVICE]
+    script = ZenohBus(open_client([network.endpoint]))
+    calling = Calling(node(network.bus() if mode == "peer" else script, "/robot/asker"))
+    try:
+        for _ in range(3):  # one call of four is sent while Zenoh closes the connection
+            with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as server:
+                try:
+                    assert server.stdout is not None
+                    assert server.stdout.readline() == "ready\n"
+                    assert eventually(lambda: calling.client.is_available)
+                    for _ in range(10):
+                        calling.call(AddTwoInts.Request(a=1), timeout_s=100 * LIMIT_S)
+                    assert [server.stdout.readline() for _ in range(10)] == ["called\n"] * 10
+
+                    server.kill()
+                    for _ in range(10):
+                        error = calling.next()
+                        assert isinstance(error, ServiceError)
+                        assert_words(str(error), SERVICE, "ended")
+                    calling.call(AddTwoInts.Request(a=1), timeout_s=100 * LIMIT_S)
+                    assert_words(str(calling.next()), SERVICE, "no server")
+                finally:
+                    server.kill()
+    finally:
+        script.close()
+        network.close()
 
 
 @pytest.mark.processes
