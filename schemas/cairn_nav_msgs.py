@@ -25,6 +25,7 @@ from cairn.schemas.geometry_msgs import Pose, PoseWithCovariance, Twist
 from cairn.schemas.message import message, reject
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
+from cairn.schemas.unique_identifier_msgs.msg import UUID
 
 Probability = Annotated[float, Scalar("float64", at_least=0, at_most=1)]
 NotNegative = Annotated[float, Scalar("float64", at_least=0)]
@@ -115,6 +116,9 @@ ReasonNumber = Annotated[int, Scalar("uint8", at_most=int(max(ReasonCode)))]
 MAX_GOALS: Final = 1000
 """A mission has at most so many goals."""
 
+MAX_COORDINATE: Final = 1e5
+"""Coordinates of goals are at most so large [m]."""
+
 MAX_MOTION: Final = 1e6
 """The longest motion without a map [m], [rad]."""
 
@@ -123,11 +127,12 @@ MAX_MOTION: Final = 1e6
 class NavigateGoal:
     """The mission that AutoMove carries out: drive to `goals` in frame map, from index `first` on.
 
-    `mission_id` increases with each mission; 0 means that there was none. There are at most
-    `MAX_GOALS` goals. Instead of goals a mission may have a `motion`, which needs no map: TURN by
-    `amount` [rad] on the spot, or REVERSE by |`amount`| [m] straight back, at most at `speed`
-    ([rad/s], [m/s]; 0: as usual) and in `time_allowance` [s] (0: any time). Without both there is
-    nothing to do: the mission is finished, or was canceled.
+    `mission_id` increases with each mission; 0 means that there was none. `action_goal_id` is that
+    of the action's goal for which the mission is. There are at most `MAX_GOALS` goals. Instead of
+    goals a mission may have a `motion`, which needs no map: TURN by `amount` [rad] on the spot, or
+    REVERSE by |`amount`| [m] straight back, at most at `speed` ([rad/s], [m/s]; 0: as usual) and in
+    `time_allowance` [s] (0: any time). Without both there is nothing to do: the mission is
+    finished, or was canceled.
     """
 
     NO_MOTION: ClassVar[UInt8] = 0
@@ -136,6 +141,7 @@ class NavigateGoal:
 
     header: Header = Header()
     mission_id: UInt32 = 0
+    action_goal_id: UUID = UUID()
     first: UInt32 = 0
     goals: Packed[Pose] = Packed(Pose)
     motion: Annotated[int, Scalar("uint8", at_most=2)] = 0
@@ -264,8 +270,9 @@ class MotionStatus:
 class NavigationStatus:
     """The progress of a mission: AutoMove's feedback, and at the end its result.
 
-    `goal` is the index of the current goal, of `goals`; `distance_left` [m] and `time_left` [s]
-    are to that goal, `elapsed` [s] and `recoveries` count from the start of the mission to its end.
+    `action_goal_id` is that of the action's goal for which the mission is. `goal` is the index of
+    the current goal, of `goals`; `distance_left` [m] and `time_left` [s] are to that goal;
+    `elapsed` [s] and `recoveries` count from the start of the mission to its end.
     """
 
     LOADING: ClassVar[UInt8] = 0
@@ -279,6 +286,7 @@ class NavigationStatus:
 
     header: Header = Header()
     mission_id: UInt32 = 0
+    action_goal_id: UUID = UUID()
     state: Annotated[int, Scalar("uint8", at_most=7)] = 0
     goal: UInt32 = 0
     goals: UInt32 = 0

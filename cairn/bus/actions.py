@@ -72,6 +72,10 @@ def uuid_of(identity: bytes) -> UUID:
     return UUID(uuid=np.frombuffer(identity, np.uint8))
 
 
+class UnknownGoalError(ServiceError):
+    """The server does not know a goal: it never got it, was restarted, or has forgotten it."""
+
+
 class ServerGoal(Generic[Goal, Result, Feedback]):
     """A goal that an action server has received, until it ends it by one of the three methods."""
 
@@ -407,7 +411,7 @@ class GoalClient(Generic[Goal, Result, Feedback]):
         def ended(response: Any) -> None:
             self._feedback.pop(identity, None)
             if response.status == GoalStatus.STATUS_UNKNOWN:
-                on_failure(ServiceError(f"{self._name}: the server does not know this goal"))
+                on_failure(UnknownGoalError(f"{self._name}: the server does not know this goal"))
             else:
                 on_result(response.status, response.result)
 
@@ -526,6 +530,11 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
         on_result, on_failure = self._ends(sent)
         self._goals.send(identity, goal, on_accepted, on_feedback, on_result, on_failure, timeout_s)
         return sent
+
+    def resume(self, sent: SentGoal[Goal, Result, Feedback]) -> None:
+        """Wait again for the end of a goal whose server has ended, and has restored it."""
+        sent.status = sent.error = None
+        self._goals.await_result(sent.id, *self._ends(sent))
 
     def close(self) -> None:
         """Stop; goals that were sent continue."""

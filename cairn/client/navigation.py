@@ -2,38 +2,50 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, Protocol, Self
+from typing import Any, Final, Protocol, Self
 
 from cairn.bus import keys
+from cairn.bus.actions import CANCEL_GOAL, UnknownGoalError, uuid_of
+from cairn.bus.bus import ServiceError
 from cairn.bus.codec import Codec
-from cairn.bus.control import ControlError, NoReplyError
 from cairn.client.connection import STATUS_TOPIC, Connection, resolve
+from cairn.client.services import RunningGoal, call_service
 from cairn.errors import CairnError
+from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
+from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import (
+    MAX_COORDINATE,
     MAX_GOALS,
     NAVIGATION_END_STATES,
-    NAVIGATION_STATES,
     NavigationStatus,
+    Zone,
+    Zones,
 )
+from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped, Quaternion
 from cairn.schemas.message import InvalidMessage
+from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
+from cairn.schemas.std_msgs import Header
 
 _PLUGIN, _AUTOMOVE = "mobile_supervisor", "automove"
+_ACTION: Final = "navigate_through_poses"
+_ACTIONS: Final = (_ACTION, "navigate_to_pose", "follow_waypoints", "spin", "back_up")
 _ACTIVE = "active"
 # The supervisor above kills one that hangs after `hang_timeout_s` and 3 s more, and restarts it.
 PATIENCE_S = 30.0
-# AutoMove publishes the status of a goal twice a second. After _SILENT_S without one, the
-# supervisor is asked, again and again; it may be restarted and resume the goal. After _LOST_S it
-# has not; after _GONE_S nothing will answer.
-_SILENT_S, _LOST_S, _GONE_S = 3.0, 8.0, 20.0
 _LOADING_S = 90.0  # longer than a component takes to start, by default
-_ANSWER_S = 5.0
-_POLL_S = 0.5
+_POLL_S = 0.2
+# The end of a goal comes on two ways: as the result, and as AutoMove's last status.
+_LAST_STATUS_S = 1.0
+_PLACES_S = 2.0
+
+PlanarPose = tuple[float, float, float]
 
 
 class _Samples(Protocol):
@@ -44,6 +56,20 @@ class _Samples(Protocol):
         ...
 
 
+def find_place(zones: Sequence[Zone], name: str) -> PlanarPose:
+    """Return x, y [m] and heading [rad], 0 if it does not matter, of a named place.
+
+    Raises `CairnError` with the names of the places that there are.
+    """
+    places = {zone.name: zone for zone in zones if zone.kind == Zone.PLACE}
+    place = places.get(name)
+    if place is None:
+        known = ", ".join(sorted(places)) or "none; `cairn zone add` adds one"
+        raise CairnError(f"{name}: no such place on the map; the places are: {known}")
+    x, y = place.points.tolist()
+    return x, y, 0.0 if math.isnan(place.heading) else place.heading
+
+
 class Navigator:
     """A supervisor that accepts goals."""
 
@@ -51,6 +77,7 @@ class Navigator:
         """`supervisor` is its full name (`/robot/mobile_supervisor`)."""
         self._connection = connection
         self._supervisor = supervisor
+        self._robot = supervisor.rpartition("/")[0]
         self._notify = notify
         self._codec = Codec()
 
@@ -77,38 +104,47 @@ class Navigator:
     def goal(self, poses: Sequence[Sequence[float] | str]) -> NavigationGoal:
         """Return a goal of poses [x, y, theta] in frame map or names of places, not sent yet.
 
-        Raises `CairnError` if there are too many poses for one mission.
+        Raises `CairnError` if there are too many poses, or if one is not valid or not known.
         """
         if len(poses) > MAX_GOALS:
             raise CairnError(
                 f"{len(poses):,} goals: a mission has at most {MAX_GOALS:,}; send the further ones "
                 "when it has ended"
             )
-        goals: list[Sequence[float] | str] = [
-            pose if isinstance(pose, str) else [float(value) for value in pose] for pose in poses
-        ]
-        return NavigationGoal(self, goals)
+        zones = self._zones() if any(isinstance(pose, str) for pose in poses) else ()
+        return NavigationGoal(
+            self, [_resolved(number, pose, zones) for number, pose in enumerate(poses, 1)]
+        )
 
-    def cancel(self, **selection: Any) -> int:
-        """Cancel the goal under way; return its mission id.
+    def send(self, poses: Sequence[PlanarPose], identity: bytes) -> RunningGoal[Any, Any, Any]:
+        """Send a goal of that id to the supervisor; it is not accepted yet."""
+        return RunningGoal(
+            self._connection,
+            f"{self._robot}/{_ACTION}",
+            NavigateThroughPoses,
+            NavigateThroughPoses.Goal(poses=tuple(_stamped(pose) for pose in poses)),
+            _LOADING_S,
+            identity,
+        )
 
-        `selection` may be the `mission_id` or the `token` of the goal that is meant.
+    def cancel(self, identity: bytes | None = None) -> str:
+        """Cancel the goal under way, or only the one with that id; return its id in hexadecimal.
+
+        Raises `CairnError` if it is not under way.
         """
+        actions: Sequence[str] = _ACTIONS
+        wanted = GoalInfo()
+        if identity is not None:
+            actions, wanted = (_ACTION,), GoalInfo(goal_id=uuid_of(identity))
         try:
-            answer = self.ask("cancel", selection, _LOADING_S)
-        except NoReplyError:  # it hung and was killed; once restarted, it resumes the goal
+            canceled = self._cancel(actions, wanted)
+        except ServiceError:  # it hung and was killed; once restarted, it resumes the goal
             self.await_active()
-            answer = self.ask("cancel", selection, _LOADING_S)
-        return int(answer["mission_id"])
-
-    def ask(self, verb: str, arguments: Mapping[str, Any], limit_s: float) -> Any:
-        """Send a request to the supervisor."""
-        return self._connection.request(self._supervisor, verb, arguments, timeout_s=limit_s)
-
-    def last_mission(self) -> dict[str, Any] | None:
-        """Return the last mission with its result, empty while it is under way; None if none."""
-        mission: dict[str, Any] | None = self.ask("mission", {}, _ANSWER_S)
-        return mission
+            canceled = self._cancel(actions, wanted)
+        if not canceled:
+            which = "there is no goal" if identity is None else "this goal is not"
+            raise CairnError(f"{self._supervisor.rpartition('/')[2]}: {which} under way")
+        return canceled[-1].goal_id.uuid.tobytes().hex()
 
     def is_alive(self) -> bool:
         """Return whether the deployment still runs."""
@@ -116,9 +152,8 @@ class Navigator:
 
     def listen(self) -> AbstractContextManager[_Samples]:
         """Subscribe to the navigation status."""
-        topic = f"{self._supervisor.rpartition('/')[0]}/navigation_status"
-        domain = self._connection.domain
-        key = keys.message_key(domain, topic, NavigationStatus)
+        topic = f"{self._robot}/navigation_status"
+        key = keys.message_key(self._connection.domain, topic, NavigationStatus)
         return self._connection.listen(key, latched=True)
 
     def next_status(self, samples: _Samples, wait_s: float) -> NavigationStatus | None:
@@ -157,19 +192,47 @@ class Navigator:
             "or Ctrl-C once, would wait for it)"
         )
 
+    def _cancel(self, actions: Sequence[str], wanted: GoalInfo) -> list[GoalInfo]:
+        """Cancel a goal, or all if it has no id; return those that are canceled."""
+        canceled: list[GoalInfo] = []
+        for action in actions:
+            service = f"{self._robot}/{action}/{CANCEL_GOAL}"
+            request = CancelGoal.Request(goal_info=wanted)
+            answer = call_service(self._connection, service, CancelGoal, request, _LOADING_S)
+            canceled += answer.goals_canceling
+        return canceled
+
+    def _zones(self) -> Sequence[Zone]:
+        """Return the zones on the robot's map."""
+        key = keys.message_key(self._connection.domain, f"{self._robot}/zones", Zones)
+        with self._connection.listen(key, latched=True) as samples:
+            try:
+                sample = samples.get(timeout=_PLACES_S)
+                return self._codec.decode(Zones, sample.payload.to_bytes()).zones
+            except (queue.Empty, InvalidMessage):
+                raise CairnError(
+                    "the places on the map are not known, as no map builder with a zones_file has "
+                    "run; `cairn load map_builder` starts it, or a goal by coordinates"
+                ) from None
+
 
 class NavigationGoal:
     """A goal: iterate over its progress, await its result, cancel it. A context manager."""
 
-    def __init__(self, navigator: Navigator, poses: Sequence[Sequence[float] | str]) -> None:
-        self.mission_id = 0
-        """Number of the mission, once it is accepted."""
+    def __init__(self, navigator: Navigator, poses: Sequence[PlanarPose]) -> None:
         self.poses = poses
+        """x, y [m], heading [rad] in frame map."""
         self._navigator = navigator
-        self._token = secrets.token_hex(8)
+        self._identity = secrets.token_bytes(16)
         self._listening = navigator.listen()
         self._samples: _Samples | None = None
-        self._last = NavigationStatus()
+        self._running: RunningGoal[Any, Any, Any] | None = None
+        self._last = NavigationStatus(goals=len(poses))
+
+    @property
+    def id(self) -> str:
+        """Its id: 32 hexadecimal digits."""
+        return self._identity.hex()
 
     @property
     def ended(self) -> bool:
@@ -182,30 +245,33 @@ class NavigationGoal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def send(self) -> int:
-        """Send the goal to the supervisor and return its mission id, once it is accepted.
+    def send(self) -> str:
+        """Send the goal to the supervisor and return its id, once it is accepted.
 
         If this is interrupted, the goal may have been accepted: `cancel` it.
         """
         self._samples = self._listening.__enter__()  # first, so that no status is missed
-        goals = [pose if isinstance(pose, str) else list(pose) for pose in self.poses]
-        arguments = {"goals": goals, "token": self._token}
         try:
-            self.mission_id = int(self._navigator.ask("go", arguments, _LOADING_S)["mission_id"])
+            self._running = self._navigator.send(self.poses, self._identity)
+            self._running.await_acceptance()
         except CairnError:
             self.close()
             raise
-        return self.mission_id
+        return self.id
 
     def close(self) -> None:
         """Stop listening to the goal's progress; the goal itself goes on."""
         if self._samples is not None:
             self._samples = None
             self._listening.__exit__(None, None, None)
+        if self._running is not None:
+            self._running.close()
 
-    def cancel(self) -> int:
+    def cancel(self) -> None:
         """Cancel this goal; the robot stops. `CairnError` if it is not under way."""
-        return self._navigator.cancel(token=self._token)
+        if self._running is not None:  # the supervisor must not get its cancellation first
+            self._running.await_acceptance()
+        self._navigator.cancel(self._identity)
 
     def result(self, timeout_s: float) -> NavigationStatus:
         """Wait for the end of the goal and return its last status; `.state` says how it ended.
@@ -222,89 +288,120 @@ class NavigationGoal:
     def progress(self, timeout_s: float = float("inf")) -> Iterator[NavigationStatus]:
         """Yield each status of the goal until it has ended; the last one has its result.
 
-        Raises `CairnError` if the goal was preempted or lost, if the deployment has ended, or if
-        the goal has not ended within `timeout_s` [s].
+        A goal that another one preempts has failed. Raises `CairnError` if the goal was lost, if
+        the deployment has ended, or if the goal has not ended within `timeout_s` [s].
         """
-        if self._samples is None:
+        if self._samples is None or self._running is None:
             if self.ended:
                 return
             raise CairnError("the goal was not sent, or its handle is closed")
-        mission = self.mission_id
         deadline = time.monotonic() + timeout_s
-        received = asked = time.monotonic()
-        while True:
-            status = self._navigator.next_status(self._samples, _POLL_S)
-            now = time.monotonic()
-            if status is not None and status.mission_id > mission:
-                raise CairnError(f"mission {mission} was preempted by mission {status.mission_id}")
-            if status is not None and status.mission_id == mission:
-                received = now
-            elif now - received > _SILENT_S and now - asked > 1.0:
-                asked = now
-                status = self._ask_supervisor(now - received)
-            else:
-                status = None
-            if status is not None:
+        heard = time.monotonic()
+        while not self.ended:
+            status = self._next_status(self._samples, _POLL_S)
+            is_last = status is not None and status.state in NAVIGATION_END_STATES
+            if self._running.await_end(_LAST_STATUS_S if is_last else 0.0):
+                self._end(self._samples, self._running, status)
+            elif status is not None and not is_last:
+                heard = time.monotonic()
                 self._last = status
-                if self.ended:
-                    self.close()
-                    yield status
-                    return
                 yield status
-            if now > deadline:
+            elif time.monotonic() - heard > _LOADING_S:
                 raise CairnError(
-                    f"mission {mission} has not ended within {timeout_s:g} s; cancel it, or wait "
-                    "longer"
+                    f"AutoMove has published no status of the goal for {_LOADING_S:.0f} s; see "
+                    "`cairn ps` and `cairn logs`"
                 )
-
-    def _ask_supervisor(self, silent_s: float) -> NavigationStatus | None:
-        """Return the result as the supervisor knows it, None if the goal is under way."""
-        mission = self.mission_id
-        if not self._navigator.is_alive():
-            raise CairnError(f"mission {mission}: the deployment has ended, and with it the goal")
-        try:
-            known = self._navigator.last_mission()
-        except ControlError as error:
-            if silent_s > _GONE_S:
+            if time.monotonic() > deadline and not self.ended:
                 raise CairnError(
-                    f"mission {mission}: no status for {silent_s:.0f} s: {error}"
-                ) from error
-            return None
-        ended = self._result_of(known, silent_s)
-        if ended is None and silent_s > _LOADING_S:
-            raise CairnError(
-                f"mission {mission}: AutoMove has published no status for {silent_s:.0f} s; see "
-                "`cairn ps` and `cairn logs`"
-            )
-        return ended
-
-    def _result_of(
-        self, known: Mapping[str, Any] | None, silent_s: float
-    ) -> NavigationStatus | None:
-        mission = self.mission_id
-        if known is None or int(known["mission_id"]) < mission:
-            if silent_s < _LOST_S:
-                return None
-            raise CairnError(
-                f"mission {mission} was lost: its supervisor was restarted and does not know it; "
-                "the robot stands"
-            )
-        if int(known["mission_id"]) > mission:
-            raise CairnError(f"mission {mission} was preempted by mission {known['mission_id']}")
-        state, _, reason = str(known["result"]).partition(": ")
-        for number, name in NAVIGATION_STATES.items():
-            if state == name:
-                last = self._last
-                return NavigationStatus(
-                    mission_id=mission,
-                    state=number,
-                    goal=last.goal,
-                    goals=last.goals,
-                    elapsed=last.elapsed,
-                    recoveries=last.recoveries,
-                    reason=reason,
+                    f"the goal has not ended within {timeout_s:g} s; cancel it, or wait longer"
                 )
+        self.close()
+        yield self._last
+
+    def _next_status(self, samples: _Samples, wait_s: float) -> NavigationStatus | None:
+        """Return the next status of this goal, None if there is none in time."""
+        deadline = time.monotonic() + wait_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            status = self._navigator.next_status(samples, left_s)
+            if status is not None and status.action_goal_id.uuid.tobytes() == self._identity:
+                return status
         return None
+
+    def _end(
+        self,
+        samples: _Samples,
+        running: RunningGoal[Any, Any, Any],
+        status: NavigationStatus | None,
+    ) -> None:
+        """Note the result; follow the goal further if its supervisor was restarted."""
+        try:
+            outcome, result = running.result()
+        except UnknownGoalError:
+            raise CairnError(
+                "the goal was lost: its supervisor was restarted and does not know it; the robot "
+                "stands"
+            ) from None
+        except ServiceError:
+            self._continue(running)
+            return
+        if outcome == GoalStatus.STATUS_ABORTED and not result.error_code:  # it was deactivated
+            self._continue(running)
+            return
+        if outcome == GoalStatus.STATUS_SUCCEEDED and status is None:
+            status = self._next_status(samples, _LAST_STATUS_S)
+        last = self._last if status is None else status
+        self._last = NavigationStatus(
+            header=last.header,
+            mission_id=last.mission_id,
+            action_goal_id=uuid_of(self._identity),
+            state=_STATES.get(outcome, NavigationStatus.FAILED),
+            goal=last.goal,
+            goals=last.goals,
+            elapsed=last.elapsed,
+            recoveries=last.recoveries,
+            reason=result.error_msg or last.reason,
+            reason_code=last.reason_code,
+        )
+
+    def _continue(self, running: RunningGoal[Any, Any, Any]) -> None:
+        """Wait until the supervisor, which has ended, is restarted, and await the result again."""
+        try:
+            self._navigator.await_active()
+        except CairnError:
+            if self._navigator.is_alive():
+                raise
+            raise CairnError("the deployment has ended, and with it the goal") from None
+        running.resume()
+
+
+_STATES: Final = {
+    GoalStatus.STATUS_SUCCEEDED: NavigationStatus.SUCCEEDED,
+    GoalStatus.STATUS_CANCELED: NavigationStatus.CANCELED,
+}
+
+
+def _resolved(number: int, pose: Sequence[float] | str, zones: Sequence[Zone]) -> PlanarPose:
+    """Return a pose, also of a place; `CairnError` if it is not valid or not known."""
+    try:
+        if isinstance(pose, str):
+            return find_place(zones, pose)
+        x, y, theta = (float(value) for value in pose)
+    except CairnError as error:
+        raise CairnError(f"goal {number}: {error}") from error
+    if not all(abs(value) <= MAX_COORDINATE for value in (x, y, theta)):  # nor NaN
+        raise CairnError(
+            f"goal {number} = {list(pose)!r}: x, y and heading must be finite, and at most "
+            f"{MAX_COORDINATE:g}"
+        )
+    return x, y, theta
+
+
+def _stamped(pose: PlanarPose) -> PoseStamped:
+    x, y, theta = pose
+    turn = Quaternion(z=math.sin(theta / 2), w=math.cos(theta / 2))
+    return PoseStamped(
+        header=Header(frame_id="map"), pose=Pose(position=Point(x=x, y=y), orientation=turn)
+    )
 
 
 def _expected(statuses: Mapping[str, ComponentStatus]) -> set[str]:

@@ -295,7 +295,13 @@ class Robot:
         Raises:
             ServiceError: if there is no server of this type, or it rejects the goal.
         """
-        return RunningGoal(self.connection, self._full(action), kind, goal, timeout_s)
+        sent = RunningGoal(self.connection, self._full(action), kind, goal, timeout_s)
+        try:
+            sent.await_acceptance()
+        except BaseException:
+            sent.close()
+            raise
+        return sent
 
     def _of_robot(self, found: list[ServiceInfo]) -> list[ServiceInfo]:
         prefix = f"/{self._robot}/" if self._robot else "/"
@@ -470,8 +476,8 @@ class Robot:
             raise
         return goal
 
-    def cancel(self) -> int:
-        """Cancel the current goal of any client; return its mission id."""
+    def cancel(self) -> str:
+        """Cancel the current goal of any client; return its id in hexadecimal digits."""
         return self.navigator().cancel()
 
     def navigator(self) -> Navigator:

@@ -139,11 +139,17 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
         action: type[Action[Goal, Result, Feedback]],
         goal: Goal,
         timeout_s: float,
+        identity: bytes | None = None,
     ) -> None:
-        """Send a goal to an action (full name); raises `ServiceError` if it is not accepted."""
+        """Send a goal to an action (full name), with a random id if none is given.
+
+        Raises `ServiceError` if there is no server.
+        """
         self._changed = threading.Condition()
         self._name = name
+        self._timeout_s = timeout_s
         self._seen = 0
+        self._closed = False
         self._caller: ActionCaller[Goal, Result, Feedback] = ActionCaller(
             name,
             action,
@@ -167,18 +173,10 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
             await_server(
                 connection, name, type_name(action), lambda: self._caller.is_available, timeout_s
             )
-            self._sent = self._caller.send(secrets.token_bytes(16), goal, timeout_s)
-            with self._changed:
-                self._changed.wait_for(
-                    lambda: self._sent.is_accepted or self._sent.has_ended, timeout_s + _DISCOVERY_S
-                )
-            if self._sent.error is not None:
-                raise self._sent.error
-            if not self._sent.is_accepted and not self._sent.has_ended:
-                raise ServiceError(f"{name}: the goal was not answered within {timeout_s:g} s")
         except BaseException:
             self.close()
             raise
+        self._sent = self._caller.send(identity or secrets.token_bytes(16), goal, timeout_s)
 
     def __enter__(self) -> Self:
         return self
@@ -195,6 +193,28 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
     def has_ended(self) -> bool:
         """Whether it has a result, or is lost."""
         return self._sent.has_ended
+
+    def await_acceptance(self) -> None:
+        """Wait until the goal is accepted; raises `ServiceError` if it is not."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._sent.is_accepted or self._sent.has_ended,
+                self._timeout_s + _DISCOVERY_S,
+            )
+        if self._sent.is_accepted:
+            return
+        if self._sent.error is not None:
+            raise self._sent.error
+        raise ServiceError(f"{self._name}: the goal was not answered in {self._timeout_s:g} s")
+
+    def await_end(self, timeout_s: float | None = None) -> bool:
+        """Wait until the goal has ended, at most so long [s]; return whether it has."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._sent.has_ended, timeout_s)
+
+    def resume(self) -> None:
+        """Wait again for the end of the goal: its server had ended, and has restored it."""
+        self._caller.resume(self._sent)
 
     def __iter__(self) -> Iterator[Feedback]:
         """Yield the feedback until the goal has ended."""
@@ -216,9 +236,8 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
         the server ended, `CairnError` if the goal has not ended within `timeout_s` [s]; it is not
         canceled then.
         """
-        with self._changed:
-            if not self._changed.wait_for(lambda: self._sent.has_ended, timeout_s):
-                raise CairnError(f"{self._name}: the goal has not ended within {timeout_s:g} s")
+        if not self.await_end(timeout_s):
+            raise CairnError(f"{self._name}: the goal has not ended within {timeout_s:g} s")
         if self._sent.error is not None:
             raise self._sent.error
         assert self._sent.status is not None
@@ -234,8 +253,10 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
 
     def close(self) -> None:
         """Receive nothing more; the goal itself continues."""
-        self._subscriber.undeclare()
-        self._caller.close()
+        if not self._closed:
+            self._closed = True
+            self._subscriber.undeclare()
+            self._caller.close()
 
     def _notify(self) -> None:
         with self._changed:

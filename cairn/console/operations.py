@@ -54,12 +54,7 @@ LIVE_METHODS: Final = (
 
 _REPLY_LIMIT_S: Final = 10.0
 _PROBE_S: Final = 1.0
-# By plugin: a request that the role view allows; one that needs the role operate, and arguments
-# with which it is always rejected.
-_PROBES: Final[Mapping[str, tuple[str, str, dict[str, Any]]]] = {
-    "velocity_gate": ("status", "renew_lease", {"lease": 0, "seconds": 1.0}),
-    "mobile_supervisor": ("mission", "cancel", {"mission_id": 0}),
-}
+_VELOCITY_GATE: Final = "velocity_gate"
 _VIEW_ONLY: Final = (
     "the role of this console's user on the network allows to watch only; start the console with "
     "the name of another user (CAIRN_USER)"
@@ -401,14 +396,14 @@ class Operations:
         self._leases.require(to.robot, browser.id)
         self._stop_driving(to.robot)
 
-        def send(robot: Robot) -> dict[str, int]:
+        def send(robot: Robot) -> dict[str, str]:
             with robot.go_through(to.poses) as goal:
-                return {"mission_id": goal.mission_id}
+                return {"goal_id": goal.id}
 
         return await self._steer(browser, to.robot, send)
 
     async def _cancel(self, browser: Browser, of: OfRobot) -> Any:
-        return await self._steer(browser, of.robot, lambda robot: {"mission_id": robot.cancel()})
+        return await self._steer(browser, of.robot, lambda robot: {"goal_id": robot.cancel()})
 
     async def _locate(self, browser: Browser, at: LocateRequest) -> Any:
         message = _pose_message(at)
@@ -596,23 +591,22 @@ async def _run(workers: ThreadPoolExecutor, call: Callable[[], R]) -> R:
 def may_operate(client: Robot, robot: str) -> bool:
     """Return whether this client may steer a robot, as far as that can be known.
 
-    It asks for what nothing can grant: over the network, a role that may not is not even answered.
+    It asks the velocity gate for what the role view allows, then for what the gate always rejects
+    and needs the role operate: over the network, a role that may not is not even answered.
     """
     connection = client.connection
     for full, status in connection.statuses().items():
-        if not full.startswith(f"/{robot}/"):
+        if not full.startswith(f"/{robot}/") or status.plugin != _VELOCITY_GATE:
             continue
-        for plugin, (harmless, refused, arguments) in _PROBES.items():
-            if status.plugin != plugin:
-                continue
-            with suppress(CairnError):
-                connection.request(full, harmless, timeout_s=_PROBE_S)
-                try:
-                    connection.request(full, refused, arguments, timeout_s=_PROBE_S)
-                except NoReplyError:
-                    return False
-                except ControlError:
-                    return True
+        with suppress(CairnError):
+            connection.request(full, "status", timeout_s=_PROBE_S)
+            try:
+                no_lease = {"lease": 0, "seconds": 1.0}
+                connection.request(full, "renew_lease", no_lease, timeout_s=_PROBE_S)
+            except NoReplyError:
+                return False
+            except ControlError:
+                return True
     return True
 
 

@@ -205,20 +205,6 @@ def zone_edges(zone: Zone) -> Array:
     return edges_of(points_of(zone), zone.rings, closed=zone.kind != Zone.LANE)
 
 
-def find_place(zones: Sequence[Zone], name: str) -> tuple[float, float, float]:
-    """Return x, y [m] and heading [rad], 0 if it does not matter, of a named place.
-
-    Raises `CairnError` with the names of the places that there are.
-    """
-    places = {zone.name: zone for zone in zones if zone.kind == Zone.PLACE}
-    place = places.get(name)
-    if place is None:
-        known = ", ".join(sorted(places)) or "none; `cairn zone add` adds one"
-        raise CairnError(f"{name}: no such place on the map; the places are: {known}")
-    x, y = place.points.tolist()
-    return x, y, 0.0 if math.isnan(place.heading) else place.heading
-
-
 _KIND_NUMBERS: Final = {name: number for number, name in ZONE_KINDS.items()}
 
 

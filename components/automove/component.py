@@ -176,6 +176,7 @@ class AutoMove(Supervisor):
         if mission.motion:
             navigator = MotionMission(
                 mission_id=mission.mission_id,
+                action_goal_id=mission.action_goal_id,
                 request=mission,
                 next_goal_id=self._next_goal_id,
                 started_s=now / SECOND,
@@ -184,6 +185,7 @@ class AutoMove(Supervisor):
         else:
             navigator = NavigatorStateMachine(
                 mission_id=mission.mission_id,
+                action_goal_id=mission.action_goal_id,
                 goals=[(x, y, theta) for x, y, theta in planar_poses(mission.goals).tolist()],
                 goal_index=mission.first,
                 next_goal_id=self._next_goal_id,
@@ -273,6 +275,7 @@ class AutoMove(Supervisor):
             NavigationStatus(
                 header=header,
                 mission_id=navigator.mission_id,
+                action_goal_id=navigator.action_goal_id,
                 state=navigator.state,
                 goal=navigator.goal_index,
                 goals=len(navigator.goals),

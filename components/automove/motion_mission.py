@@ -18,6 +18,7 @@ from cairn.schemas.cairn_nav_msgs import (
     Reason,
     ReasonCode,
 )
+from cairn.schemas.unique_identifier_msgs.msg import UUID
 
 _PROGRESS = 0.02  # [m], [rad]: more than noise of odometry
 
@@ -30,6 +31,7 @@ class MotionMission:
     request: NavigateGoal
     next_goal_id: Callable[[], int]
     started_s: float
+    action_goal_id: UUID = field(default_factory=UUID)
     limits: NavigatorLimits = field(default_factory=NavigatorLimits)
     state: int = NavigationStatus.LOADING
     reason: Reason = NO_REASON

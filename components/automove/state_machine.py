@@ -28,6 +28,7 @@ from cairn.schemas.cairn_nav_msgs import (
     Reason,
     ReasonCode,
 )
+from cairn.schemas.unique_identifier_msgs.msg import UUID
 
 # Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
 # has the effect of half and double.
@@ -63,6 +64,7 @@ class NavigatorStateMachine:
     goal_index: int
     next_goal_id: Callable[[], int]
     started_s: float
+    action_goal_id: UUID = field(default_factory=UUID)
     limits: NavigatorLimits = field(default_factory=NavigatorLimits)
     state: int = NavigationStatus.LOADING
     reason: Reason = NO_REASON

@@ -7,7 +7,7 @@ import re
 import signal
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Annotated
 
 import typer
@@ -24,7 +24,6 @@ from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES, NavigationStatus, zo
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.message import type_name
 from cairn.schemas.std_msgs import Header
-from cairn.supervisors.mobile.mission_file import check_goal_count
 
 _REPEAT_S = 5.0  # AutoMove publishes twice a second; an unchanged status is printed this often
 _POSE_TOPIC = "initialpose"
@@ -66,10 +65,10 @@ def go(
         with _errors_as_json(as_json=json):
             navigator = client.navigator()
             if cancel:
-                _print_mission(navigator.cancel(), "canceled", as_json=json)
+                _print_goal(navigator.cancel(), "canceled", as_json=json)
             elif not wait:
                 with navigator.goal(goals) as sent:
-                    _print_mission(sent.send(), "accepted", as_json=json)
+                    _print_goal(sent.send(), "accepted", as_json=json)
         if wait and not cancel:
             follow(navigator, goals, as_json=json)
 
@@ -113,21 +112,23 @@ def follow(navigator: Navigator, goals: Sequence[Sequence[float] | str], *, as_j
 
     Raises `CairnError` if the robot does not arrive, `SystemExit` after SIGTERM or SIGHUP.
     """
-    with exit_on(signal.SIGTERM, signal.SIGHUP), navigator.goal(goals) as goal:
+    with exit_on(signal.SIGTERM, signal.SIGHUP), ExitStack() as stack:
+        with _errors_as_json(as_json=as_json):
+            goal = stack.enter_context(navigator.goal(goals))
         try:
             with _errors_as_json(as_json=as_json):
-                mission = goal.send()
+                goal.send()
             if not as_json:
-                line(f"mission {mission}: go to {_poses_text(goals)}; Ctrl-C cancels")
+                line(f"go to {_poses_text(goals)}; Ctrl-C cancels")
             status = print_progress(goal, as_json=as_json)
         except (KeyboardInterrupt, SystemExit, BrokenPipeError, OutputLost):
             _cancel(goal, as_json=as_json)
             raise
     if as_json:
-        print_json(_fields(status))
+        print_json(_fields(goal.id, status))
     if status.state != NavigationStatus.SUCCEEDED:
         state = NAVIGATION_STATES[status.state]
-        raise CairnError(f"mission {mission} {state} after {status.elapsed:.1f} s: {status.reason}")
+        raise CairnError(f"the goal {state} after {status.elapsed:.1f} s: {status.reason}")
     if not as_json:
         line(f"{status.elapsed:6.1f} s  {status.reason}")
 
@@ -139,7 +140,6 @@ def parse_goals(words: list[str]) -> list[list[float] | str]:
     """
     if not words:
         raise CairnError("give a goal, such as `cairn go 7.5 5.0 90deg`, or --cancel")
-    check_goal_count(len(words))
     if any("," in word for word in words) or not zone_name_problem(words[0]):
         return [
             word if not zone_name_problem(word) else _pose(word.split(","), "goal")
@@ -187,12 +187,12 @@ def exit_on(*numbers: signal.Signals) -> Iterator[None]:
 def _cancel(goal: NavigationGoal, *, as_json: bool) -> None:
     with suppress(OSError, OutputLost):  # the terminal may have been closed
         try:
-            mission = goal.cancel()
+            goal.cancel()
         except CairnError as error:  # it has just ended, was preempted, or its robot has gone
             note(f"nothing is canceled: {error}")
             return
         if as_json:
-            print_json({"mission_id": mission, "state": "canceled"})
+            print_json({"goal_id": goal.id, "state": "canceled"})
         else:
             line("canceled: the robot stops")
 
@@ -209,11 +209,11 @@ def _errors_as_json(*, as_json: bool) -> Iterator[None]:
         raise
 
 
-def _print_mission(mission: int, state: str, *, as_json: bool) -> None:
+def _print_goal(identity: str, state: str, *, as_json: bool) -> None:
     if as_json:
-        print_json({"mission_id": mission})
+        print_json({"goal_id": identity})
     else:
-        line(f"mission {mission} is {state}")
+        line(f"goal {identity} is {state}")
 
 
 def _pose_text(pose: Sequence[float]) -> str:
@@ -252,8 +252,9 @@ def progress_line(status: NavigationStatus, printed_cause: str = "") -> str:
     return f"{status.elapsed:6.1f} s  {of}{NAVIGATION_STATES[status.state]}{left}{why}"
 
 
-def _fields(status: NavigationStatus) -> dict[str, object]:
+def _fields(identity: str, status: NavigationStatus) -> dict[str, object]:
     return {
+        "goal_id": identity,
         "mission_id": status.mission_id,
         "state": NAVIGATION_STATES[status.state],
         "goal": status.goal,

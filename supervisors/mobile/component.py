@@ -1,6 +1,7 @@
 """The supervisor of a mobile robot: accepts missions, and keeps each until it has its result."""
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -26,7 +27,7 @@ from cairn import (
     goal,
     on,
 )
-from cairn.planar.messages import WrongFrame, packed_poses, planar_pose, planar_poses
+from cairn.planar.messages import WrongFrame, packed_poses, planar_poses
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
     NAVIGATION_END_STATES,
@@ -34,8 +35,6 @@ from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
     NavigateGoal,
     NavigationStatus,
-    Zone,
-    Zones,
 )
 from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.nav2_msgs.action import (
@@ -46,6 +45,7 @@ from cairn.schemas.nav2_msgs.action import (
     Spin,
 )
 from cairn.schemas.std_msgs import Header
+from cairn.schemas.unique_identifier_msgs.msg import UUID
 from cairn.supervisors.mobile.action_goals import (
     FRAME_ERROR,
     UNKNOWN_ERROR,
@@ -61,21 +61,18 @@ from cairn.supervisors.mobile.action_goals import (
     planar_goals,
 )
 from cairn.supervisors.mobile.mission_file import (
-    ActionRecord,
     Coordinate,
     Goal,
     Mission,
     MissionFile,
     MotionRecord,
-    parse_goals,
-    parse_token,
+    check_goals,
 )
 
 # A mission is continued at most so often: one that is under way whenever this component dies may be
 # the reason why it dies.
 _MOST_RESUMED = 3
 _LONGEST_RESULT = 1000  # characters
-_EXPLORATION = "exploration"  # token of the explorer's missions
 
 
 class MobileSupervisorConfig(Config):
@@ -110,11 +107,11 @@ class MobileSupervisorConfig(Config):
 class MobileSupervisor(Supervisor):
     """Keeps the base, the range scanner and AutoMove running (paper, step 1).
 
-    Accepts missions (the actions of Nav2 `navigate_to_pose`, `navigate_through_poses`,
-    `follow_waypoints`, `spin` and `back_up`; requests `go` and `cancel`, topic `goal_pose`,
-    parameter `mission`; the request `mission` returns the last one), loads AutoMove for the first
-    unless it is loaded, and keeps each mission until it has its result, so that an AutoMove that
-    was restarted continues it.
+    Each mission is a goal of one of Nav2's actions `navigate_to_pose`, `navigate_through_poses`,
+    `follow_waypoints`, `spin` and `back_up`, by which it has its result and can be canceled; also
+    one that comes by the topic `goal_pose`, from the explorer, or as the parameter `mission`. This
+    supervisor loads AutoMove for the first one unless it is loaded, and keeps each mission until it
+    has its result, so that an AutoMove that was restarted continues it.
 
     Goals on `exploration_goal` preempt each other and no mission of anyone else; one without goals
     cancels the one before.
@@ -122,14 +119,11 @@ class MobileSupervisor(Supervisor):
 
     config: MobileSupervisorConfig
 
-    request_roles = MappingProxyType({"go": "operate", "cancel": "operate", "mission": "view"})
     service_roles = MappingProxyType(
         dict.fromkeys(
             (ToPose.action, ThroughPoses.action, Waypoints.action, "spin", "back_up"), "operate"
         )
     )
-    request_max_bytes = MappingProxyType({"go": 256 << 10})
-    urgent_requests = frozenset({"cancel"})
     operator_inputs = frozenset({"goal_pose"})
 
     navigate_to_pose: ActionServer[
@@ -148,14 +142,12 @@ class MobileSupervisor(Supervisor):
     goal_pose: In[PoseStamped] = In(optional=True)
     exploration_goal: In[NavigateGoal] = In(optional=True)
     navigation_status: In[NavigationStatus] = In(qos=LATCHED.with_depth(20), optional=True)
-    zones: In[Zones] = In(qos=LATCHED, optional=True)
     localization: In[LocalizationEstimate] = In(optional=True)
     navigate_goal: Out[NavigateGoal] = Out(qos=LATCHED)
 
     _mission: Mission | None = None
     _retrying = False  # a retry of saving the mission is scheduled
-    _zones: tuple[Zone, ...] | None = None  # not known yet
-    _goal: ActionGoal | None = None  # that of the mission under way, if it is of an action
+    _goal: ActionGoal | None = None  # that of the mission under way
 
     def on_configure(self) -> None:
         """Check that missions can be kept; remove that of an earlier run."""
@@ -177,35 +169,14 @@ class MobileSupervisor(Supervisor):
         if self.restarts > 0:
             self._resume()
         elif self.config.mission:
-            self._start(self.config.mission, configured=True)
-
-    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
-        """Answer `go` with `goals` [[x, y, heading], ...], `cancel`, `mission`, and the others.
-
-        A goal may also be the name of a place on the map; the mission keeps where that is now. `go`
-        may choose a `token` for its mission. `cancel` may name the `mission_id` or the `token` of
-        the mission; otherwise it cancels the current one.
-        """
-        if verb == "go" and {"goals"} <= set(arguments) <= {"goals", "token"}:
-            goals = parse_goals(arguments["goals"], self._zones)
-            token = parse_token(arguments.get("token"))
-            return {"mission_id": self._start(goals, token=token).mission_id}
-        if verb == "cancel" and set(arguments) <= {"mission_id", "token"}:
-            return {"mission_id": self._cancel(**arguments)}
-        if verb == "mission" and not arguments:
-            return self._mission.model_dump(mode="json") if self._mission is not None else None
-        return super().on_request(verb, arguments)
+            goals = self.config.mission
+            self._start(goals, ThroughPoses(self._own_goal(goals)), configured=True)
 
     @on("goal_pose")
     def on_goal_pose(self, goal: PoseStamped) -> None:
         """Start a mission to a goal from RViz or any other node."""
-        frame = goal.header.frame_id
-        try:
-            if frame not in ("", "map"):
-                raise CairnError(f"the goal on {self.goal_pose.topic} is in frame {frame}, not map")
-            self._start(parse_goals([planar_pose(goal.pose)]))
-        except CairnError as error:
-            self.log.error("mission rejected: %s", error)
+        message = NavigateToPose.Goal(pose=goal)
+        self._pursue(ToPose(self.navigate_to_pose.restore(self._own_goal_id(), message)))
 
     @goal("navigate_to_pose")
     def on_navigate_to_pose(self, goal: ServerGoal[Any, Any, Any]) -> None:
@@ -277,25 +248,17 @@ class MobileSupervisor(Supervisor):
     def on_exploration_goal(self, request: NavigateGoal) -> None:
         """Start or cancel a mission of the explorer, unless another one is under way."""
         mission = self._mission
-        if mission is not None and not mission.result and mission.token != _EXPLORATION:
+        if mission is not None and not mission.result and not mission.explores:
             if len(request.goals):
                 self.log.info(
                     "exploration's goal refused: mission %d is under way", mission.mission_id
                 )
             return
-        try:
-            if len(request.goals):
-                goals = planar_poses(request.goals).tolist()
-                self._start(parse_goals(goals), token=_EXPLORATION)
-            elif mission is not None and not mission.result:
-                self._close(mission, "canceled: the exploration has ended")
-        except CairnError as error:
-            self.log.error("mission rejected: %s", error)
-
-    @on("zones")
-    def on_zones(self, message: Zones) -> None:
-        """Take the named places of the map."""
-        self._zones = message.zones
+        if len(request.goals):
+            goal = self._own_goal(planar_poses(request.goals).tolist())
+            self._pursue(ThroughPoses(goal), explores=True)
+        elif mission is not None and not mission.result:
+            self._close(mission, "canceled: the exploration has ended")
 
     @on("navigation_status")
     def on_navigation_status(self, status: NavigationStatus) -> None:
@@ -304,24 +267,33 @@ class MobileSupervisor(Supervisor):
         if mission is None or mission.result or status.mission_id != mission.mission_id:
             return
         if status.state in NAVIGATION_END_STATES:
-            success = status.state == NavigationStatus.SUCCEEDED
-            reason = status.reason[:_LONGEST_RESULT]
-            result = f"{NAVIGATION_STATES[status.state]}: {reason}"
-            code = 0 if success else error_code(status.reason_code)
+            result = f"{NAVIGATION_STATES[status.state]}: {status.reason[:_LONGEST_RESULT]}"
+            failed = status.state == NavigationStatus.FAILED
+            code = error_code(status.reason_code) if failed else 0
             if isinstance(self._goal, MotionGoal):
                 self._goal.moved(status)
             if status.state == NavigationStatus.CANCELED or not self._goes_on(
-                mission, None if success else status.goal, code
+                mission, status.goal if failed else None, code
             ):
-                self._close(mission, result, success=success, code=code)
+                self._close(mission, result, code)
         elif mission.first < status.goal <= len(mission.goals):
             self._update(mission.model_copy(update={"first": status.goal}))
 
-    def _pursue(self, goal: ActionGoal) -> None:
+    def _own_goal(self, goals: Sequence[Goal]) -> ServerGoal[Any, Any, Any]:
+        """Return a goal of `navigate_through_poses` that no client has sent."""
+        message = goal_message(ThroughPoses.action, goals)
+        return self.navigate_through_poses.restore(self._own_goal_id(), message)
+
+    def _own_goal_id(self) -> bytes:
+        """Return the id of a goal that no client has sent; of no other goal."""
+        last = 0 if self._mission is None else self._mission.mission_id
+        text = f"{self.navigate_to_pose.action} {last} {self.clock.now()}"
+        return hashlib.blake2b(text.encode(), digest_size=16).digest()
+
+    def _pursue(self, goal: ActionGoal, *, explores: bool = False) -> None:
         """Start a mission for the goal of an action; abort the goal if that is not possible."""
         try:
-            goals = parse_goals(planar_goals(goal))
-            self._start(goals, first=goal.first, action=goal)
+            self._start(check_goals(planar_goals(goal)), goal, first=goal.first, explores=explores)
         except CairnError as error:
             self.log.error("goal of %s not pursued: %s", goal.action, error)
             code = FRAME_ERROR if isinstance(error, WrongFrame) else UNKNOWN_ERROR
@@ -336,7 +308,7 @@ class MobileSupervisor(Supervisor):
             time_allowance=goal.time_allowance,
         )
         try:
-            self._start((), action=goal, motion=motion)
+            self._start((), goal, motion=motion)
         except CairnError as error:
             self.log.error("goal of %s not pursued: %s", goal.action, error)
             goal.goal.abort(goal.result(UNKNOWN_ERROR, str(error)))
@@ -350,13 +322,13 @@ class MobileSupervisor(Supervisor):
     def _start(
         self,
         goals: tuple[Goal, ...],
+        action: ActionGoal,
         *,
         configured: bool = False,
-        token: str | None = None,
+        explores: bool = False,
         first: int = 0,
-        action: ActionGoal | None = None,
         motion: MotionRecord | None = None,
-    ) -> Mission:
+    ) -> None:
         self._load_automove()
         before = self._mission
         last = before.mission_id if before is not None else 0
@@ -368,13 +340,13 @@ class MobileSupervisor(Supervisor):
             goals=goals,
             configured=configured,
             replaces_configured=before is not None and before.ends_configured and not before.result,
-            token=token,
+            explores=explores,
             first=first,
-            action=None if action is None else action.record(),
+            action=action.record(),
             motion=motion,
         )
-        if self._goal is not None and self._goal is not action:
-            self._end_goal("aborted", UNKNOWN_ERROR, f"preempted by mission {mission.mission_id}")
+        if self._goal is not action:
+            self._end_goal(f"aborted: preempted by mission {mission.mission_id}", UNKNOWN_ERROR)
         self._goal = action
         self.log.info("mission %d: %s", mission.mission_id, _described(mission))
         if mission.replaces_configured and self.config.finish:
@@ -383,7 +355,6 @@ class MobileSupervisor(Supervisor):
                 mission.mission_id,
             )
         self._update(mission)
-        return mission
 
     def _load_automove(self) -> None:
         name = self.config.automove
@@ -397,38 +368,32 @@ class MobileSupervisor(Supervisor):
         except StartFailed as error:
             raise CairnError(f"{name} cannot be loaded: {error}") from error
 
-    def _cancel(self, *, mission_id: Any = None, token: Any = None) -> int:
-        mission = self._mission
-        if mission is None or mission.result or mission_id not in (None, mission.mission_id):
-            which = "to cancel" if mission_id is None else f"{mission_id} under way"
-            raise CairnError(f"{self.name}: there is no mission {which}")
-        if token not in (None, mission.token):
-            raise CairnError(f"{self.name}: the mission under way is of another client")
-        self._close(mission, "canceled: on request")
-        return mission.mission_id
-
     def _resume(self) -> None:
         """Continue the mission of an earlier process of this supervisor."""
         try:
             mission = self._file.load() if self._file is not None else None
-            if mission is None or mission.result:
-                self._mission = mission
-                return
-            if mission.resumed >= _MOST_RESUMED:
-                why = f"failed: given up after {mission.resumed} restarts of {self.name}"
-                self.log.error("mission %d %s", mission.mission_id, why)
-                self._close(mission, why)
-                return
-            self._load_automove()
         except CairnError as error:
             self.log.error("mission not continued: %s", error)
             return
-        self._restore_goal(mission)
-        if mission.motion is not None:
-            self._close(mission, f"failed: {self.name} was restarted meanwhile")
+        if mission is None:
             return
-        self.log.warning("mission %d continued", mission.mission_id)
-        self._update(mission.model_copy(update={"resumed": mission.resumed + 1}))
+        self._mission, self._goal = mission, self._restored_goal(mission)
+        if mission.result:  # its client may not have got that
+            self._end_goal(mission.result, mission.code)
+        elif mission.resumed >= _MOST_RESUMED:
+            self._close(
+                mission, f"failed: given up after {mission.resumed} restarts of {self.name}"
+            )
+        elif mission.motion is not None:
+            self._close(mission, f"failed: {self.name} was restarted meanwhile")
+        else:
+            try:
+                self._load_automove()
+            except CairnError as error:
+                self._close(mission, f"failed: not continued after a restart: {error}")
+                return
+            self.log.warning("mission %d continued", mission.mission_id)
+            self._update(mission.model_copy(update={"resumed": mission.resumed + 1}))
 
     def _goes_on(self, mission: Mission, failed: int | None, code: int) -> bool:
         """Start the next mission for the same goal of an action, if it has a further one."""
@@ -438,75 +403,57 @@ class MobileSupervisor(Supervisor):
         if failed is not None:
             self.log.warning("waypoint %d not reached; the robot drives on", failed + 1)
         try:
-            self._start(mission.goals, first=goal.first, action=goal)
+            self._start(mission.goals, goal, first=goal.first, explores=mission.explores)
         except CairnError as error:
             self.log.error("goal of %s not pursued any further: %s", goal.action, error)
             return False
         return True
 
-    def _end_goal(self, outcome: str, code: int, text: str) -> None:
-        """End the goal of an action whose mission has ended."""
+    def _end_goal(self, result: str, code: int) -> None:
+        """End the goal of the mission that has ended with a result."""
         ended, self._goal = self._goal, None
         if ended is None or not ended.goal.is_active:
             return
-        result = ended.result(code, text)
-        if outcome == "succeeded":
-            ended.goal.succeed(result)
-        elif ended.goal.is_canceling:
-            ended.goal.canceled(result)
-        else:  # also if another client has canceled the mission
-            ended.goal.abort(result)
-
-    def _restore_goal(self, mission: Mission) -> None:
-        """Continue to answer for the goal of an action that an earlier process accepted."""
-        record = mission.action
-        if record is None:
-            return
-        servers: dict[str, ActionServer[Any, Any, Any]] = {
-            ToPose.action: self.navigate_to_pose,
-            ThroughPoses.action: self.navigate_through_poses,
-            Waypoints.action: self.follow_waypoints,
-        }
-        if mission.motion is not None:
-            self._restore_motion(mission, record)
-            return
-        message = goal_message(record.name, mission.goals)
-        goal = servers[record.name].restore(bytes.fromhex(record.goal_id), message)
-        if record.name == ToPose.action:
-            self._goal = ToPose(goal)
-        elif record.name == ThroughPoses.action:
-            self._goal = ThroughPoses(goal)
-        else:
-            waypoints = Waypoints(goal, stop_on_failure=self.config.stop_on_failure)
-            waypoints.rounds_left = record.rounds_left
-            waypoints.missed = list(record.missed)
-            self._goal = waypoints
-
-    def _restore_motion(self, mission: Mission, record: ActionRecord) -> None:
-        """Answer for a motion: how far the robot has moved is not known, so it ends."""
-        motion = mission.motion
-        assert motion is not None
-        identity = bytes.fromhex(record.goal_id)
-        if record.name == SpinGoal.action:
-            self._goal = SpinGoal(self.spin.restore(identity, Spin.Goal(target_yaw=motion.amount)))
-        else:
-            target = Point(x=-motion.amount)
-            self._goal = BackUpGoal(self.back_up.restore(identity, BackUp.Goal(target=target)))
-
-    def _close(
-        self, mission: Mission, result: str, *, success: bool = False, code: int = UNKNOWN_ERROR
-    ) -> None:
-        self.log.info("mission %d %s", mission.mission_id, result)
-        self._update(mission.model_copy(update={"result": result}))
         outcome, _, reason = result.partition(": ")
-        if success:
-            code, reason = 0, ""
-        elif outcome == "canceled":
-            code = 0
-        self._end_goal(outcome, code, reason)
+        if outcome == NAVIGATION_STATES[NavigationStatus.SUCCEEDED]:
+            ended.goal.succeed(ended.result(0, ""))
+        elif outcome == NAVIGATION_STATES[NavigationStatus.CANCELED]:
+            ended.goal.canceled(ended.result(0, reason))
+        else:
+            ended.goal.abort(ended.result(code, reason))
+
+    def _restored_goal(self, mission: Mission) -> ActionGoal:
+        """Return the goal of an action that an earlier process of this supervisor accepted."""
+        record, motion = mission.action, mission.motion
+        identity = bytes.fromhex(record.goal_id)
+        if motion is not None and record.name == SpinGoal.action:
+            return SpinGoal(self.spin.restore(identity, Spin.Goal(target_yaw=motion.amount)))
+        if motion is not None:
+            target = Point(x=-motion.amount)
+            return BackUpGoal(self.back_up.restore(identity, BackUp.Goal(target=target)))
+        message = goal_message(record.name, mission.goals)
+        if record.name == ToPose.action:
+            return ToPose(self.navigate_to_pose.restore(identity, message))
+        if record.name == ThroughPoses.action:
+            return ThroughPoses(self.navigate_through_poses.restore(identity, message))
+        goal = self.follow_waypoints.restore(identity, message)
+        waypoints = Waypoints(goal, stop_on_failure=self.config.stop_on_failure)
+        waypoints.rounds_left = record.rounds_left
+        waypoints.missed = list(record.missed)
+        return waypoints
+
+    def _close(self, mission: Mission, result: str, code: int | None = None) -> None:
+        """End a mission; `code` is Nav2's error code of one that has failed."""
+        outcome = result.partition(": ")[0]
+        if code is None:
+            code = 0 if outcome == NAVIGATION_STATES[NavigationStatus.CANCELED] else UNKNOWN_ERROR
+        self.log.info("mission %d %s", mission.mission_id, result)
+        self._update(mission.model_copy(update={"result": result, "code": code}))
+        self._end_goal(result, code)
         if not self.config.finish:
             return
         if mission.configured:
+            success = outcome == NAVIGATION_STATES[NavigationStatus.SUCCEEDED]
             self.finish(f"the mission {result}", success=success)
         elif mission.replaces_configured:  # not earlier: the robot must not stop under its operator
             which = f"mission {mission.mission_id}"
@@ -539,6 +486,9 @@ class MobileSupervisor(Supervisor):
             NavigateGoal(
                 header=Header(stamp=from_ns(mission.requested_ns), frame_id="map"),
                 mission_id=mission.mission_id,
+                action_goal_id=UUID(
+                    uuid=np.frombuffer(bytes.fromhex(mission.action.goal_id), np.uint8)
+                ),
                 first=mission.first,
                 goals=packed_poses(np.array(goals, np.float64).reshape(-1, 3)),
                 **(mission.motion.model_dump() if mission.motion and not mission.result else {}),

@@ -6,22 +6,17 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cairn import CairnError
 from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.files import explain_os_error, replace_file
-from cairn.planar.zones import find_place
-from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_MOTION, MAX_ZONE_NAME, Zone
-
-LARGEST_COORDINATE = 1e5
-"""Coordinates of goals are at most so large [m]."""
-_LONGEST_TOKEN = 64
+from cairn.schemas.cairn_nav_msgs import MAX_COORDINATE, MAX_GOALS, MAX_MOTION
 
 Goal = tuple[float, float, float]
-Coordinate = Annotated[float, Field(ge=-LARGEST_COORDINATE, le=LARGEST_COORDINATE)]
+Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 
 
 class _Stored(BaseModel):
@@ -58,9 +53,8 @@ class MissionRequest(_Stored):
 
     Or a `motion` instead of goals. `requested_ns` is the time of the request, by the supervisor's
     clock. `configured`: it is the mission of the deployment; `replaces_configured`: it, or one
-    before it, preempted that mission. A client that chose a `token` can cancel the mission without
-    knowing its id. `action` has the goal of an action that the mission carries out, None for other
-    missions.
+    before it, preempted that mission; `explores`: it is the explorer's. `action` has the goal of an
+    action that the mission carries out.
     """
 
     mission_id: int
@@ -69,20 +63,21 @@ class MissionRequest(_Stored):
     motion: MotionRecord | None = None
     configured: bool = False
     replaces_configured: bool = False
-    token: str | None = None
-    action: ActionRecord | None = None
+    explores: bool = False
+    action: ActionRecord
 
 
 class MissionProgress(_Stored):
     """How far a mission is: the index `first` of its current goal, and its result.
 
-    `result` is empty while the mission is under way. `resumed` counts how often a restarted
-    supervisor continued it.
+    `result` is empty while the mission is under way; `code` is Nav2's error code of a mission that
+    has failed. `resumed` counts how often a restarted supervisor continued it.
     """
 
     mission_id: int
     first: int = Field(0, ge=0, le=MAX_GOALS)
     result: str = ""
+    code: int = Field(0, ge=0, le=65535)
     resumed: int = Field(0, ge=0)
 
 
@@ -95,58 +90,20 @@ class Mission(MissionProgress, MissionRequest):
         return self.configured or self.replaces_configured
 
 
-def parse_goals(value: Any, zones: Sequence[Zone] | None = None) -> tuple[Goal, ...]:
-    """Return the goals of a request; raises `CairnError` with the invalid one.
-
-    A goal is [x, y, heading], or the name of a place among `zones`, None if these are not known.
-    """
-    if not isinstance(value, list) or not value:
-        raise CairnError("a mission has at least one goal [x, y, heading]")
-    check_goal_count(len(value))
-    return tuple(_parse_goal(number, goal, zones) for number, goal in enumerate(value, start=1))
-
-
-def check_goal_count(count: int) -> None:
-    """Raise `CairnError` if a mission may not have that many goals."""
-    if count > MAX_GOALS:
+def check_goals(goals: Sequence[Goal]) -> tuple[Goal, ...]:
+    """Return the goals of a mission; raises `CairnError` with the first that is not valid."""
+    if len(goals) > MAX_GOALS:
         raise CairnError(
-            f"{count:,} goals: a mission has at most {MAX_GOALS:,}; send the further ones when it "
-            "has ended"
+            f"{len(goals):,} goals: a mission has at most {MAX_GOALS:,}; send the further ones "
+            "when it has ended"
         )
-
-
-def _parse_goal(number: int, goal: Any, zones: Sequence[Zone] | None) -> Goal:
-    if isinstance(goal, str):
-        if zones is None:
+    for number, goal in enumerate(goals, start=1):
+        if not all(math.isfinite(value) and abs(value) <= MAX_COORDINATE for value in goal):
             raise CairnError(
-                f"goal {number}: {goal[:MAX_ZONE_NAME]}: the places on the map are not known, as "
-                "no map builder with a zones_file has run; `cairn load map_builder` starts it, or "
-                "a goal by coordinates"
+                f"goal {number} = {list(goal)!r}: x, y and heading must be finite, "
+                f"and at most {MAX_COORDINATE:g}"
             )
-        try:
-            return find_place(zones, goal[:MAX_ZONE_NAME])
-        except CairnError as error:
-            raise CairnError(f"goal {number}: {error}") from error
-    numbers = isinstance(goal, list | tuple) and all(
-        isinstance(value, int | float) and not isinstance(value, bool) for value in goal
-    )
-    if not numbers or len(goal) != 3:
-        raise CairnError(
-            f"goal {number} = {goal!r}: give x [m], y [m] and heading [rad], or a place"
-        )
-    if not all(math.isfinite(value) and abs(value) <= LARGEST_COORDINATE for value in goal):
-        raise CairnError(
-            f"goal {number} = {list(goal)!r}: x, y and heading must be finite, "
-            f"and at most {LARGEST_COORDINATE:g}"
-        )
-    return float(goal[0]), float(goal[1]), float(goal[2])
-
-
-def parse_token(value: Any) -> str | None:
-    """Return the token of a request, None if it has none; raises `CairnError` if it is invalid."""
-    if value is not None and not (isinstance(value, str) and 0 < len(value) <= _LONGEST_TOKEN):
-        raise CairnError(f"token = {value!r:.80}: give 1 to {_LONGEST_TOKEN} characters")
-    return value
+    return tuple(goals)
 
 
 class MissionFile:

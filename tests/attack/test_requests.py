@@ -4,24 +4,38 @@ from __future__ import annotations
 
 import json
 import re
+import secrets
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from math import inf, nan
 from typing import Any, Final
 
 import pytest
 import zenoh
 
 from cairn.bus import keys
+from cairn.bus.actions import SEND_GOAL, ActionCaller, make_at_once
+from cairn.bus.codec import Codec
+from cairn.bus.services import ZenohClient
+from cairn.bus.type_hash import type_hash
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.parameters import describe_parameters
+from cairn.schemas.action_msgs.msg import GoalStatus
+from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
+from cairn.schemas.message import Service, type_name
+from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
+from cairn.schemas.std_msgs import Header
 from tests.attack.inputs import components, deployment
 from tests.attack.robot import MOST_MEMORY_MB, AttackedRobot
+from tests.cairn.bus.network import eventually
 from tests.patience import LIMIT_S
 from tests.zone_features import place
 
 LONGEST_ANSWER: Final = 4100
 """A refusal is for people: an attacker does not make it longer [characters]."""
 
+ACTION: Final = "/robot/navigate_through_poses"
 ROOT: Final = "root"
 SUPERVISORS: Final = ("mobile_supervisor", "automove", "vision_supervisor", ROOT)
 
@@ -78,45 +92,23 @@ def arguments(**given: Any) -> bytes:
 
 NUMBER = b"9" * 5000
 
-GOAL: Final = [1.0, 1.0, 0.0]
-GOALS: Final = {
-    "none": ([], "at least one goal"),
-    "text": ("1 1 0", "at least one goal"),
-    "null": (None, "at least one goal"),
-    "object": ({"x": 1}, "at least one goal"),
-    "pair": ([[1, 1]], "give x"),
-    "four": ([[1, 1, 0, 0]], "give x"),
-    "texts": ([["1", "1", "0"]], "give x"),
-    "booleans": ([[True, 1, 0]], "give x"),
-    "objects": ([{"x": 1, "y": 1}], "give x"),
-    "nested": ([[[1, 1, 0]]], "give x"),
-    "second": ([GOAL, [1, None, 0]], "goal 2"),
-    "far": ([[1e300, 1, 0]], "finite"),
-    "heading": ([[1, 1, 1e6]], "finite"),
-    "nan": (b"[[NaN, 1, 0]]", "finite|invalid control request"),
-    "infinite": (b"[[1, -Infinity, 0]]", "finite|invalid control request"),
-    "overflow": (b"[[1e999, 1, 0]]", "finite|invalid control request"),
-    "long_number": (b"[[" + NUMBER + b", 1, 0]]", "invalid control request"),
-    "long_integer": (b"[[" + NUMBER[:400] + b", 1, 0]]", "finite|invalid control request"),
-    "deep": (b"[" * 5000 + b"]" * 5000, "invalid control request"),
-    "thousand_and_one": ([GOAL] * 1001, "1,000"),
-    "ten_thousand": ([GOAL] * 10_000, "bytes|1,000"),
+GOAL: Final = (1.0, 1.0, 0.0)
+GOALS: Final[dict[str, tuple[list[tuple[float, float, float]], str, str]]] = {
+    "none": ([], "map", "0 poses"),
+    "far": ([(1e300, 1, 0)], "map", "goal 1 .*finite"),
+    "second": ([GOAL, (1, nan, 0)], "map", "goal 2 .*finite"),
+    "infinite": ([(1, -inf, 0)], "map", "finite"),
+    "thousand_and_one": ([GOAL] * 1001, "map", "1,001 goals"),
+    "ten_thousand": ([GOAL] * 10_000, "map", "10,000 goals"),
+    "frame": ([GOAL], "odom", "in frame odom"),
+    "long_frame": ([GOAL], "n" * 100_000, "in frame n"),
 }
-"""Goals of a mission that is refused: each with a part of the reason."""
+"""Goals of `navigate_through_poses` that are aborted: x, y, z; frame; a part of the reason."""
 
 
 PLACE: Final = place("a", 1, 1)
 
 REQUESTS: Final[list[tuple[str, str, dict[str, Any], str]]] = [
-    ("mobile_supervisor", "go", {}, "unknown request go"),
-    ("mobile_supervisor", "go", {"goals": [GOAL], "speed": 9}, "unknown request go"),
-    ("mobile_supervisor", "go", {"goals": [GOAL], "token": ""}, "token"),
-    ("mobile_supervisor", "go", {"goals": [GOAL], "token": "a" * 65}, "token"),
-    ("mobile_supervisor", "go", {"goals": [GOAL], "token": 7}, "token"),
-    ("mobile_supervisor", "cancel", {"mission_id": 7}, "no mission 7"),
-    ("mobile_supervisor", "cancel", {"mission_id": "all"}, "no mission all"),
-    ("mobile_supervisor", "cancel", {"everything": True}, "unknown request cancel"),
-    ("mobile_supervisor", "mission", {"mission_id": 1}, "unknown request mission"),
     *(
         request
         for one in SUPERVISORS
@@ -152,8 +144,6 @@ REQUESTS: Final[list[tuple[str, str, dict[str, Any], str]]] = [
     ("velocity_gate", "release_lease", {"lease": 1}, "not valid"),
     ("velocity_gate", "release_lease", {"lease": 2**63}, "not valid"),
     ("velocity_gate", "release_lease", {"lease": True}, "not the id"),
-    ("mobile_supervisor", "go", {"goals": ["cellar"]}, "no such place|not known"),
-    ("mobile_supervisor", "go", {"goals": ["n" * 10_000]}, "no such place|not known"),
     ("map_builder", "zones", {"of": "map"}, "unknown request zones"),
     ("map_builder", "add_zone", {}, "unknown request add_zone"),
     ("map_builder", "add_zone", {"feature": None}, "must be an object"),
@@ -229,11 +219,58 @@ def test_unknown_verb_is_refused(peer: zenoh.Session, component: str, verb: str)
     assert reason in refusal(peer, component, verb, b"{}")
 
 
-@pytest.mark.parametrize("name", GOALS)
-def test_mission_is_refused(peer: zenoh.Session, name: str) -> None:
-    goals, reason = GOALS[name]
+def client(peer: zenoh.Session, name: str, service: type[Service[Any, Any]]) -> ZenohClient:
+    """Return a client of a service of the robot."""
+    key = keys.data_key(0, name, type_name(service), type_hash(service))
+    return ZenohClient(peer, Codec(), name, key, bytes(16), service, make_at_once, make_at_once)
 
-    assert re.search(reason, refusal(peer, "mobile_supervisor", "go", arguments(goals=goals)))
+
+@contextmanager
+def navigation(peer: zenoh.Session) -> Iterator[ActionCaller[Any, Any, Any]]:
+    """Yield a client of the action `navigate_through_poses`."""
+    caller: ActionCaller[Any, Any, Any] = ActionCaller(
+        ACTION, NavigateThroughPoses, lambda name, service: client(peer, name, service)
+    )
+    assert eventually(lambda: caller.is_available)
+    yield caller
+    caller.close()
+
+
+@pytest.mark.parametrize("name", GOALS)
+def test_goal_is_aborted_with_the_reason(peer: zenoh.Session, name: str) -> None:
+    positions, frame, reason = GOALS[name]
+    header = Header(frame_id=frame)
+    poses = tuple(
+        PoseStamped(header=header, pose=Pose(position=Point(x=x, y=y, z=z)))
+        for x, y, z in positions
+    )
+    with navigation(peer) as caller:
+        sent = caller.send(secrets.token_bytes(16), NavigateThroughPoses.Goal(poses=poses))
+        assert eventually(lambda: sent.has_ended)
+
+    assert sent.status == GoalStatus.STATUS_ABORTED
+    assert sent.result is not None
+    assert re.search(reason, sent.result.error_msg)
+    assert len(sent.result.error_msg) <= LONGEST_ANSWER
+
+
+@pytest.mark.parametrize("size", [0, 4, 20, 21, 47])
+def test_truncated_goal_is_rejected(peer: zenoh.Session, size: int) -> None:
+    service = NavigateThroughPoses.SendGoal
+    request = service.Request(goal=NavigateThroughPoses.Goal(poses=(PoseStamped(),)))
+    payload = Codec().encode(request)[:size]
+    key = keys.data_key(0, f"{ACTION}/{SEND_GOAL}", type_name(service), type_hash(service))
+
+    (reply,) = peer.get(key, payload=payload, timeout=LIMIT_S)
+
+    assert reply.ok is not None
+    assert not Codec().decode(service.Response, reply.ok.payload.to_bytes()).accepted
+
+
+def test_goal_of_another_definition_reaches_no_server(peer: zenoh.Session) -> None:
+    service = NavigateThroughPoses.SendGoal
+    key = keys.data_key(0, f"{ACTION}/{SEND_GOAL}", type_name(service), "RIHS01_" + 64 * "0")
+    assert list(peer.get(key, payload=b"", timeout=LIMIT_S)) == []
 
 
 @pytest.mark.parametrize(("component", "verb", "given", "reason"), REQUESTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,18 +13,22 @@ import zenoh
 
 from cairn import RELIABLE, CairnError
 from cairn.bus import control, keys
-from cairn.bus.control import ControlError, NoReplyError
+from cairn.bus.actions import CANCEL_GOAL, GET_RESULT, SEND_GOAL
+from cairn.bus.control import NoReplyError
 from cairn.bus.credentials import Credentials
 from cairn.bus.discovery import QueryableWatcher
 from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.bus.type_hash import type_hash
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.lifecycle import Transition
+from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
 from cairn.schemas.message import type_name
+from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from tests.attack.conftest import Cases
 from tests.attack.inputs import Topic, components, deployment, invalid, topics
 from tests.attack.robot import AttackedRobot, attacked_robot
-from tests.attack.test_requests import ROOT, SUPERVISORS
+from tests.attack.test_requests import ROOT, SUPERVISORS, navigation
+from tests.cairn.bus.network import eventually
 from tests.patience import LIMIT_S
 
 ROLES: Final = ("view", "operate")
@@ -201,14 +206,24 @@ def test_user_does_not_answer_requests_for_components(
         queryable.undeclare()
 
 
-def test_operator_does_not_give_a_mission_out_of_bounds(
-    sessions: dict[str, zenoh.Session],
+def test_operator_may_send_a_goal_which_is_checked(sessions: dict[str, zenoh.Session]) -> None:
+    pose = PoseStamped(pose=Pose(position=Point(x=1e300)))
+    with navigation(sessions["operate"]) as caller:
+        sent = caller.send(secrets.token_bytes(16), NavigateThroughPoses.Goal(poses=(pose,)))
+        assert eventually(lambda: sent.has_ended)
+    assert sent.result is not None
+    assert "finite" in sent.result.error_msg
+
+
+@pytest.mark.parametrize("part", [SEND_GOAL, CANCEL_GOAL, GET_RESULT])
+def test_viewer_neither_sends_nor_cancels_a_goal(
+    sessions: dict[str, zenoh.Session], part: str
 ) -> None:
-    with pytest.raises(ControlError, match="finite"):
-        control.request(
-            sessions["operate"], 0, "/robot/mobile_supervisor", "go",
-            {"goals": [[1e300, 0.0, 0.0]]}, timeout_s=LIMIT_S,
-        )  # fmt: skip
+    answers = []
+    for role in ROLES:
+        key = f"0/robot/navigate_through_poses/{part}/**"
+        answers.append(len(list(sessions[role].get(key, payload=b"", timeout=2.0))))
+    assert answers == [0, 1]
 
 
 def test_afterward_the_robot_is_unharmed(

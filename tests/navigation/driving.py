@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from cairn.bus.actions import SentGoal
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose, distance
@@ -16,6 +19,7 @@ from cairn.schemas.cairn_nav_msgs import (
     NavigationStatus,
 )
 from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from cairn.schemas.nav_msgs import OccupancyGrid
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import DeploymentHarness
@@ -56,6 +60,10 @@ class LockstepRobot(DeploymentHarness):
         """Send a goal as RViz does."""
         pose = pose_message((x, y, theta))
         self.publish("goal_pose", PoseStamped(header=Header(frame_id=frame), pose=pose))
+
+    def send(self, *goals: Sequence[float]) -> SentGoal[Any, Any, Any]:
+        """Send goals x, y, heading, one after the other, as `cairn go` does."""
+        return send_poses(self, *goals)
 
     def await_end(self, limit_s: float = 300.0) -> NavigationStatus:
         """Let time pass until a mission not awaited before has its result, and return it."""
@@ -123,6 +131,16 @@ class LockstepRobot(DeploymentHarness):
                 rows.append(row)
         truth = self._truths.messages[-1:]
         return "\n".join([f"at {truth}, {self.now:.1f} s", *rows[-25:]])
+
+
+def send_poses(robot: DeploymentHarness, *goals: Sequence[float]) -> SentGoal[Any, Any, Any]:
+    """Send a goal of `navigate_through_poses`: x, y, heading in frame map."""
+    poses = tuple(
+        PoseStamped(header=Header(frame_id="map"), pose=pose_message((x, y, theta)))
+        for x, y, theta in goals
+    )
+    goal = NavigateThroughPoses.Goal(poses=poses)
+    return robot.send_goal("navigate_through_poses", NavigateThroughPoses, goal)
 
 
 def share_occupied(grid: OccupancyCells, x: float, y: float, half_m: float = 0.35) -> float:

@@ -17,12 +17,13 @@ from cairn.components.simulation.world_file import read_world
 from cairn.components.slam.graph_file import read_graph
 from cairn.planar.map_file import read_map
 from cairn.planar.poses import apart
+from cairn.schemas.action_msgs.msg import GoalStatus
 from cairn.schemas.cairn_nav_msgs import ExplorationStatus
 from cairn.testing.launching import CAIRN, LIMIT_S, Run, launching, new_endpoint
 from cairn.testing.lockstep import DeploymentHarness
 from cairn.tools.evaluation.map_comparison import WALL_M, compare_with_world
 from tests.commands import cairn
-from tests.navigation.driving import DEPLOY
+from tests.navigation.driving import DEPLOY, send_poses
 from tests.navigation.processes import ObservedRobot
 from tests.wording import assert_words
 
@@ -49,16 +50,13 @@ def test_goal_of_an_operator_ends_the_exploration_and_is_reached(tmp_path: Path)
         statuses = robot.read("exploration_status", ExplorationStatus).messages
         robot.run_until(lambda: bool(statuses) and not math.isnan(statuses[-1].goal_x))
         robot.run_for(5.0)
-        number = robot.request("mobile_supervisor", "go", goals=[[0.5, 0.0, 0.0]])["mission_id"]
+        sent = send_poses(robot, [0.5, 0.0, 0.0])
 
         robot.run_until(lambda: statuses[-1].state == ExplorationStatus.STOPPED, 1.0)
-        assert statuses[-1].reason == f"preempted by mission {number}"
+        assert statuses[-1].reason.startswith("preempted by mission ")
 
-        def result() -> str:
-            return str(robot.run.runtime("mobile_supervisor").request("mission", {})["result"])
-
-        robot.run_until(lambda: result() != "", 60.0)
-        assert result().startswith("succeeded")
+        robot.run_until(lambda: sent.has_ended, 60.0)
+        assert sent.status == GoalStatus.STATUS_SUCCEEDED
         assert statuses[-1].state == ExplorationStatus.STOPPED
 
 

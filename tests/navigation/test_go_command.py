@@ -48,7 +48,7 @@ def test_go_prints_each_step_and_exits_with_0(robot: ObservedRobot) -> None:
     assert going.await_end() == 0
 
     printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
-    assert_words(printed[0], "mission N", "(N, N, N deg)", "Ctrl-C")
+    assert_words(printed[0], "go to", "(N, N, N deg)", "Ctrl-C")
     assert printed[1:5] == [
         "N s  loading: map_builder",
         "N s  loading: localizer",
@@ -80,7 +80,7 @@ def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: ObservedRobot) 
     assert going.await_end() == 1
 
     assert re.match(
-        r"cairn: mission \d+ failed after \d+\.\d s: no path: the goal \(-3.50, -2.00\) is outside "
+        r"cairn: the goal failed after \d+\.\d s: no path: the goal \(-3.50, -2.00\) is outside "
         r"the map; the nearest reachable position, \(",
         going.lines[-1],
     ), going
@@ -107,7 +107,7 @@ def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
     assert going.lines[-1] == "canceled: the robot stops\n"
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
     assert answer.code == 1
-    assert_words(answer.err, "cairn", "mobile_supervisor", "no mission")
+    assert_words(answer.err, "cairn", "mobile_supervisor", "no goal")
 
 
 def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
@@ -175,7 +175,7 @@ def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> No
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
 
     assert answer.code == 0
-    assert re.fullmatch(r"mission \d+ is canceled\n", answer.out)
+    assert re.fullmatch(r"goal [0-9a-f]{32} is canceled\n", answer.out)
     assert_words(answer.err, "mobile_supervisor does not answer", "restarted", "30 s")
     robot.await_stand()
     assert going.await_end() == 1
@@ -187,15 +187,13 @@ def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) 
     first.await_output("driving")
     other = ["4.0,5.0", *far_goals(robot)]
     answer = cairn("go", *other, "--no-wait", "--json", connect=robot.run.endpoint)
-    mission = answer.json["mission_id"]
+    goal = answer.json["goal_id"]
 
     assert first.await_end() == 1
 
-    assert re.fullmatch(
-        rf"cairn: mission \d+ was preempted by mission {mission}\n", first.lines[-1]
-    )
+    assert_words(first.lines[-1], "the goal failed", "preempted by mission")
     canceled = cairn("go", "--cancel", connect=robot.run.endpoint)
-    assert (canceled.code, canceled.out) == (0, f"mission {mission} is canceled\n")
+    assert (canceled.code, canceled.out) == (0, f"goal {goal} is canceled\n")
 
 
 def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> None:
@@ -213,12 +211,12 @@ def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> Non
 
 def test_end_of_the_deployment_is_reported(robot: ObservedRobot) -> None:
     going = robot.go(*far_goals(robot))
-    going.await_output("mission ")
+    going.await_output("go to ")
 
     robot.run.stop()
 
     assert going.await_end() == 1
     assert re.fullmatch(
-        r"cairn: mission \d+: the deployment has ended, and with it the goal\n",
+        r"cairn: the deployment has ended, and with it the goal\n",
         going.lines[-1],
     ), going

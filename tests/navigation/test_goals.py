@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
-from cairn import CairnError
+from cairn.schemas.action_msgs.msg import GoalStatus
+from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from tests.navigation.driving import FEW_RECOVERIES, ON_REQUEST, STOPS_S, LockstepRobot
-from tests.wording import words_in_order
 
 RobotFactory = Callable[..., LockstepRobot]
 
@@ -57,26 +57,27 @@ def test_new_goal_preempts_the_old_one(drive: RobotFactory) -> None:
 
 def test_canceled_mission_leaves_the_robot_standing(drive: RobotFactory) -> None:
     robot = drive()
-    mission = robot.request("mobile_supervisor", "go", goals=[[7.5, 5.0, 0.0]])["mission_id"]
+    sent = robot.send([7.5, 5.0, 0.0])
     robot.await_state(NavigationStatus.DRIVING)
     robot.run_for(4.0)
 
-    assert robot.request("mobile_supervisor", "cancel", mission_id=mission) == {
-        "mission_id": mission
-    }
+    sent.cancel()
+    robot.run_for(0.0)
 
+    assert sent.cancel_code == 0
     assert robot.time_to_stand() <= STOPS_S
     assert robot.await_end(1.0).state == NavigationStatus.CANCELED
     assert robot.motions[-1].state == MotionStatus.STANDING
-    assert robot.request("mobile_supervisor", "mission")["result"] == "canceled: on request"
-    with pytest.raises(CairnError, match=words_in_order("no mission", str(mission))):
-        robot.request("mobile_supervisor", "cancel", mission_id=mission)
+    assert sent.status == GoalStatus.STATUS_CANCELED
+    sent.cancel()
+    robot.run_for(0.0)
+    assert sent.cancel_code == CancelGoal.Response.ERROR_GOAL_TERMINATED
 
 
 def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
     robot = drive()
     goals = [[3.0, 1.2, 0.0], [6.4, 1.8, 1.5], [6.6, 3.2, 1.5]]
-    robot.request("mobile_supervisor", "go", goals=goals)
+    robot.send(*goals)
 
     for number, (x, y, _) in enumerate(goals[:-1], start=1):
         robot.await_goal(number)
@@ -117,20 +118,16 @@ def test_blocked_goal_fails_with_the_nearest_position(
     robot.assert_arrives((1.5, 1.2))
 
 
-def test_invalid_goal_is_rejected_and_the_mission_continues(drive: RobotFactory) -> None:
+def test_invalid_goal_is_aborted_and_the_mission_continues(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(3.0, 1.2)
     robot.await_state(NavigationStatus.DRIVING)
 
-    for goals, why in [
-        ([[math.nan, 1.0, 0.0]], "must be finite"),
-        ([[1.0, 1e9, 0.0]], "at most"),
-        ([[1.0, 2.0]], "give x"),
-        ([["1", "2", "3"]], "give x"),
-        ([], "at least one goal"),
-    ]:
-        with pytest.raises(CairnError, match=why):
-            robot.request("mobile_supervisor", "go", goals=goals)
+    for x, y, why in [(math.nan, 1.0, "must be finite"), (1.0, 1e9, "at most")]:
+        sent = robot.send([x, y, 0.0])
+        assert sent.status == GoalStatus.STATUS_ABORTED
+        assert sent.result is not None
+        assert why in sent.result.error_msg
     robot.go(7.0, 5.0, frame="odom")
 
     robot.assert_arrives((3.0, 1.2))

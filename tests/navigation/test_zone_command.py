@@ -36,7 +36,7 @@ def test_zone_that_appears_is_driven_around_and_the_place_is_reached(robot: Obse
 
     assert going.await_end() == 0
 
-    assert_words(going.lines[0], "mission", "kitchen", "Ctrl-C")
+    assert_words(going.lines[0], "go to", "kitchen", "Ctrl-C")
     assert math.dist(robot.pose[:2], (6.6, 1.4)) < 0.25
     inside = [pose for pose in robot.path() if 3.4 < pose[0] < 4.2 and pose[1] < 1.9]
     assert inside == []

@@ -4,14 +4,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import pytest
-
-from cairn import CairnError
 from cairn.planar.polygons import distance_to_edges, is_inside
 from cairn.planar.zones import zone_edges, zone_of
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus, ReasonCode
 from tests.navigation.driving import STOPS_S, LockstepRobot
-from tests.zone_features import area, lane, place
+from tests.zone_features import area, lane
 
 RobotFactory = Callable[..., LockstepRobot]
 
@@ -149,14 +146,3 @@ def test_robot_takes_a_preferred_lane(drive: RobotFactory) -> None:
     robot.run_until(lambda: robot.truth[0] > 4.5)
     assert robot.truth[1] > 1.7
     robot.assert_arrives((6.6, 1.4))
-
-
-def test_robot_drives_to_a_place_by_its_name(drive: RobotFactory) -> None:
-    robot = drive()
-    robot.run_for(3.0)
-    add(robot, place("kitchen", 3.0, 1.2, heading=1.5))
-    with pytest.raises(CairnError, match="cellar: no such place"):
-        robot.request("mobile_supervisor", "go", goals=["cellar"])
-    robot.request("mobile_supervisor", "go", goals=["kitchen"])
-    robot.assert_arrives((3.0, 1.2))
-    assert robot.truth[2] == pytest.approx(1.5, abs=0.15)

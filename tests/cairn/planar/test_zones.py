@@ -8,11 +8,11 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 
 from cairn import CairnError
+from cairn.client.navigation import find_place
 from cairn.planar.polygons import crossing
 from cairn.planar.zones import (
     feature_of,
     file_content,
-    find_place,
     read_zones,
     write_zones,
     zone_edges,

@@ -2,8 +2,7 @@
 
 import errno
 import math
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,23 +10,27 @@ import numpy as np
 import pytest
 
 from cairn import LATCHED, CairnError
+from cairn.bus.actions import STATUS_TEXT, SentGoal, uuid_of
 from cairn.client.connection import Connection
 from cairn.client.navigation import Navigator
 from cairn.files import replace_file
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
+from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
+from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
     NavigateGoal,
     NavigationStatus,
-    Zone,
-    Zones,
+    ReasonCode,
 )
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.message import InvalidMessage
+from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from cairn.schemas.std_msgs import Header
-from cairn.supervisors.mobile import cli, mission_file
-from cairn.supervisors.mobile.mission_file import Mission, MissionFile, parse_goals
+from cairn.supervisors.mobile import mission_file
+from cairn.supervisors.mobile.mission_file import ActionRecord, Mission, MissionFile, check_goals
 from cairn.testing.lockstep import DeploymentHarness
+from tests.navigation.driving import send_poses
 from tests.wording import assert_words, words_in_order
 
 TREE = """
@@ -69,6 +72,21 @@ def goals_of(mission: NavigateGoal) -> list[list[float]]:
     return rows
 
 
+def go(robot: DeploymentHarness, *goals: Sequence[float]) -> tuple[int, SentGoal[Any, Any, Any]]:
+    """Send goals; return the number of the mission, and the action's goal."""
+    sent = send_poses(robot, *goals)
+    missions = robot.read("navigate_goal", NavigateGoal, qos=LATCHED)
+    robot.run_for(0.0)
+    return missions.take()[-1].mission_id, sent
+
+
+def outcome(sent: SentGoal[Any, Any, Any]) -> str:
+    """Return how a goal has ended, and why."""
+    assert sent.result is not None
+    assert sent.status is not None
+    return f"{STATUS_TEXT[sent.status]}: {sent.result.error_msg}"
+
+
 def publish_status(robot: DeploymentHarness, **status: Any) -> None:
     robot.publish("navigation_status", NavigationStatus(**status), qos=LATCHED)
 
@@ -79,8 +97,9 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
     goals = [[1.0, -2.0, 0.5], [3.0, 4.0, 0.0]]
-    number = robot.request("mobile_supervisor", "go", goals=goals)["mission_id"]
+    number, sent = go(robot, *goals)
     (first,) = missions.take()
+    assert first.action_goal_id.uuid.tobytes() == sent.id
     assert (first.mission_id, first.first, goals_of(first)) == (number, 0, goals)
 
     publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
@@ -100,7 +119,7 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     )
     (over,) = missions.take()
     assert (over.mission_id, len(over.goals)) == (number, 0)
-    assert robot.request("mobile_supervisor", "mission")["result"] == "succeeded: arrived"
+    assert outcome(sent) == "succeeded: "
 
 
 def test_mission_ids_increase_and_old_statuses_are_ignored(
@@ -108,13 +127,14 @@ def test_mission_ids_increase_and_old_statuses_are_ignored(
 ) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
-    one = robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
-    two = robot.request("mobile_supervisor", "go", goals=[[3.0, 2.0, 0.0]])["mission_id"]
+    one, preempted = go(robot, [1.0, 2.0, 0.0])
+    two, sent = go(robot, [3.0, 2.0, 0.0])
     assert two > one
     missions.take()
     publish_status(robot, mission_id=one, state=NavigationStatus.FAILED)
     assert missions.take() == []
-    assert robot.request("mobile_supervisor", "mission")["result"] == ""
+    assert not sent.has_ended
+    assert outcome(preempted) == f"aborted: preempted by mission {two}"
 
 
 def exploration_goal(*goals: list[float]) -> NavigateGoal:
@@ -122,7 +142,7 @@ def exploration_goal(*goals: list[float]) -> NavigateGoal:
 
 
 def test_goals_of_the_explorer_preempt_each_other_and_are_canceled(
-    make_harness: MakeHarness,
+    make_harness: MakeHarness, tmp_path: Path
 ) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
@@ -135,8 +155,9 @@ def test_goals_of_the_explorer_preempt_each_other_and_are_canceled(
     robot.publish("exploration_goal", exploration_goal())
     (canceled,) = missions.take()
     assert (canceled.mission_id, len(canceled.goals)) == (second.mission_id, 0)
-    result = robot.request("mobile_supervisor", "mission")["result"]
-    assert result == "canceled: the exploration has ended"
+    saved = MissionFile(tmp_path / "mission.json").load()
+    assert saved is not None
+    assert saved.result == "canceled: the exploration has ended"
 
 
 def test_explorer_neither_preempts_nor_cancels_a_mission_of_an_operator(
@@ -146,7 +167,7 @@ def test_explorer_neither_preempts_nor_cancels_a_mission_of_an_operator(
     robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
     missions = robot.read("navigate_goal", NavigateGoal)
     missions.take()
-    number = robot.request("mobile_supervisor", "go", goals=[[5.0, 5.0, 0.0]])["mission_id"]
+    number, _ = go(robot, [5.0, 5.0, 0.0])
     assert len(missions.take()) == 1
 
     robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
@@ -159,38 +180,41 @@ def test_explorer_neither_preempts_nor_cancels_a_mission_of_an_operator(
     assert goals_of(missions.take()[-1]) == [[1.0, 2.0, 0.0]]
 
 
+def cancel(robot: DeploymentHarness, action: str, identity: bytes = bytes(16)) -> int:
+    """Cancel a goal, or all without an id; return how many are canceled."""
+    wanted = GoalInfo(goal_id=uuid_of(identity))
+    request = CancelGoal.Request(goal_info=wanted)
+    return len(robot.call(f"{action}/_action/cancel_goal", CancelGoal, request).goals_canceling)
+
+
 def test_mission_is_canceled_once(make_harness: MakeHarness) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
-    with pytest.raises(CairnError, match=words_in_order("no mission", "cancel")):
-        robot.request("mobile_supervisor", "cancel")
-    number = robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
-    with pytest.raises(CairnError, match=words_in_order("no mission 3")):
-        robot.request("mobile_supervisor", "cancel", mission_id=3)
-    assert robot.request("mobile_supervisor", "cancel", mission_id=number) == {"mission_id": number}
+    assert cancel(robot, "navigate_through_poses") == 0
+    _, sent = go(robot, [1.0, 2.0, 0.0])
+    assert cancel(robot, "navigate_through_poses", bytes(15) + b"x") == 0
+    assert cancel(robot, "navigate_through_poses", sent.id) == 1
     assert [len(mission.goals) for mission in missions.take()] == [1, 0]
-    with pytest.raises(CairnError, match=words_in_order("no mission", "cancel")):
-        robot.request("mobile_supervisor", "cancel")
+    assert outcome(sent) == "canceled: on request"
+    assert cancel(robot, "navigate_through_poses", sent.id) == 0
 
 
-def test_mission_is_canceled_by_its_token(make_harness: MakeHarness) -> None:
+def test_missions_that_no_client_sent_are_goals_too(make_harness: MakeHarness) -> None:
+    robot = make_harness(*MISSION)
+    missions = robot.read("navigate_goal", NavigateGoal)
+    assert cancel(robot, "navigate_through_poses") == 1
+
     robot = make_harness()
-    goals = [[1.0, 2.0, 0.0]]
-    number = robot.request("mobile_supervisor", "go", goals=goals, token="mine")["mission_id"]
-    for other in ("yours", ""):
-        with pytest.raises(CairnError, match=words_in_order("another client")):
-            robot.request("mobile_supervisor", "cancel", token=other)
-    assert robot.request("mobile_supervisor", "cancel", token="mine") == {"mission_id": number}
+    missions = robot.read("navigate_goal", NavigateGoal)
+    for _ in range(2):
+        robot.publish("goal_pose", PoseStamped(pose=pose_message((1.0, 2.0, 0.0))))
+    robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))  # refused
+    assert cancel(robot, "navigate_to_pose") == 1
+    robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
+    assert cancel(robot, "navigate_through_poses") == 1
 
-    robot.request("mobile_supervisor", "go", goals=goals)  # without a token
-    with pytest.raises(CairnError, match="is of another client"):
-        robot.request("mobile_supervisor", "cancel", token="mine")
-
-
-@pytest.mark.parametrize("token", ["", 7, "x" * 65])
-def test_invalid_token_is_rejected(make_harness: MakeHarness, token: Any) -> None:
-    with pytest.raises(CairnError, match=words_in_order("token = ", "1 to 64 characters")):
-        make_harness().request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]], token=token)
+    identities = {mission.action_goal_id.uuid.tobytes() for mission in missions.take()}
+    assert len(identities) == 3
 
 
 def test_goal_pose_starts_a_mission_unless_its_frame_is_wrong(make_harness: MakeHarness) -> None:
@@ -206,7 +230,7 @@ def test_restarted_supervisor_continues_the_mission(make_harness: MakeHarness) -
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
     goals = [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]]
-    number = robot.request("mobile_supervisor", "go", goals=goals)["mission_id"]
+    number, sent = go(robot, *goals)
     publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
     missions.take()
 
@@ -214,6 +238,7 @@ def test_restarted_supervisor_continues_the_mission(make_harness: MakeHarness) -
 
     (again,) = missions.take()
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
+    assert again.action_goal_id.uuid.tobytes() == sent.id
 
 
 def test_finished_mission_stays_finished_after_a_restart(
@@ -221,29 +246,38 @@ def test_finished_mission_stays_finished_after_a_restart(
 ) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
-    number = robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
-    publish_status(robot, mission_id=number, state=NavigationStatus.FAILED, reason="no path")
+    number, sent = go(robot, [1.0, 2.0, 0.0])
+    publish_status(
+        robot, mission_id=number, state=NavigationStatus.FAILED, reason="no path",
+        reason_code=ReasonCode.NO_PLAN,
+    )  # fmt: skip
     missions.take()
 
     robot.request("root", "restart", name="mobile_supervisor")
 
     assert missions.take() == []
-    assert robot.request("mobile_supervisor", "mission")["result"] == "failed: no path"
-    assert robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"] > number
+    again = result_of(robot, sent)
+    assert again.status == GoalStatus.STATUS_ABORTED
+    assert (again.result.error_msg, again.result.error_code) == ("no path", 208)
+    assert go(robot, [1.0, 2.0, 0.0])[0] > number
+
+
+def result_of(robot: DeploymentHarness, sent: SentGoal[Any, Any, Any]) -> Any:
+    """Return the answer to the request for a goal's result."""
+    request = NavigateThroughPoses.GetResult.Request(goal_id=uuid_of(sent.id))
+    service = "navigate_through_poses/_action/get_result"
+    return robot.call(service, NavigateThroughPoses.GetResult, request)
 
 
 def test_mission_is_given_up_after_several_restarts(make_harness: MakeHarness) -> None:
     robot = make_harness()
-    robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+    _, sent = go(robot, [1.0, 2.0, 0.0])
     for _ in range(4):
         robot.run_for(20.0)
         robot.request("root", "restart", name="mobile_supervisor")
-    assert_words(
-        robot.request("mobile_supervisor", "mission")["result"],
-        "failed",
-        "3 restarts",
-        "mobile_supervisor",
-    )
+    again = result_of(robot, sent)
+    assert again.status == GoalStatus.STATUS_ABORTED
+    assert_words(again.result.error_msg, "3 restarts", "mobile_supervisor")
 
 
 OF_AN_OLDER_VERSION = (
@@ -276,20 +310,20 @@ def test_unreadable_mission_is_logged_and_not_continued(
 ) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
-    robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+    _, sent = go(robot, [1.0, 2.0, 0.0])
     missions.take()
     (tmp_path / name).write_text(text, encoding="utf-8")
 
     robot.request("root", "restart", name="mobile_supervisor")
 
     assert missions.take() == []
-    assert robot.request("mobile_supervisor", "mission") is None
+    assert result_of(robot, sent).status == GoalStatus.STATUS_UNKNOWN
     assert_words(caplog.text, "not continued", name, "send the goals again")
 
 
 def test_mission_of_an_earlier_run_is_removed(make_harness: MakeHarness, tmp_path: Path) -> None:
     first = make_harness()
-    first.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+    go(first, [1.0, 2.0, 0.0])
     first.shutdown()
     second = make_harness()
     missions = second.read("navigate_goal", NavigateGoal)
@@ -321,8 +355,8 @@ def test_restarted_supervisor_knows_that_the_mission_was_preempted(
     make_harness: MakeHarness,
 ) -> None:
     robot = make_harness(*MISSION)
-    robot.request("mobile_supervisor", "go", goals=[[3.0, 4.0, 0.0]])
-    number = robot.request("mobile_supervisor", "go", goals=[[5.0, 6.0, 0.0]])["mission_id"]
+    go(robot, [3.0, 4.0, 0.0])
+    number, _ = go(robot, [5.0, 6.0, 0.0])
 
     robot.request("root", "restart", name="mobile_supervisor")
     publish_status(robot, mission_id=number, state=NavigationStatus.SUCCEEDED, reason="arrived")
@@ -337,32 +371,10 @@ def test_restarted_supervisor_knows_that_the_mission_was_preempted(
     )
 
 
-def test_goal_by_the_name_of_a_place_is_driven_to_where_that_is(make_harness: MakeHarness) -> None:
-    robot = make_harness()
-    missions = robot.read("navigate_goal", NavigateGoal)
-    with pytest.raises(CairnError, match="kitchen: the places on the map are not known"):
-        robot.request("mobile_supervisor", "go", goals=["kitchen"])
-    places = (place("dock", 1.0, 2.0, heading=0.5), place("kitchen", 7.0, 5.0))
-    robot.publish("zones", Zones(version=1, zones=places), qos=LATCHED)
-
-    robot.request("mobile_supervisor", "go", goals=["kitchen", [3.0, 3.0, 1.0], "dock"])
-
-    (mission,) = missions.take()
-    assert goals_of(mission) == [[7.0, 5.0, 0.0], [3.0, 3.0, 1.0], [1.0, 2.0, 0.5]]
-    with pytest.raises(CairnError, match=r"goal 1: cellar: no such place.*: dock, kitchen"):
-        robot.request("mobile_supervisor", "go", goals=["cellar"])
-    assert missions.take() == []
-
-
-def place(name: str, x: float, y: float, heading: float = math.nan) -> Zone:
-    rings = np.array([1], np.uint32)
-    return Zone(kind=Zone.PLACE, name=name, heading=heading, rings=rings, points=np.array([x, y]))
-
-
-def test_mission_without_automove_is_rejected(make_harness: MakeHarness) -> None:
+def test_mission_without_automove_is_aborted(make_harness: MakeHarness) -> None:
     robot = make_harness("components.mobile_supervisor.parameters.automove=driver")
-    with pytest.raises(CairnError, match="mobile_supervisor has no child driver"):
-        robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])
+    sent = send_poses(robot, [1.0, 2.0, 0.0])
+    assert_words(outcome(sent), "aborted", "mobile_supervisor has no child driver")
 
 
 def test_missing_state_folder_is_reported_at_once(make_harness: MakeHarness) -> None:
@@ -374,37 +386,29 @@ def test_missing_state_folder_is_reported_at_once(make_harness: MakeHarness) -> 
 @pytest.mark.parametrize(
     ("goals", "error"),
     [
-        ([], "at least one goal"),
-        (None, "at least one goal"),
-        ([[1.0, 2.0]], r"goal 1 = \[1.0, 2.0\]: give x \[m\], y \[m\] and heading"),
         ([[0, 0, 0], [1.0, math.nan, 0.0]], "goal 2 = .*must be finite"),
         ([[1.0, -2e5, 0.0]], "at most 100000"),
-        ([[True, 0, 0]], "goal 1"),
-        (["0,0,0"], "goal 1"),
+        ([[0.0, 0.0, 0.0]] * (MAX_GOALS + 1), "1,001 goals: .* at most 1,000"),
     ],
 )
 def test_invalid_goal_is_rejected_with_its_number(goals: Any, error: str) -> None:
     with pytest.raises(CairnError, match=error):
-        parse_goals(goals)
+        check_goals(goals)
 
 
 GOALS = tuple((float(number), -0.5, 0.25) for number in range(MAX_GOALS))
 
 
-def test_longest_mission_is_canceled_promptly_and_a_longer_one_refused_at_once(
+def test_longest_mission_is_canceled_and_a_longer_one_aborted(
     make_harness: MakeHarness, tmp_path: Path
 ) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
-    robot.request("mobile_supervisor", "go", goals=[[0.0, 0.0, 0.0]])  # loads AutoMove
-    begin = time.perf_counter()
-    with pytest.raises(CairnError, match=words_in_order("5,000,000 goals", "at most 1,000")):
-        robot.request("mobile_supervisor", "go", goals=[[0.0, 0.0, 0.0]] * 5_000_000)
-    number = robot.request("mobile_supervisor", "go", goals=[list(goal) for goal in GOALS])
-    assert robot.request("mobile_supervisor", "cancel") == number
-    assert time.perf_counter() - begin < 1.0
+    assert_words(outcome(send_poses(robot, *GOALS, GOALS[0])), "1,001 goals", "at most 1,000")
+    _, sent = go(robot, *GOALS)
+    assert cancel(robot, "navigate_through_poses", sent.id) == 1
 
-    assert [len(mission.goals) for mission in missions.take()] == [1, MAX_GOALS, 0]
+    assert [len(mission.goals) for mission in missions.take()] == [MAX_GOALS, 0]
     assert (tmp_path / "mission.json.progress").stat().st_size < 200
 
 
@@ -415,8 +419,6 @@ def test_more_goals_than_allowed_are_refused_wherever_they_are_given(
     with pytest.raises(InvalidMessage, match=words_in_order("goals = 1001", "at most 1000")):
         NavigateGoal(goals=packed_poses(np.array(too_many)))
     with pytest.raises(CairnError, match=words_in_order("1,001 goals", "at most 1,000")):
-        cli.parse_goals(["0,0"] * len(too_many))
-    with pytest.raises(CairnError, match=words_in_order("1,001 goals", "at most 1,000")):
         Navigator(Connection(cast("Any", None), 0), "/robot/x", print).goal(too_many)
     listed = [list(goal) for goal in too_many]
     with pytest.raises(CairnError, match=words_in_order("mission", "at most 1000")):
@@ -426,14 +428,15 @@ def test_more_goals_than_allowed_are_refused_wherever_they_are_given(
 def test_progress_beyond_the_goals_is_ignored(make_harness: MakeHarness) -> None:
     robot = make_harness()
     missions = robot.read("navigate_goal", NavigateGoal)
-    number = robot.request("mobile_supervisor", "go", goals=[[1.0, 2.0, 0.0]])["mission_id"]
+    number, _ = go(robot, [1.0, 2.0, 0.0])
     missions.take()
     publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=2, goals=1)
     assert missions.take() == []
 
 
 def a_mission(number: int = 1, **changes: Any) -> Mission:
-    mission = Mission(mission_id=number, requested_ns=number, goals=GOALS)
+    action = ActionRecord(name="navigate_through_poses", goal_id=f"{number:032x}")
+    mission = Mission(mission_id=number, requested_ns=number, goals=GOALS, action=action)
     return mission.model_copy(update=changes)
 
 
