@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,9 @@ def planar_pose(pose: Pose) -> poses.Pose:
     return pose.position.x, pose.position.y, yaw
 
 
+_LONGEST_NAME: Final = 100  # in errors and logs
+
+
 class WrongFrame(CairnError):
     """A pose is in another frame than map."""
 
@@ -60,7 +64,7 @@ def pose_in_map(pose: PoseStamped, name: str) -> poses.Pose:
     """
     frame = pose.header.frame_id.removeprefix("/")
     if frame not in ("", "map"):
-        raise WrongFrame(f"{name} is in frame {frame}, not map")
+        raise WrongFrame(f"{name} is in frame {frame[:_LONGEST_NAME]}, not map")
     return planar_pose(pose.pose)
 
 

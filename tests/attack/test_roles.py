@@ -21,13 +21,14 @@ from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.bus.type_hash import type_hash
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.lifecycle import Transition
+from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
-from cairn.schemas.message import type_name
+from cairn.schemas.message import Service, type_name
 from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from tests.attack.conftest import Cases
 from tests.attack.inputs import Topic, components, deployment, invalid, topics
 from tests.attack.robot import AttackedRobot, attacked_robot
-from tests.attack.test_requests import ROOT, SUPERVISORS, navigation
+from tests.attack.test_requests import ACTION, ROOT, SUPERVISORS, navigation
 from tests.cairn.bus.network import eventually
 from tests.patience import LIMIT_S
 
@@ -215,14 +216,19 @@ def test_operator_may_send_a_goal_which_is_checked(sessions: dict[str, zenoh.Ses
     assert "finite" in sent.result.error_msg
 
 
-@pytest.mark.parametrize("part", [SEND_GOAL, CANCEL_GOAL, GET_RESULT])
+@pytest.mark.parametrize(
+    ("part", "service"),
+    [
+        (SEND_GOAL, NavigateThroughPoses.SendGoal),
+        (CANCEL_GOAL, CancelGoal),
+        (GET_RESULT, NavigateThroughPoses.GetResult),
+    ],
+)
 def test_viewer_neither_sends_nor_cancels_a_goal(
-    sessions: dict[str, zenoh.Session], part: str
+    sessions: dict[str, zenoh.Session], part: str, service: type[Service[Any, Any]]
 ) -> None:
-    answers = []
-    for role in ROLES:
-        key = f"0/robot/navigate_through_poses/{part}/**"
-        answers.append(len(list(sessions[role].get(key, payload=b"", timeout=2.0))))
+    key = keys.data_key(0, f"{ACTION}/{part}", type_name(service), type_hash(service))
+    answers = [len(list(sessions[role].get(key, payload=b"", timeout=LIMIT_S))) for role in ROLES]
     assert answers == [0, 1]
 
 
