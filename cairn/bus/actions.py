@@ -44,6 +44,12 @@ MOST_WAITING: Final = 1000
 RESULT_KEPT_S: Final = 900.0
 """How long a result is kept at most [s]."""
 
+RESULT_OWED_S: Final = 10.0
+"""For so long [s] a result is kept until a client asks for it, also if more goals end.
+
+While `MOST_ENDED` such results have not been asked for, further goals are rejected.
+"""
+
 RESULT_TIMEOUT_S: Final = 7 * 24 * 3600.0
 """How long a client waits for a result [s]: a drive may take any time."""
 
@@ -156,6 +162,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
         self._log = log
         self._goals: OrderedDict[bytes, ServerGoal[Goal, Result, Feedback]] = OrderedDict()
         self._results: dict[bytes, tuple[Result, int]] = {}  # with the time of the end [ns]
+        self._unread: set[bytes] = set()  # goals whose result no client has got yet
         self._waiting: dict[bytes, list[Call]] = {}
 
     @property
@@ -175,12 +182,15 @@ class GoalServer(Generic[Goal, Result, Feedback]):
 
     def send_goal(self, call: Call) -> None:
         """Answer a call of `send_goal`."""
+        self._forget_old()
         identity = goal_id(call.request.goal_id)
         reason = ""
         if identity in self._goals:
             reason = "a goal with this id exists already"
         elif len(self.active) >= MOST_ACTIVE:
             reason = f"{MOST_ACTIVE} goals are active already"
+        elif len(self._results) >= MOST_ENDED and all(map(self._is_owed, self._results)):
+            reason = f"the results of {MOST_ENDED} goals that have just ended were not asked for"
         goal: ServerGoal[Goal, Result, Feedback] = ServerGoal(
             identity, call.request.goal, self._link.now(), self
         )
@@ -238,6 +248,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
         if goal is None:
             call.reply(self._result_response(GoalStatus.STATUS_UNKNOWN, self._action.Result()))
         elif identity in self._results:
+            self._unread.discard(identity)
             call.reply(self._result_response(goal.status, self._results[identity][0]))
         elif sum(map(len, self._waiting.values())) >= MOST_WAITING:
             call.refuse(f"{self._name}: {MOST_WAITING} requests for results wait already")
@@ -250,6 +261,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
             self.end(goal, GoalStatus.STATUS_ABORTED, self._action.Result())
         self._goals.clear()
         self._results.clear()
+        self._unread.clear()
 
     def send_feedback(self, goal: ServerGoal[Goal, Result, Feedback], feedback: Feedback) -> None:
         """Publish feedback for a goal."""
@@ -276,7 +288,10 @@ class GoalServer(Generic[Goal, Result, Feedback]):
             )
         goal.status = status
         self._results[goal.id] = (result, self._link.now())
-        for call in self._waiting.pop(goal.id, ()):
+        waiting = self._waiting.pop(goal.id, ())
+        if not waiting:
+            self._unread.add(goal.id)
+        for call in waiting:
             call.reply(self._result_response(status, result))
         self._forget_old()
         self._publish_status()
@@ -305,13 +320,20 @@ class GoalServer(Generic[Goal, Result, Feedback]):
     def _info(self, goal: ServerGoal[Goal, Result, Feedback]) -> GoalInfo:
         return GoalInfo(goal_id=uuid_of(goal.id), stamp=from_ns(goal.accepted_ns))
 
+    def _is_owed(self, identity: bytes) -> bool:
+        """Return whether a goal has just ended, and no client has asked for its result yet."""
+        age = self._link.now() - self._results[identity][1]
+        return identity in self._unread and age < RESULT_OWED_S * SECOND
+
     def _forget_old(self) -> None:
         oldest = self._link.now() - round(RESULT_KEPT_S * SECOND)
-        ended = list(self._results.items())
-        for number, (identity, (_, ended_ns)) in enumerate(ended):
-            if len(ended) - number > MOST_ENDED or ended_ns < oldest:
+        surplus = len(self._results) - MOST_ENDED
+        for identity, (_, ended_ns) in list(self._results.items()):
+            if ended_ns < oldest or (surplus > 0 and not self._is_owed(identity)):
+                surplus -= 1
                 del self._results[identity]
                 del self._goals[identity]
+                self._unread.discard(identity)
 
     def _publish_status(self) -> None:
         self._link.publish_status(

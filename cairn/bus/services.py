@@ -509,6 +509,8 @@ class _PendingCall:
         elif self._refusal is not None:
             data = self._refusal.to_bytes()[: 4 * _LONGEST_REASON]
             error = data.decode(errors="replace")[:_LONGEST_REASON]
+        elif self._client.is_available:
+            error = f"{name}: no answer: the server ended, or has too many calls; call again later"
         else:
             error = f"{name}: there is no server of this type, or it ended before it answered"
         self._on_failure(ServiceError(error))

@@ -64,13 +64,17 @@ class ActionServerPort:
             SEND_GOAL: spec.action.SendGoal.Response(accepted=False),
             CANCEL_GOAL: CancelGoal.Response(return_code=CancelGoal.Response.ERROR_REJECTED),
         }
-        self.servers = [
-            ServerPort(
-                service, f"{action}/{part}", owner, node, scheduler,
-                f"{on_goal.__name__} ({service.name})", answers[part], call_log, invalid.get(part),
-            )
-            for part, service in spec.services().items()
-        ]  # fmt: skip
+        self.servers: list[ServerPort] = []
+        # Many goals at once keep nobody from canceling, nor from the results of earlier ones.
+        for part in (CANCEL_GOAL, GET_RESULT, SEND_GOAL):
+            service = spec.services()[part]
+            self.servers.append(
+                ServerPort(
+                    service, f"{action}/{part}", owner, node, scheduler,
+                    f"{on_goal.__name__} ({service.name})", answers[part], call_log,
+                    invalid.get(part), tuple(self.servers),
+                )
+            )  # fmt: skip
         topics = {
             part: OutputPort(component.name, topic, f"{action}/{part}", owner, node, None, call_log)
             for part, topic in spec.topics().items()

@@ -1,6 +1,6 @@
 """The servers and clients of one running component: they answer and call, and count."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -29,11 +29,13 @@ class ServerPort:
         answer: Callable[[Call], None],
         call_log: CallLog | None,
         invalid_response: Any = None,
+        after: "Sequence[ServerPort]" = (),
     ) -> None:
         """Prepare the server of the service of that full name.
 
         `answer` answers a call, now or later; an exception that it raises fails the component, and
-        refuses the call. `invalid_response` answers calls whose request is not valid.
+        refuses the call. `invalid_response` answers calls whose request is not valid. The calls of
+        the servers `after` which this one comes are handled first.
         """
         self.bound: BoundServer[Any, Any] = BoundServer(spec, service)
         self._spec = spec
@@ -43,6 +45,7 @@ class ServerPort:
         self._answer = answer
         self._call_log = call_log
         self._invalid_response = invalid_response
+        self._after = after
         self._wake = partial(scheduler.deliver, self._on_wake_up)
         self._server: Server | None = None
         # The server to count, and the counts before it; one tuple, read by other threads.
@@ -86,8 +89,15 @@ class ServerPort:
         return before[0] + now.received, before[1] + now.invalid, before[2] + now.refused
 
     def _on_wake_up(self) -> None:
+        for other in self._after:
+            while other.handle_next():
+                pass
+        self.handle_next()
+
+    def handle_next(self) -> bool:
+        """Handle the oldest pending call; return whether there was one."""
         if self._server is None:
-            return
+            return False
         try:
             call = self._server.take()
         except InvalidMessage as error:
@@ -97,13 +107,14 @@ class ServerPort:
                     "service %s: refused an invalid request (%d so far): %s",
                     self.bound.service, count, error,
                 )  # fmt: skip
-            return
+            return True
         if call is None:
-            return
+            return False
         if self._call_log is not None:
             self._call_log.called(self._spec.name, call)
             call = _LoggedCall(call, self._spec.name, self._call_log)
         self._owner.run(self._where, self._make, call)
+        return True
 
     def _make(self, call: Call) -> None:
         try:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cairn import (
@@ -21,6 +22,7 @@ from cairn import (
     on,
     serve,
 )
+from cairn.bus.actions import MOST_ENDED, RESULT_OWED_S
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.ports import handlers_of, services_of
 from cairn.schemas.action_msgs.msg import GoalStatus, GoalStatusArray
@@ -306,7 +308,7 @@ def test_component_uses_an_action() -> None:
     assert texts(starter) == ["feedback 1", "code 0", "status 5: [0, 1, 1]"]
 
 
-def test_hundred_thousand_goals_are_refused_beyond_the_limit_and_leave_the_server_working() -> None:
+def test_goals_beyond_the_limit_are_rejected_and_leave_the_server_working() -> None:
     counter = ComponentHarness(Counter)
     sent = [counter.send_goal("fibonacci", Fibonacci, Fibonacci.Goal(order=2)) for _ in range(300)]
     assert sum(one.error is not None for one in sent) == 200
@@ -315,6 +317,36 @@ def test_hundred_thousand_goals_are_refused_beyond_the_limit_and_leave_the_serve
     last = counter.send_goal("fibonacci", Fibonacci, Fibonacci.Goal(order=2))
     counter.run_until(lambda: last.has_ended)
     assert last.status == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_results_that_were_not_asked_for_are_kept_and_delay_further_goals() -> None:
+    counter = ComponentHarness(Counter)
+
+    def is_accepted(number: int) -> bool:
+        request = Fibonacci.SendGoal.Request(goal_id=uuid(number))
+        response = counter.call("fibonacci/_action/send_goal", Fibonacci.SendGoal, request)
+        return response.accepted
+
+    def status(number: int) -> int:
+        request = Fibonacci.GetResult.Request(goal_id=uuid(number))
+        service = "fibonacci/_action/get_result"
+        return counter.call(service, Fibonacci.GetResult, request).status
+
+    accepted = [is_accepted(number) for number in range(MOST_ENDED + 50)]
+    assert accepted == [True] * MOST_ENDED + [False] * 50
+
+    assert status(0) == GoalStatus.STATUS_SUCCEEDED
+    assert is_accepted(200)
+    assert [status(one) for one in (0, 1)] == [
+        GoalStatus.STATUS_UNKNOWN, GoalStatus.STATUS_SUCCEEDED,
+    ]  # fmt: skip
+
+    counter.run_for(RESULT_OWED_S)
+    assert all(is_accepted(number) for number in range(300, 350))
+
+
+def uuid(number: int) -> UUID:
+    return UUID(uuid=np.frombuffer(number.to_bytes(16, "big"), np.uint8))
 
 
 @pytest.mark.parametrize(
