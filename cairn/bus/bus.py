@@ -1,7 +1,7 @@
 """The contract of a bus, which the Zenoh bus and the lockstep bus both implement."""
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
@@ -254,12 +254,19 @@ class Node(Protocol):
 class Bus(Protocol):
     """The connection of one process to all other processes."""
 
-    def node(self, name: str, report: Callable[[str], None]) -> Node:
+    def node(
+        self,
+        name: str,
+        report: Callable[[str], None],
+        warn: Callable[[str], None] | None = None,
+    ) -> Node:
         """Join the bus under a full name (`/robot/localizer`).
 
         `report` is called, on any thread, with an error message when another node uses a topic of
         this node with another message type (the two cannot receive each other's messages), and
-        about messages that are refused, or too long to be received or sent.
+        about messages that are refused, or too long to be received or sent. `warn`, by default
+        `report`, is called likewise when the QoS of another node does not match, or it has the
+        same name.
         """
         ...
 
@@ -274,13 +281,3 @@ class Bus(Protocol):
 def full_name(robot: str, topic: str) -> str:
     """Return the name on the bus of a robot's topic or component; a name with / is complete."""
     return topic if topic.startswith("/") else f"/{robot}/{topic}"
-
-
-def type_conflict(
-    name: str, ours: str, other: str, theirs: str, kind: Literal["topic", "service"] = "topic"
-) -> str:
-    """Return the error message about two types on one topic or service."""
-    return (
-        f"{kind} {name}: {other} uses it with type {theirs}, this component with {ours}, so they "
-        f"cannot receive each other's messages; rename one of the {kind}s or use the same type"
-    )

@@ -81,15 +81,19 @@ def default_domain() -> int:
 
     Raises `CairnError` if the variable is not a domain.
     """
-    text = os.environ.get(DOMAIN_VARIABLE, "").strip()
-    if not text:
-        return 0
-    if not re.fullmatch("[0-9]{1,3}", text) or int(text) > MAX_DOMAIN:
-        raise CairnError(
-            f"{DOMAIN_VARIABLE}={text!r} is not a domain: set it to a number from 0 to "
-            f"{MAX_DOMAIN}, or remove it"
-        )
-    return int(text)
+    text = os.environ.get(DOMAIN_VARIABLE, "")
+    try:
+        return parse_domain(text)
+    except ValueError as error:
+        raise CairnError(f"{DOMAIN_VARIABLE}={text!r} {error}, or remove it") from error
+
+
+def parse_domain(text: str) -> int:
+    """Return the domain that a text gives, 0 if it is blank; `ValueError` if it is none."""
+    text = text.strip()
+    if not re.fullmatch("[0-9]{0,3}", text) or int(text or 0) > MAX_DOMAIN:
+        raise ValueError(f"is not a domain; set it to a number from 0 to {MAX_DOMAIN}")
+    return int(text or 0)
 
 
 def domain_socket(domain: int) -> Path:

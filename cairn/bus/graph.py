@@ -18,7 +18,7 @@ _MAX_TOKENS = 20_000
 """A graph that is larger is not read completely: a robot has some hundreds of tokens."""
 
 _MAX_ENDPOINTS = 1000
-"""A topic with so many endpoints is not followed any further: a robot's topic has some ten."""
+"""A topic or a name with so many tokens is not followed any further: a topic has some ten."""
 
 _POLL_S = 0.1
 """Interval for reading what has changed: one thread for all topics, at any rate of changes."""
@@ -76,10 +76,10 @@ def read_graph(
 
 
 class GraphWatcher:
-    """Reports the endpoints of topics, those that exist already and those that appear.
+    """Reports the endpoints of topics and the nodes of names, that exist already or appear.
 
-    It subscribes to the tokens of these topics alone, because each token that another program
-    declares is sent to every process that subscribes to it.
+    It subscribes to the tokens of these alone, because each token that another program declares is
+    sent to every process that subscribes to it.
     """
 
     def __init__(self, session: zenoh.Session, domain: int) -> None:
@@ -88,13 +88,13 @@ class GraphWatcher:
         self._domain = domain
         self._lock = threading.Lock()
         self._reading = threading.Lock()  # the changes of a token are read in their order
-        self._topics: dict[str, _Topic] = {}
+        self._followed: dict[str, _Followed] = {}  # by key expression
         self._by_gid: dict[bytes, keys.EndpointEntity] = {}
         self._closed = threading.Event()
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Follow the watched topics from now on.
+        """Follow what is watched from now on.
 
         Zenoh then sends this process the tokens of these topics, which takes seconds if another
         process has declared thousands: after the start of a component they delay nothing.
@@ -103,9 +103,9 @@ class GraphWatcher:
             if self._thread is not None:
                 return
             self._thread = threading.Thread(target=self._follow, name="cairn graph", daemon=True)
-            for name, topic in self._topics.items():
-                if topic.is_urgent:
-                    self._subscribe(name, topic)
+            for pattern, followed in self._followed.items():
+                if followed.is_urgent:
+                    self._subscribe(pattern, followed)
         self._thread.start()
 
     def watch(
@@ -115,30 +115,43 @@ class GraphWatcher:
         *,
         is_urgent: bool = True,
     ) -> Callable[[], None]:
-        """Call `on_endpoint` for every endpoint of a topic (full name), now and later.
+        """Call `on_endpoint` for every endpoint of a topic or service (full name), now and later.
 
         If it is not urgent, this may begin some seconds after the start. Returns a function that
         stops it.
         """
+        pattern = keys.endpoints_pattern(self._domain, topic)
+        return self._watch(pattern, f"the endpoints of {topic}", on_endpoint, is_urgent=is_urgent)
+
+    def watch_nodes(
+        self, name: str, on_node: Callable[[keys.NodeEntity], None]
+    ) -> Callable[[], None]:
+        """Call `on_node` for every node of a full name; as `watch`, not urgently."""
+        pattern = keys.nodes_pattern(self._domain, name)
+        return self._watch(pattern, f"the nodes named {name}", on_node, is_urgent=False)
+
+    def _watch(
+        self, pattern: str, what: str, on_entity: Callable[[Any], None], *, is_urgent: bool
+    ) -> Callable[[], None]:
         with self._lock:
-            followed = self._topics.setdefault(topic, _Topic())
+            followed = self._followed.setdefault(pattern, _Followed(what))
             followed.is_urgent |= is_urgent
             if followed.is_urgent and not followed.is_followed and self._thread is not None:
-                self._subscribe(topic, followed)
-            followed.callbacks.append(on_endpoint)
-            present = list(followed.endpoints.values())
-        for endpoint in present:
-            on_endpoint(endpoint)
+                self._subscribe(pattern, followed)
+            followed.callbacks.append(on_entity)
+            present = list(followed.entities.values())
+        for entity in present:
+            on_entity(entity)
 
         def stop() -> None:
             with self._lock:
-                if on_endpoint not in followed.callbacks:
+                if on_entity not in followed.callbacks:
                     return
-                followed.callbacks.remove(on_endpoint)
+                followed.callbacks.remove(on_entity)
                 if followed.callbacks:
                     return
-                del self._topics[topic]
-                for token in followed.endpoints:
+                del self._followed[pattern]
+                for token in followed.entities:
                     self._by_gid.pop(keys.gid(token), None)
                 subscriber, followed.subscriber = followed.subscriber, None
             if subscriber is not None:
@@ -158,16 +171,16 @@ class GraphWatcher:
         if self._thread is not None:
             self._thread.join(timeout=2.0)
         with self._lock:
-            subscribers = [topic.subscriber for topic in self._topics.values() if topic.subscriber]
-            for topic in self._topics.values():
-                topic.subscriber = None
+            subscribers = [one.subscriber for one in self._followed.values() if one.subscriber]
+            for one in self._followed.values():
+                one.subscriber = None
         for subscriber in subscribers:
             subscriber.undeclare()
 
-    def _subscribe(self, name: str, topic: "_Topic") -> None:
-        topic.is_followed = True
-        topic.subscriber = self._session.liveliness().declare_subscriber(
-            keys.endpoints_pattern(self._domain, name),
+    def _subscribe(self, pattern: str, followed: "_Followed") -> None:
+        followed.is_followed = True
+        followed.subscriber = self._session.liveliness().declare_subscriber(
+            pattern,
             zenoh.handlers.RingChannel(_MAX_ENDPOINTS),
             history=True,
         )
@@ -182,27 +195,27 @@ class GraphWatcher:
 
     def _follow_one_more(self) -> None:
         with self._lock:
-            for name, topic in self._topics.items():
-                if not topic.is_followed:
-                    self._subscribe(name, topic)
+            for pattern, followed in self._followed.items():
+                if not followed.is_followed:
+                    self._subscribe(pattern, followed)
                     return
 
     def _read_changes(self) -> None:
         with self._lock:
-            topics = list(self._topics.items())
-        for name, topic in topics:
+            all_followed = list(self._followed.items())
+        for pattern, followed in all_followed:
             calls: list[Callable[[], None]] = []
             with self._reading:
                 for _ in range(_MAX_ENDPOINTS):
-                    sample = topic.next_change()
+                    sample = followed.next_change()
                     if sample is None:
                         break
-                    calls += self._changed(name, topic, sample)
+                    calls += self._changed(pattern, followed, sample)
             for call in calls:
                 call()
 
     def _changed(
-        self, name: str, topic: "_Topic", sample: zenoh.Sample
+        self, pattern: str, followed: "_Followed", sample: zenoh.Sample
     ) -> list[Callable[[], None]]:
         """Remember a change; return the calls to make."""
         token = str(sample.key_expr)
@@ -210,38 +223,39 @@ class GraphWatcher:
         calls: list[Callable[[], None]] = []
         crowded = None
         with self._lock:
-            if self._topics.get(name) is not topic:  # no longer watched
+            if self._followed.get(pattern) is not followed:  # no longer watched
                 return []
-            if not isinstance(entity, keys.EndpointEntity):
-                topic.malformed += 1
+            if entity is None:
+                followed.malformed += 1
             elif sample.kind == zenoh.SampleKind.DELETE:
-                topic.endpoints.pop(token, None)
+                followed.entities.pop(token, None)
                 self._by_gid.pop(keys.gid(token), None)
             else:
-                if token not in topic.endpoints:
-                    calls = [partial(callback, entity) for callback in topic.callbacks]
-                topic.endpoints[token] = entity
-                self._by_gid[keys.gid(token)] = entity
-            if len(topic.endpoints) + topic.malformed >= _MAX_ENDPOINTS:
-                crowded, topic.subscriber = topic.subscriber, None
+                if token not in followed.entities:
+                    calls = [partial(callback, entity) for callback in followed.callbacks]
+                followed.entities[token] = entity
+                if isinstance(entity, keys.EndpointEntity):
+                    self._by_gid[keys.gid(token)] = entity
+            if len(followed.entities) + followed.malformed >= _MAX_ENDPOINTS:
+                crowded, followed.subscriber = followed.subscriber, None
         if crowded is not None:
             crowded.undeclare()
             _log.warning(
-                "stopped following the endpoints of %s: it has %d or more, so further ones with "
-                "another type are not reported; end the program that announces them, then "
-                "restart this component",
-                name,
+                "stopped following %s: there are %d or more, so conflicts with further ones are "
+                "not reported; end the program that announces them, then restart this component",
+                followed.what,
                 _MAX_ENDPOINTS,
             )
         return calls
 
 
-class _Topic:
-    """What is known of a watched topic."""
+class _Followed:
+    """What is known of the endpoints of a topic, or the nodes of a name."""
 
-    def __init__(self) -> None:
-        self.endpoints: dict[str, keys.EndpointEntity] = {}
-        self.callbacks: list[Callable[[keys.EndpointEntity], None]] = []
+    def __init__(self, what: str) -> None:
+        self.what = what
+        self.entities: dict[str, keys.NodeEntity | keys.EndpointEntity] = {}
+        self.callbacks: list[Callable[[Any], None]] = []
         self.is_urgent = False
         self.is_followed = False  # or it was, until it was crowded
         self.malformed = 0  # tokens that have appeared or disappeared

@@ -26,6 +26,17 @@ TOKENS = "@ros2_lv"
 DEFAULT_DEPTH = 42
 """The depth that rmw_zenoh leaves out of its tokens."""
 
+CAIRN_ID_PREFIX = "ca1c0de5"
+"""Prefix of the session ids of components and routers, which answer discovery queries.
+
+The process id follows, so that a process that does not answer can be named without asking it, and
+a random number. The last four bytes prove that the session is one of the run: a tag of the others,
+keyed by the run's secret.
+"""
+
+PID_DIGITS = 8
+"""Hexadecimal digits of the process id in a session id."""
+
 _ATTACHMENT = struct.Struct("<qqB16s")
 LONGEST_ATTACHMENT = _ATTACHMENT.size + 1 + PROOF_BYTES
 """Length of an attachment with the proof of an exclusive topic's writer [bytes]."""
@@ -113,6 +124,11 @@ class NodeEntity:
     name: str
     enclave: str = "/"
 
+    @property
+    def is_foreign(self) -> bool:
+        """Whether it is not in a process of Cairn, as its session id shows; it may be forged."""
+        return process_id(self.zid) is None
+
 
 @dataclass(frozen=True)
 class EndpointEntity:
@@ -130,6 +146,18 @@ class EndpointEntity:
     def data_key(self) -> str:
         """The key expression on which the messages of this endpoint travel."""
         return data_key(self.node.domain, self.topic, self.type_name, self.type_hash)
+
+
+def process_id(zid: str) -> int | None:
+    """Return the process id in a session id; None if the session is not one of Cairn.
+
+    Unless `cairn.bus.session.is_member` holds, it proves nothing.
+    """
+    digits = zid.removeprefix(CAIRN_ID_PREFIX)[:PID_DIGITS]
+    try:
+        return int(digits, 16) if zid.startswith(CAIRN_ID_PREFIX) else None
+    except ValueError:
+        return None
 
 
 def data_key(domain: int, topic: str, ros_name: str, type_hash: str) -> str:

@@ -5,7 +5,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from cairn.bus import keys
-from cairn.bus.bus import MessageId, type_conflict
+from cairn.bus.bus import MessageId
+from cairn.bus.conflicts import type_conflict
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.exclusive import Exclusive, RefusalLog
 from cairn.bus.lockstep_services import LockstepClient, LockstepServer
@@ -35,7 +36,12 @@ class LockstepBus:
         """Called with every message and its publisher, before it is handed over."""
         self._topics: dict[str, _Topic] = {}
 
-    def node(self, name: str, report: Callable[[str], None]) -> "LockstepNode":
+    def node(
+        self,
+        name: str,
+        report: Callable[[str], None],
+        warn: Callable[[str], None] | None = None,  # noqa: ARG002 - `cairn check` knows all nodes
+    ) -> "LockstepNode":
         """Join the bus under a full name; `report` receives errors about conflicting types."""
         return LockstepNode(self, name, report)
 
@@ -286,8 +292,9 @@ class _Topic:
         for other in others:
             if other.message is not end.message:
                 ours, theirs = type_name(end.message), type_name(other.message)
-                end.node.report(type_conflict(self.name, ours, other.node.name, theirs))
-                other.node.report(type_conflict(self.name, theirs, end.node.name, ours))
+                first, second = end.node, other.node
+                first.report(type_conflict(self.name, second.name, theirs, first.name, ours))
+                second.report(type_conflict(self.name, first.name, ours, second.name, theirs))
         ends.append(end)
 
     def leave(self, end: End, ends: list[End]) -> None:

@@ -6,7 +6,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cairn.bus import keys
-from cairn.bus.bus import ServiceError, type_conflict
+from cairn.bus.bus import ServiceError
+from cairn.bus.conflicts import type_conflict
 from cairn.bus.message_limits import default_max_bytes, length_of
 from cairn.bus.services import MOST_PENDING
 from cairn.clock import SECOND
@@ -165,5 +166,6 @@ def report_conflict(end: LockstepServer | LockstepClient, other: LockstepServer)
     if other.service is end.service:
         return
     ours, theirs = type_name(end.service), type_name(other.service)
-    end.node.report(type_conflict(end.name, ours, other.node.name, theirs, "service"))
-    other.node.report(type_conflict(end.name, theirs, end.node.name, ours, "service"))
+    first, second = end.node, other.node
+    first.report(type_conflict(end.name, second.name, theirs, first.name, ours, "service"))
+    second.report(type_conflict(end.name, first.name, ours, second.name, theirs, "service"))

@@ -30,6 +30,10 @@ class Qos:
         if self.depth < 1:
             raise ValueError(f"depth = {self.depth}: a port keeps at least 1 message")
 
+    def __str__(self) -> str:
+        """Return its policies in ROS 2's words: `best_effort, volatile, depth 5`."""
+        return f"{self.reliability}, {self.durability}, depth {self.depth}"
+
     @property
     def latched(self) -> bool:
         """Whether late subscribers receive the last messages."""

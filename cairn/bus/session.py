@@ -32,6 +32,7 @@ from cairn.bus.endpoints import (
     socket_path,
     tcp_address,
 )
+from cairn.bus.keys import CAIRN_ID_PREFIX, PID_DIGITS, process_id
 from cairn.bus.message_limits import DEFAULT_LIMITS, MessageLimits
 from cairn.errors import CairnError
 from cairn.runtime_folder import (
@@ -50,15 +51,7 @@ _CLIENT_QUERY_MS = 1000
 _JOIN_TIMEOUT_S = 10.0
 """A new process waits so long for its router, which may get no processor while many start."""
 
-CAIRN_ID_PREFIX = "ca1c0de5"
-"""Prefix of the session ids of components and routers, which answer discovery queries.
-
-The process id follows, so that a process that does not answer can be named without asking it, and
-a random number. The last four bytes prove that the session is one of the run: a tag of the others,
-keyed by the run's secret.
-"""
-
-_PID_DIGITS, _TAG_DIGITS = 8, 8
+_TAG_DIGITS = 8
 
 LEASE_MS = 5000
 """The link to a silent peer is closed after this time; that to a killed process at once.
@@ -247,18 +240,6 @@ def process_of(zid: str) -> str:
     return f"the foreign session {zid}" if pid is None else f"process {pid}"
 
 
-def process_id(zid: str) -> int | None:
-    """Return the process id in a session id; None if the session is not one of Cairn.
-
-    Unless `is_member` holds, it proves nothing.
-    """
-    digits = zid.removeprefix(CAIRN_ID_PREFIX)[:_PID_DIGITS]
-    try:
-        return int(digits, 16) if zid.startswith(CAIRN_ID_PREFIX) else None
-    except ValueError:
-        return None
-
-
 def is_member(zid: str, secret: str) -> bool:
     """Return whether a session id proves that the session belongs to the run with this secret.
 
@@ -273,7 +254,7 @@ def is_member(zid: str, secret: str) -> bool:
 
 def session_id(secret: str) -> str:
     """Return a new session id for this process; it proves that the session is of this run."""
-    head = f"{CAIRN_ID_PREFIX}{os.getpid():0{_PID_DIGITS}x}{secrets.token_hex(4)}"
+    head = f"{CAIRN_ID_PREFIX}{os.getpid():0{PID_DIGITS}x}{secrets.token_hex(4)}"
     return head + (_tag(head, secret) if secret else secrets.token_hex(_TAG_DIGITS // 2))
 
 

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import zenoh
 from zenoh.ext import (
@@ -20,8 +20,9 @@ from zenoh.ext import (
 )
 
 from cairn.bus import keys
-from cairn.bus.bus import MessageId, type_conflict
+from cairn.bus.bus import MessageId
 from cairn.bus.codec import Codec
+from cairn.bus.conflicts import endpoint_qos_mismatch, endpoint_type_conflict
 from cairn.bus.discovery import DiscoveryBarrier
 from cairn.bus.drop_oldest_queue import DropOldestQueue, LossCounter
 from cairn.bus.exclusive import Exclusive, RefusalLog, Refused, Signer, Verifier
@@ -38,20 +39,12 @@ from cairn.bus.message_limits import (
 )
 from cairn.bus.qos import SERVICES, Qos
 from cairn.bus.services import PrivateQueries, ZenohClient, ZenohServer
-from cairn.bus.session import close_session
+from cairn.bus.session import close_session, is_member, process_of
 from cairn.bus.type_hash import type_hash
 from cairn.schemas.message import InvalidMessage, Service, type_name
 
 _EXCLUSIVE_RING = 1024
 """Samples that the ring of an exclusive port holds: so many forged ones displace no true one."""
-
-_COUNTERPARTS: dict[keys.EndpointKind, tuple[keys.EndpointKind, ...]] = {
-    "MP": ("MP", "MS"),
-    "MS": ("MP", "MS"),
-    "SS": ("SS", "SC"),
-    "SC": ("SS", "SC"),
-}
-"""The kinds of endpoints that have to have the same type as one of a kind on the same name."""
 
 _CLOSE_LIMIT_S = 0.2
 """A session that takes longer to close does so while its process ends."""
@@ -73,6 +66,7 @@ class ZenohBus:
         """
         self.session = session
         self.domain = domain
+        self.secret = secret
         self.limits = limits
         self.codec = Codec()
         self._ids = itertools.count()
@@ -80,9 +74,14 @@ class ZenohBus:
         self._barrier = DiscoveryBarrier(session, secret)
         self._closed = False
 
-    def node(self, name: str, report: Callable[[str], None]) -> "ZenohNode":
-        """Join the bus under a full name; `report` receives errors about conflicting types."""
-        return ZenohNode(self, name, report)
+    def node(
+        self,
+        name: str,
+        report: Callable[[str], None],
+        warn: Callable[[str], None] | None = None,
+    ) -> "ZenohNode":
+        """Join the bus under a full name; see `cairn.bus.bus.Bus`."""
+        return ZenohNode(self, name, report, warn or report)
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until every process on the bus and this one know all of each other.
@@ -110,7 +109,13 @@ class ZenohBus:
 class ZenohNode:
     """One component on the bus: a ROS 2 node with its endpoints."""
 
-    def __init__(self, bus: ZenohBus, name: str, report: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        bus: ZenohBus,
+        name: str,
+        report: Callable[[str], None],
+        warn: Callable[[str], None],
+    ) -> None:
         self.bus = bus
         self.name = name
         zid = str(bus.session.info.zid())
@@ -119,7 +124,9 @@ class ZenohNode:
         self._private: dict[str, PrivateQueries] = {}
         self._closed = False
         self._report = report
-        self._conflicts = PublisherLog(report)
+        self._warn = warn
+        self._namesakes = PublisherLog(warn)
+        self._stop_watching = bus.graph.watch_nodes(name, self._on_node)
         self._token = bus.session.liveliness().declare_token(keys.token_key(self._entity))
 
     @property
@@ -216,7 +223,8 @@ class ZenohNode:
             self._entity, bus.next_id(), kind, topic, type_name(interface),
             type_hash(interface), qos,
         )  # fmt: skip
-        return Announcement(bus, entity, None if shared else self._conflicts)
+        reports = None if shared else (PublisherLog(self._report), PublisherLog(self._warn))
+        return Announcement(bus, entity, reports)
 
     def close(self) -> None:
         """Leave the bus and close all publishers, subscriptions, servers and clients."""
@@ -228,17 +236,36 @@ class ZenohNode:
         self._ends.clear()
         for queries in self._private.values():
             queries.close()
+        self._stop_watching()
         self._token.undeclare()
+
+    def _on_node(self, other: keys.NodeEntity) -> None:
+        # In this run the name is unique: it is this node, or its process before a restart.
+        if self.bus.secret and is_member(other.zid, self.bus.secret):
+            return
+        if other == self._entity:
+            return
+        where = "is not of Cairn" if other.is_foreign else "is of another deployment"
+        self._namesakes.add(
+            process_of(other.zid),
+            lambda process: (
+                f"another node has the name {self.name}, in {process}, which {where}: tools of "
+                "ROS 2 and its services cannot tell the two apart; rename one of them"
+            ),
+        )
 
 
 class Announcement:
-    """An endpoint's liveliness token; reports endpoints that use its topic with another type.
+    """An endpoint's liveliness token; reports endpoints of others that do not fit it.
 
-    Without `conflicts` it reports none.
+    `reports` are those of types and of QoS. Without them it reports none.
     """
 
     def __init__(
-        self, bus: ZenohBus, entity: keys.EndpointEntity, conflicts: PublisherLog | None
+        self,
+        bus: ZenohBus,
+        entity: keys.EndpointEntity,
+        reports: tuple[PublisherLog, PublisherLog] | None,
     ) -> None:
         token = keys.token_key(entity)
         self.key = entity.data_key
@@ -246,8 +273,8 @@ class Announcement:
         self._entity = entity
         self._token = bus.session.liveliness().declare_token(token)
         self._stop_watching: Callable[[], None] | None = None
-        if conflicts is not None:
-            on_endpoint = partial(self._on_endpoint, conflicts)
+        if reports is not None:
+            on_endpoint = partial(self._on_endpoint, *reports)
             # A publisher needs no names: only readers report who sends them what.
             self._stop_watching = bus.graph.watch(
                 entity.topic, on_endpoint, is_urgent=entity.kind in ("MS", "SC")
@@ -259,20 +286,17 @@ class Announcement:
             self._stop_watching()
         self._token.undeclare()
 
-    def _on_endpoint(self, conflicts: PublisherLog, other: keys.EndpointEntity) -> None:
-        own = self._entity
-        if other.topic != own.topic or other.kind not in _COUNTERPARTS[own.kind]:
-            return
-        if (other.type_name, other.type_hash) == (own.type_name, own.type_hash):
-            return
-        kind: Literal["topic", "service"] = "topic" if own.kind in ("MP", "MS") else "service"
-        theirs = other.type_name
-        if theirs == own.type_name:
-            theirs = f"another definition of it ({other.type_hash})"
-        conflicts.add(
-            other.node.name,
-            lambda named: type_conflict(own.topic, own.type_name, named, theirs, kind),
-        )
+    def _on_endpoint(
+        self, conflicts: PublisherLog, mismatches: PublisherLog, other: keys.EndpointEntity
+    ) -> None:
+        name = other.node.name
+        if problem := endpoint_type_conflict(other, self._entity):
+            conflicts.add(name, lambda _: problem)
+        # Of two components, the subscriber reports it: once for the pair.
+        elif (self._entity.kind == "MS" or other.node.is_foreign) and (
+            mismatch := endpoint_qos_mismatch(other, self._entity)
+        ):
+            mismatches.add(name, lambda _: mismatch)
 
 
 class ZenohPublisher:

@@ -5,10 +5,11 @@ from typing import Annotated, Any
 import typer
 
 from cairn.cli.options import File, Json, Overlay, Set
-from cairn.cli.output import line, print_json, show
+from cairn.cli.output import line, print_json, print_problems, show
 from cairn.compilation import deferred_compilation
 from cairn.deployment.load import load_deployment
 from cairn.deployment.problems import DeploymentError, Problem
+from cairn.deployment.qos_mismatches import qos_mismatches
 from cairn.deployment.shipped import FOLDER, shipped
 
 NoImport = Annotated[
@@ -38,6 +39,8 @@ def check(
 ) -> None:
     """Check a deployment as a whole; report each problem with file, line and what is expected.
 
+    A QoS that does not match by the rules of ROS 2 is a warning: Cairn delivers the messages.
+
     A deployment is code: the check imports the modules that it names, as `cairn up` does. With
     --no-import, it reads the deployment and the metadata of the installed packages only.
     """
@@ -47,6 +50,7 @@ def check(
             deployment = load_deployment(
                 file, overlay or (), set_ or (), import_plugins=not no_import
             )
+            warnings = () if no_import else qos_mismatches(deployment)
     except DeploymentError as error:
         if not json:
             raise
@@ -55,8 +59,10 @@ def check(
         raise typer.Exit(1) from error
     names = [member.name for member in deployment.members()]
     if json:
-        print_json({"valid": True, "components": names, **not_checked})
+        found = {"components": names, "warnings": warnings}
+        print_json({"valid": True, **found, **not_checked})
         return
+    print_problems(warnings)
     line(f"{file}: {len(names)} components, no problem: {', '.join(names)}")
     if no_import:
         line(f"not checked, because no plugin was imported: {', '.join(NOT_CHECKED)}")

@@ -65,6 +65,13 @@ def components(ctx: typer.Context, incomplete: str) -> list[str]:
     return _matching(_short_names(_asked(ctx, read)), incomplete)
 
 
+def nodes(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Return the nodes on the bus of the running robot, those of ROS 2 included."""
+    return _matching(
+        _short_names(_asked(ctx, lambda robot: [one.name for one in robot.nodes()])), incomplete
+    )
+
+
 def places(ctx: typer.Context, incomplete: str) -> list[str]:
     """Return the named places on the map of the running robot."""
 

@@ -12,10 +12,13 @@ import typer
 
 from cairn.bus.keys import is_infrastructure
 from cairn.cli import completion
+from cairn.cli.nodes import marked, note_on, uses
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, show
+from cairn.cli.output import line, note, print_problems, show
+from cairn.client import NodeInfo, Topic
 from cairn.client import connect as connect_to
 from cairn.client.connection import check_robot
+from cairn.client.graph import read_nodes
 from cairn.runtime.rosout import render
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage
@@ -28,6 +31,7 @@ _COLUMNS = {
     "memory_mib": "MiB", "cpu_s": "CPU s", "note": "note",
 }  # fmt: skip
 _MAX_ROWS = 1000
+_GRAPH_LIMIT_S = 1.0  # a robot's is read in some ms
 _MAX_NAMES = 50  # publishers or subscribers of one topic
 _MAX_DEPTH = 50  # of the tree of components
 
@@ -38,7 +42,7 @@ def ps(
     robot: RobotName = "",
     json: Json = False,
 ) -> None:
-    """List the components: state, process, counts of messages, memory.
+    """List the components: state, process, counts of messages, memory; and foreign nodes.
 
     Dropped: lost on the way, or in favor of newer ones. Invalid: broke their definition or a limit.
     Refused: came to an exclusive port from a publisher that is not entitled. MiB is the memory that
@@ -46,7 +50,8 @@ def ps(
     """
     with connect_to(connect, domain, robot) as client:
         statuses = client.connection.read_statuses()
-        nothing = "" if statuses.answered else client.connection.elsewhere()
+        nodes = read_nodes(client.connection, patience_s=_GRAPH_LIMIT_S)
+        nothing = "" if statuses.answered or nodes else client.connection.elsewhere()
     answered, silent = statuses.answered, statuses.silent
     names = [*answered, *silent]
     check_robot(robot, (full.split("/")[1] for full in names))
@@ -62,15 +67,24 @@ def ps(
         else _row_of_absent(full, depth, silent)
         for full, depth in tree
     ]
+    robots = {row["robot"] for row in rows}
+    shared = {one.name: note_on(one, short=True) for one in nodes if not one.is_unique}
+    for row in rows:
+        row["note"] = "; ".join(filter(None, (row["note"], shared.get(row["component"]))))
+    prefix = f"/{robot}/" if robot else "/"
+    foreign = [one for one in nodes if one.is_foreign and one.name.startswith(prefix)]
+    rows += [_row_of_foreign(one) for one in foreign[: _MAX_ROWS - len(rows)]]
     if statuses.left_out:
         note(f"{statuses.left_out} more announced components do not answer; they are left out")
     if len(tree) == _MAX_ROWS:
         note(f"only the first {_MAX_ROWS} components are listed; choose a robot with --robot")
-    robots = {row["robot"] for row in rows}
     shown = {key: title for key, title in _COLUMNS.items() if key != "robot" or len(robots) > 1}
     if json:
         rows = [
-            {key: value for key, value in row.items() if key not in ("tree", "note")}
+            {
+                **{key: value for key, value in row.items() if key not in ("tree", "note")},
+                "unique": row["component"] not in shared,
+            }
             for row in rows
         ]
     show(rows, shown, as_json=json, nothing=f"no component runs{nothing}")
@@ -94,8 +108,10 @@ def graph(
         {
             "topic": one.name,
             "type": one.type_name,
-            "publishers": _listed(one.publishers, one.name),
-            "subscribers": _listed(one.subscribers, one.name),
+            "publishers": _listed(one.publishers, one, json=json),
+            "subscribers": _listed(one.subscribers, one, json=json),
+            "foreign": list(one.foreign),
+            "problems": list(one.problems),
         }
         for one in topics
         if all_ or not is_infrastructure(one.name)
@@ -105,6 +121,7 @@ def graph(
         del rows[_MAX_ROWS:]
     columns = ("topic", "type", "publishers", "subscribers")
     show(rows, columns, as_json=json, nothing=f"there is no topic{elsewhere}")
+    print_problems(problem for row in rows for problem in row["problems"])
 
 
 def logs(
@@ -205,6 +222,11 @@ def _row_of_absent(full: str, depth: int, silent: Mapping[str, int | None]) -> d
             "state": state, "pid": pid, "note": _note_on(pid)}  # fmt: skip
 
 
+def _row_of_foreign(one: NodeInfo) -> dict[str, Any]:
+    return {**_row_of_absent(one.name, 0, {}), "robot": "", "tree": one.name, "state": "foreign",
+            "note": note_on(one), **uses(one)}  # fmt: skip
+
+
 def _note_on(pid: int | None) -> str:
     """Return what is known of a process that does not answer."""
     try:
@@ -225,8 +247,9 @@ def _load(pid: int) -> dict[str, float | None]:
     return {"memory_mib": round(memory, 1), "cpu_s": round(times.user + times.system, 2)}
 
 
-def _listed(nodes: Sequence[str], topic: str) -> list[str]:
-    names = [_short(name, topic) for name in nodes[:_MAX_NAMES]]
+def _listed(nodes: Sequence[str], topic: Topic, *, json: bool) -> list[str]:
+    foreign = () if json else topic.foreign
+    names = [marked(_short(name, topic.name), name in foreign) for name in nodes[:_MAX_NAMES]]
     more = len(nodes) - len(names)
     return [*names, f"... and {more} more"] if more else names
 

@@ -42,6 +42,8 @@ COMMANDS = (
                 "Show a running robot in a web browser, and steer it.", _INSPECT),
     LazyCommand("graph", "cairn.cli.inspect:graph",
                 "List the topics with their publishers and subscribers.", _INSPECT),
+    LazyCommand("node", "cairn.cli.nodes:node",
+                "List the nodes, those of ROS 2 too; show what one uses.", _INSPECT),
     LazyCommand("topic", "cairn.cli.topics:topic",
                 "List, print, publish, plot and time messages.", _INSPECT),
     LazyCommand("service", "cairn.cli.services:service",

@@ -5,6 +5,7 @@ from typing import Annotated, Final
 
 import typer
 
+from cairn.bus.endpoints import DOMAIN_VARIABLE, MAX_DOMAIN, parse_domain
 from cairn.cli import completion
 from cairn.deployment.shipped import deployment_file
 
@@ -21,8 +22,23 @@ Connect = Annotated[
 ]
 DEFAULT_CONNECT: Final = ""
 """The socket by the rule of `cairn.runtime_folder`."""
+
+
+def _domain(text: str) -> int:
+    try:
+        return parse_domain(str(text))
+    except ValueError as error:
+        raise typer.BadParameter(f"{text!r} {error}") from error
+
+
 Domain = Annotated[
-    int, typer.Option(envvar="ROS_DOMAIN_ID", min=0, max=232, help="ROS domain of the deployment.")
+    int,
+    typer.Option(
+        envvar=DOMAIN_VARIABLE,
+        parser=_domain,
+        help=f"ROS domain of the deployment, 0 to {MAX_DOMAIN}.",
+        metavar="N",
+    ),
 ]
 RobotName = Annotated[
     str,

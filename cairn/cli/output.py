@@ -5,7 +5,7 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -13,6 +13,7 @@ from cairn.errors import CairnError
 from cairn.runtime.log_output import printable
 
 _NOT_WRITTEN = "the output could not be written"
+_MAX_PROBLEMS = 20
 _WIDE = 10_000  # columns, if the output is not a terminal but perhaps `grep`
 
 
@@ -78,6 +79,15 @@ def note(text: str) -> None:
     """Print a remark on stderr, if that can be written."""
     with suppress(OSError):
         print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - a command's remark
+
+
+def print_problems(problems: Iterable[str]) -> None:
+    """Print warnings, each once, on stderr."""
+    found = list(dict.fromkeys(problems))
+    for problem in found[:_MAX_PROBLEMS]:
+        note(f"warning: {problem}")
+    if len(found) > _MAX_PROBLEMS:
+        note(f"{len(found) - _MAX_PROBLEMS} more warnings are left out")
 
 
 class RunOutput:

@@ -11,8 +11,9 @@ import yaml
 from cairn.bus.actions import STATUS_TEXT
 from cairn.bus.codec import to_plain
 from cairn.cli.fields import message_of, plain_values
+from cairn.cli.nodes import NODE_SERVICES, marked_all
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, print_json, show
+from cairn.cli.output import line, print_json, print_problems, show
 from cairn.client import ServiceInfo
 from cairn.client import connect as connect_to
 from cairn.client.connection import resolve
@@ -22,13 +23,6 @@ from cairn.schemas.interfaces import interface
 
 service = typer.Typer(help="The services on the bus.")
 action = typer.Typer(help="The actions on the bus.")
-
-_NODE_SERVICES = frozenset({
-    "describe_parameters", "get_parameters", "get_parameter_types", "list_parameters",
-    "set_parameters", "set_parameters_atomically", "get_type_description", "change_state",
-    "get_state", "get_available_states", "get_available_transitions", "get_transition_graph",
-    "list_nodes", "load_node", "unload_node",
-})  # fmt: skip
 
 Fields = Annotated[
     str,
@@ -54,7 +48,7 @@ def list_services(
     """List the services with their types, servers and clients."""
     with connect_to(connect, domain, robot) as client:
         found = client.services()
-    shown = [one for one in found if all_ or one.name.rpartition("/")[2] not in _NODE_SERVICES]
+    shown = [one for one in found if all_ or one.name.rpartition("/")[2] not in NODE_SERVICES]
     nothing = "no service is provided"
     if found and not shown:
         nothing = f"only the {len(found)} services that every component has: --all lists them"
@@ -150,10 +144,17 @@ def _show(found: list[ServiceInfo], kind: str, nothing: str, *, as_json: bool) -
             "type": one.type_name,
             "servers": list(one.servers),
             "clients": list(one.clients),
+            "foreign": list(one.foreign),
+            "problems": list(one.problems),
         }
         for one in found
     ]
+    if not as_json:
+        for row, one in zip(rows, found, strict=True):
+            row["servers"] = marked_all(one.servers, one.foreign)
+            row["clients"] = marked_all(one.clients, one.foreign)
     show(rows, (kind, "type", "servers", "clients"), as_json=as_json, nothing=nothing)
+    print_problems(problem for one in found for problem in one.problems)
 
 
 def _print(message: Any, *, as_json: bool) -> None:

@@ -20,8 +20,9 @@ from cairn.bus import keys
 from cairn.bus.codec import to_plain
 from cairn.cli import completion
 from cairn.cli.fields import FieldPath, field_path, message_of, plain_values
+from cairn.cli.nodes import marked
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_json, show
+from cairn.cli.output import line, note, print_json, print_problems, show
 from cairn.cli.schemas import find_message
 from cairn.cli.topic_plot import plot_topic
 from cairn.client import NoMessageError, Robot, Subscription
@@ -73,12 +74,48 @@ def list_topics(
             "type": one.type_name,
             "publishers": len(one.publishers),
             "subscribers": len(one.subscribers),
+            "foreign": list(one.foreign),
+            "problems": list(one.problems),
         }
         for one in topics
         if all_ or not keys.is_infrastructure(one.name)
     ]
-    columns = ("topic", "type", "publishers", "subscribers")
+    columns = ["topic", "type", "publishers", "subscribers"]
+    if any(row["foreign"] for row in rows):
+        columns.append("foreign")
     show(rows, columns, as_json=json, nothing=f"there is no topic{elsewhere}")
+    print_problems(problem for one in topics for problem in one.problems)
+
+
+@topic.command("info")
+def show_topic(
+    topic: TopicName,
+    connect: Connect = DEFAULT_CONNECT,
+    domain: Domain = 0,
+    robot: RobotName = "",
+    json: Json = False,
+) -> None:
+    """Print the publishers and subscribers of a topic, with types and QoS, and what mismatches."""
+    with connect_to(connect, domain, robot) as client:
+        found = client.topic_info(topic)
+    rows = [
+        {
+            "role": end.role,
+            "node": end.node if json else marked(end.node, end.is_foreign),
+            "foreign": end.is_foreign,
+            "type": end.type_name,
+            "hash": end.type_hash,
+            "qos": str(end.qos),
+        }
+        for end in found.endpoints
+    ]
+    if json:
+        problems = list(found.problems)
+        print_json({"topic": found.name, "endpoints": rows, "problems": problems})
+        return
+    line(found.name)
+    show(rows, ("role", "node", "type", "qos"), as_json=False)
+    print_problems(found.problems)
 
 
 @topic.command("echo")

@@ -12,8 +12,17 @@ with cairn.client.connect() as robot:
 from cairn.bus.bus import ServiceError
 from cairn.bus.control import ControlError, NoReplyError
 from cairn.client.connection import Connection
+from cairn.client.graph import Endpoint, NodeInfo
 from cairn.client.navigation import NavigationGoal
-from cairn.client.robot import NoMessageError, Parameter, Robot, Subscription, Topic, connect
+from cairn.client.robot import (
+    NoMessageError,
+    Parameter,
+    Robot,
+    Subscription,
+    Topic,
+    TopicInfo,
+    connect,
+)
 from cairn.client.services import RunningGoal, ServiceInfo
 from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation
@@ -21,9 +30,11 @@ from cairn.client.velocity_gate import Teleoperation
 __all__ = [
     "Connection",
     "ControlError",
+    "Endpoint",
     "NavigationGoal",
     "NoMessageError",
     "NoReplyError",
+    "NodeInfo",
     "Parameter",
     "Robot",
     "RunningGoal",
@@ -32,6 +43,7 @@ __all__ = [
     "Subscription",
     "Teleoperation",
     "Topic",
+    "TopicInfo",
     "TransformListener",
     "connect",
 ]

@@ -24,7 +24,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.credentials import NO_CREDENTIALS, Credentials
 from cairn.bus.endpoints import default_domain, domains_hint, endpoint_for, socket_path
 from cairn.bus.graph import read_graph
-from cairn.bus.session import close_session, is_connected, open_client, process_id
+from cairn.bus.session import close_session, is_connected, open_client
 from cairn.errors import CairnError
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
@@ -123,9 +123,10 @@ class Connection:
         except zenoh.ZError:  # the session is closed
             return False
 
-    def graph(self) -> list[keys.NodeEntity | keys.EndpointEntity]:
-        """Return all nodes and endpoints that exist."""
-        return read_graph(self.session, keys.tokens_pattern(self.domain))
+    def graph(self, patience_s: float | None = None) -> list[keys.NodeEntity | keys.EndpointEntity]:
+        """Return all nodes and endpoints that exist; after `patience_s` [s] those known by then."""
+        pattern = keys.tokens_pattern(self.domain)
+        return read_graph(self.session, pattern, patience_s=patience_s)
 
     def elsewhere(self) -> str:
         """Return the sentence about other domains on this router; empty if it has none.
@@ -137,9 +138,10 @@ class Connection:
         return domains_hint(sorted(domains - {self.domain}), "this router has nodes in")
 
     def nodes(self) -> list[str]:
-        """Return the full names of all nodes (`/robot/localizer`)."""
+        """Return the full names of the nodes that are of Cairn (`/robot/localizer`), sorted."""
         graph = read_graph(self.session, keys.nodes_pattern(self.domain))
-        return [entity.name for entity in graph if isinstance(entity, keys.NodeEntity)]
+        own = (one for one in graph if isinstance(one, keys.NodeEntity) and not one.is_foreign)
+        return sorted({one.name for one in own})
 
     def endpoints(self, topic: str = "") -> list[keys.EndpointEntity]:
         """Return the publishers and subscriptions of a topic (full name), or of all topics.
@@ -216,7 +218,7 @@ class Connection:
                     if len(answered) < _MAX_ANSWERED:
                         answered[name] = status
         silent = {
-            one.node.name: process_id(one.node.zid)
+            one.node.name: keys.process_id(one.node.zid)
             for one in missing.values()
             if one.node.name not in answered
         }
@@ -381,7 +383,7 @@ def _is_status_publisher(
 
 def _runs_here(zid: str) -> bool:
     """Return whether a session id names a process that exists on this machine."""
-    pid = process_id(zid)
+    pid = keys.process_id(zid)
     return pid is not None and Path(f"/proc/{pid}").exists()
 
 
@@ -398,7 +400,7 @@ def resolve(names: Iterable[str], name: str, robot: str) -> str:
 
     Raises `CairnError` if there is none, or if several robots have it and `robot` is empty.
     """
-    names = sorted(names)
+    names = sorted(set(names))
     if name.startswith("/"):
         matches = [full for full in names if full == name]
     else:

@@ -24,6 +24,15 @@ from cairn.client.connection import (
     check_robot,
     resolve,
 )
+from cairn.client.graph import (
+    Endpoint,
+    NodeInfo,
+    endpoint_of,
+    foreign_in,
+    nodes_in,
+    problems_of,
+    read_nodes,
+)
 from cairn.client.navigation import NavigationGoal, Navigator
 from cairn.client.services import RunningGoal, ServiceInfo, call_service, find_services
 from cairn.client.transforms import TransformListener
@@ -62,12 +71,32 @@ class Topic:
         type_name: ROS 2 name of the message type.
         publishers: full names of the nodes that publish it.
         subscribers: full names of the nodes that subscribe to it.
+        foreign: full names of those nodes that are not components of Cairn.
+        problems: what keeps publishers and subscribers of this name apart: two types, or a QoS that
+            does not match by the rules of ROS 2.
     """
 
     name: str
     type_name: str
     publishers: tuple[str, ...]
     subscribers: tuple[str, ...]
+    foreign: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """The publishers and subscribers of a topic.
+
+    Attributes:
+        name: full name, `/robot/pose`.
+        endpoints: its publishers, then its subscribers.
+        problems: as of `Topic`.
+    """
+
+    name: str
+    endpoints: tuple[Endpoint, ...]
+    problems: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -182,15 +211,28 @@ class Robot:
 
     def topics(self) -> list[Topic]:
         """Return all topics, sorted; those of the given robot alone if one was given."""
-        ends: dict[tuple[str, str], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+        by_name: defaultdict[str, list[keys.EndpointEntity]] = defaultdict(list)
+        prefix = f"/{self._robot}/" if self._robot else "/"
         for end in self.connection.endpoints():
-            prefix = f"/{self._robot}/" if self._robot else "/"
             if end.topic.startswith(prefix) or end.node.name.startswith(prefix):
-                ends[end.topic, end.type_name][end.kind].add(end.node.name)
-        return [
-            Topic(topic, message, tuple(sorted(kinds["MP"])), tuple(sorted(kinds["MS"])))
-            for (topic, message), kinds in sorted(ends.items())
-        ]
+                by_name[end.topic].append(end)
+        return [one for _, ends in sorted(by_name.items()) for one in _topics_of(ends)]
+
+    def topic_info(self, topic: str) -> TopicInfo:
+        """Return the publishers and subscribers of a topic (short or full name), with their QoS.
+
+        Raises `CairnError` if there is no such topic.
+        """
+        graph = self.connection.endpoints()
+        full = self._resolve({end.topic for end in graph}, topic)
+        ends = [end for end in graph if end.topic == full]
+        found = sorted(map(endpoint_of, ends), key=lambda end: (end.role, end.node))
+        return TopicInfo(full, tuple(found), problems_of(ends))
+
+    def nodes(self) -> list[NodeInfo]:
+        """Return all nodes on the bus, of ROS 2, too; with a given robot only those in its name."""
+        prefix = f"/{self._robot}/" if self._robot else "/"
+        return [one for one in read_nodes(self.connection) if one.name.startswith(prefix)]
 
     def find_topic(self, topic: str) -> keys.EndpointEntity:
         """Return a publisher of a topic, or a subscription if nothing publishes it.
@@ -655,6 +697,16 @@ class Subscription(Generic[M]):
                 return
             self._payloads.put(payload, len(payload))
             self._changed.notify()
+
+
+def _topics_of(ends: list[keys.EndpointEntity]) -> Iterator[Topic]:
+    """Yield a topic for each message type with which one name is used."""
+    problems = problems_of(ends)
+    for message in sorted({end.type_name for end in ends}):
+        found = [endpoint_of(end) for end in ends if end.type_name == message]
+        publishers, subscribers = nodes_in(found, "publisher"), nodes_in(found, "subscriber")
+        name = found[0].name
+        yield Topic(name, message, publishers, subscribers, foreign_in(found), problems)
 
 
 def _sent_ns(sample: Any) -> int:

@@ -6,6 +6,7 @@ import queue
 import secrets
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, Self, TypeVar
@@ -17,6 +18,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.services import ZenohClient
 from cairn.bus.type_hash import type_hash
 from cairn.client.connection import Connection
+from cairn.client.graph import Endpoint, endpoint_of, foreign_in, nodes_in, problems_of
 from cairn.errors import CairnError
 from cairn.schemas.message import Action, Service, type_name
 
@@ -26,7 +28,6 @@ Goal = TypeVar("Goal")
 Result = TypeVar("Result")
 Feedback = TypeVar("Feedback")
 
-_ACTION = "/_action/send_goal"
 _DISCOVERY_S = 2.0  # until what a router knows of servers has arrived
 _POLL_S = 0.02
 
@@ -40,29 +41,42 @@ class ServiceInfo:
         type_name: its type in ROS 2.
         servers: full names of the nodes that provide it.
         clients: full names of the nodes that use it.
+        foreign: full names of those nodes that are not components of Cairn.
+        problems: what keeps servers and clients of this name apart, such as two types.
     """
 
     name: str
     type_name: str
     servers: tuple[str, ...]
     clients: tuple[str, ...]
+    foreign: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
 
 
 def find_services(connection: Connection) -> tuple[list[ServiceInfo], list[ServiceInfo]]:
     """Return the services on the bus, without those that are part of an action, and the actions."""
-    ends: dict[tuple[str, str], dict[str, set[str]]] = {}
-    for end in connection.service_endpoints():
-        kinds = ends.setdefault((end.topic, end.type_name), {"SS": set(), "SC": set()})
-        kinds[end.kind].add(end.node.name)
-    services, actions = [], []
-    for (name, kind), found in sorted(ends.items()):
-        servers, clients = tuple(sorted(found["SS"])), tuple(sorted(found["SC"]))
-        if name.endswith(_ACTION):
-            action = kind.removesuffix("_SendGoal")
-            actions.append(ServiceInfo(name.removesuffix(_ACTION), action, servers, clients))
-        elif "/_action/" not in name:
-            services.append(ServiceInfo(name, kind, servers, clients))
-    return services, actions
+    by_name: defaultdict[str, list[keys.EndpointEntity]] = defaultdict(list)
+    found: defaultdict[tuple[bool, str, str], list[Endpoint]] = defaultdict(list)
+    problems: dict[str, tuple[str, ...]] = {}
+    for entity in connection.service_endpoints():
+        by_name[entity.topic].append(entity)
+    for entities in by_name.values():
+        for entity in entities:
+            end = endpoint_of(entity)
+            if not end.is_part_of_action:
+                is_action = end.role.startswith("action")
+                found[is_action, end.name, end.type_name].append(end)
+                problems[end.name] = problems_of(entities)
+    services: tuple[list[ServiceInfo], list[ServiceInfo]] = ([], [])
+    for (is_action, name, kind), ends in sorted(found.items()):
+        info = ServiceInfo(
+            name, kind,
+            nodes_in(ends, "service server", "action server"),
+            nodes_in(ends, "service client", "action client"),
+            foreign_in(ends), problems[name],
+        )  # fmt: skip
+        services[is_action].append(info)
+    return services
 
 
 def service_client(

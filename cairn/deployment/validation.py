@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, dotted
+from cairn.errors import CairnError
 from cairn.runtime.parameters import bounds_text, error_reason
 
 _MAX_SHOWN = 60  # characters of an invalid value
@@ -34,6 +35,9 @@ def validation_problems(
             for steps, detail in found
             if (*path, *steps) not in unresolved
         ]
+    except CairnError as error:  # of a default, such as that of the domain
+        found_text, _, remedy = str(error).partition("; ")
+        return [Problem(node.where, dotted(path), found_text, remedy or "correct it")]
     except Exception as error:  # a validator of a plugin may fail in any way
         found_text = f"the check of its values failed: {type(error).__name__}: {error}"
         remedy = f"correct {model.__module__}.{model.__qualname__}, or the values"

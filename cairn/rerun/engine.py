@@ -630,7 +630,12 @@ class _RerunBus:
     def __init__(self, rerun: Rerun) -> None:
         self._rerun = rerun
 
-    def node(self, name: str, report: Callable[[str], None]) -> "_RerunBus":  # noqa: ARG002
+    def node(
+        self,
+        name: str,  # noqa: ARG002
+        report: Callable[[str], None],  # noqa: ARG002
+        warn: Callable[[str], None] | None = None,  # noqa: ARG002
+    ) -> "_RerunBus":
         return self
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002

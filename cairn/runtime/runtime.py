@@ -125,7 +125,9 @@ class Runtime:
         simulated = launch.context.simulated_time and component.clock_source == "deployment"
         simulated_clock = SimulatedClock() if simulated else None
         self.clock: Clock = system_clock if simulated_clock is None else simulated_clock
-        self.node = bus.node(full_name(launch.context.robot, launch.name), self.log.error)
+        self.node = bus.node(
+            full_name(launch.context.robot, launch.name), self.log.error, self.log.warning
+        )
         self.call_log: CallLog | None = None
         start: Record = ()
         if launch.context.call_log and component.clock_source != "device":

@@ -51,7 +51,8 @@ def test_another_message_type_on_a_topic_is_reported_to_both_components(launch: 
         for component in ("listener", "talker"):
             run.await_line(
                 f"ERROR   robot.{component}: topic /robot/words: /robot/stranger uses it with "
-                "type geometry_msgs/msg/PoseStamped, this component with geometry_msgs/msg/Twist.*"
+                f"type geometry_msgs/msg/PoseStamped, /robot/{component} with "
+                "geometry_msgs/msg/Twist.*"
                 "use the same type"
             )
     finally:

@@ -8,7 +8,8 @@ import pytest
 
 from cairn import LATCHED, RELIABLE, SENSOR, Qos
 from cairn.bus import lockstep_bus, zenoh_bus
-from cairn.bus.bus import Bus, type_conflict
+from cairn.bus.bus import Bus
+from cairn.bus.conflicts import type_conflict
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.zenoh_bus import ZenohBus
@@ -209,12 +210,9 @@ def test_two_types_on_one_topic_are_reported_to_both_nodes(pair: Pair) -> None:
     writer.publish(String(data="lost"))
 
     string, twist = "std_msgs/msg/String", "geometry_msgs/msg/Twist"
-    assert eventually(
-        lambda: talker_problems == [type_conflict(TOPIC, string, "/robot/listener", twist)]
-    )
-    assert eventually(
-        lambda: listener_problems == [type_conflict(TOPIC, twist, "/robot/talker", string)]
-    )
+    talks, listens = ("/robot/talker", string), ("/robot/listener", twist)
+    assert eventually(lambda: talker_problems == [type_conflict(TOPIC, *listens, *talks)])
+    assert eventually(lambda: listener_problems == [type_conflict(TOPIC, *talks, *listens)])
     assert all(part in listener_problems[0] for part in (TOPIC, "/robot/talker", string, twist))
     assert subscription.take() is None
 

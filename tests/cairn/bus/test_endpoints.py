@@ -45,7 +45,10 @@ def test_other_text_is_rejected(text: str) -> None:
 def test_invalid_domain_variable_is_rejected(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
 
-    with pytest.raises(CairnError, match=f"ROS_DOMAIN_ID='{text}' is not a domain"):
+    with pytest.raises(
+        CairnError,
+        match=f"ROS_DOMAIN_ID='{text}' is not a domain; set it to a number from 0 to 232, or",
+    ):
         default_domain()
 
 

@@ -16,7 +16,7 @@ import zenoh
 from cairn import LATCHED
 from cairn.bus import keys
 from cairn.bus.discovery import QueryableWatcher
-from cairn.bus.session import CAIRN_ID_PREFIX, open_client, open_peer
+from cairn.bus.session import open_client, open_peer
 from cairn.bus.type_hash import type_hash
 from cairn.cli import completion
 from cairn.client import Subscription, connect, connection
@@ -56,7 +56,7 @@ def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
 
 
 def test_ps_lists_what_does_not_answer_without_waiting_for_it(command: Command, rover: Run) -> None:
-    session_of = f"{CAIRN_ID_PREFIX}{1:08x}0000000000000001"
+    session_of = f"{keys.CAIRN_ID_PREFIX}{1:08x}0000000000000001"
     ghost = keys.NodeEntity(0, session_of, 0, "/rover/ghost")
     topic = "/rover/component_status"
     with open_peer([rover.endpoint]) as session, ExitStack() as stack:

@@ -1,0 +1,29 @@
+"""Topics of a deployment whose publishers offer less than their subscribers request."""
+
+from collections import defaultdict
+
+from cairn.bus.bus import full_name
+from cairn.bus.conflicts import qos_mismatch
+from cairn.deployment.exclusive_topics import ports_of_plugin
+from cairn.deployment.model import Deployment
+from cairn.runtime.ports import PortSpec
+
+
+def qos_mismatches(deployment: Deployment) -> tuple[str, ...]:
+    """Return a message about each pair of components whose QoS does not match, by topic.
+
+    They do not prevent a start: Cairn delivers the messages nevertheless.
+    """
+    topics: defaultdict[str, list[tuple[str, PortSpec]]] = defaultdict(list)
+    for member in deployment.members():
+        for port in ports_of_plugin(member.spec.plugin):
+            topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
+            topics[topic].append((full_name(deployment.robot, member.name), port))
+    found = (
+        qos_mismatch(topic, publisher, offered.qos, subscriber, requested.qos)
+        for topic, uses in sorted(topics.items())
+        for publisher, offered in uses
+        for subscriber, requested in uses
+        if (offered.direction, requested.direction) == ("out", "in")
+    )
+    return tuple(filter(None, found))
