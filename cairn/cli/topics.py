@@ -84,7 +84,7 @@ def list_topics(
     if any(row["foreign"] for row in rows):
         columns.append("foreign")
     show(rows, columns, as_json=json, nothing=f"there is no topic{elsewhere}")
-    print_problems(problem for one in topics for problem in one.problems)
+    print_problems(problem for row in rows for problem in row["problems"])
 
 
 @topic.command("info")

@@ -149,6 +149,8 @@ def test_graph_lists_publishers_and_subscribers_of_each_topic(command: Command) 
         "type": "geometry_msgs/msg/Twist",
         "publishers": ["talker"],
         "subscribers": ["listener"],
+        "foreign": [],
+        "problems": [],
     }
     assert "/rosout" not in rows
     every = {row["topic"]: row for row in command("graph", "--all", "--json").json}
