@@ -68,7 +68,7 @@ def list_topics(
     with connect_to(connect, domain, robot) as client:
         topics = client.topics()
         elsewhere = "" if topics else client.connection.elsewhere()
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "topic": one.name,
             "type": one.type_name,

@@ -12,11 +12,12 @@ from typing import Any
 
 import pytest
 
-from cairn import RELIABLE, SENSOR
+from cairn import RELIABLE, SENSOR, Qos
 from cairn.bus.actions import ActionCaller, make_at_once
 from cairn.bus.bus import ServiceError
 from cairn.bus.codec import to_plain
-from cairn.bus.keys import EndpointEntity, NodeEntity
+from cairn.bus.conflicts import qos_mismatch
+from cairn.client import connect
 from cairn.schemas.action_msgs.msg import GoalStatus
 from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts
@@ -24,7 +25,7 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import type_name
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.sensor_msgs.msg import Imu, PointCloud2
-from tests.cairn.bus.network import Network, Reader, eventually, node
+from tests.cairn.bus.network import Network, Reader, eventually, fail_test, node
 from tests.cairn.bus.test_services import Calling, Serving, added
 from tests.cairn.runtime.test_services_and_actions import Counter
 from tests.cairn.runtime.threaded import ThreadedComponent
@@ -193,14 +194,47 @@ def test_dora_serves_an_action(network: Network, dora: Dora) -> None:
     assert "ended before it answered" in str(sent.error)
 
 
-def test_dora_is_in_the_graph(network: Network, dora: Dora) -> None:
+def test_dora_is_a_foreign_node_with_what_it_uses(network: Network, dora: Dora) -> None:
     dora.do("serve_sums", name="/ros/add")
+    dora.do("serve_fibonacci", name="/ros/fibonacci")
+    dora.do("subscribe", topic="/robot/scan", type="sensor_msgs/msg/LaserScan", reliable=True)
+    wanted = {
+        "service server": ["/ros/add"],
+        "action server": ["/ros/fibonacci"],
+        "subscriber": ["/robot/scan"],
+    }
 
-    def found() -> bool:
-        graph = network.graph()
-        nodes = {one.name for one in graph if isinstance(one, NodeEntity)}
-        servers = {one.topic for one in graph
-                   if isinstance(one, EndpointEntity) and one.kind == "SS"}  # fmt: skip
-        return "/ros/dora" in nodes and "/ros/add" in servers
+    with connect(network.endpoint, 0) as robot:
 
-    assert eventually(found)
+        def found() -> bool:
+            nodes = [one for one in robot.nodes() if one.name == "/ros/dora" and one.is_foreign]
+            return any(
+                all(one.names(role) == names for role, names in wanted.items())  # type: ignore[arg-type]
+                for one in nodes
+            )
+
+        assert eventually(found)
+        [action] = robot.actions()
+        assert (action.servers, action.foreign) == (("/ros/dora",), ("/ros/dora",))
+
+
+def test_mismatch_with_dora_is_a_warning_and_messages_arrive(network: Network, dora: Dora) -> None:
+    message = MESSAGES["scan"]
+    warned: list[str] = []
+    talker = network.bus().node("/robot/talker", fail_test, warned.append)
+    publisher = talker.advertise("/robot/scan", type(message), SENSOR)
+    dora.do("subscribe", topic="/robot/scan", type="sensor_msgs/msg/LaserScan", reliable=True)
+    requested = Qos("reliable", "volatile", 10)
+
+    assert eventually(
+        lambda: (
+            warned == [qos_mismatch("/robot/scan", "/robot/talker", SENSOR, "/ros/dora", requested)]
+        )
+    )
+    assert eventually(lambda: publisher.has_subscribers)
+
+    def received() -> Any:
+        publisher.publish(message)
+        return dora.do("receive", topic="/robot/scan")
+
+    assert any(received() == to_plain(message) for _ in range(100))

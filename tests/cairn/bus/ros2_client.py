@@ -68,6 +68,14 @@ class Client:
             for kind, found in ends.items()
         }
 
+    def services(self) -> Any:
+        return self._sdk.get_service_names_and_types(**self._where)
+
+    def servers(self, service: str) -> Any:
+        info = self._sdk.get_service_info(service, verbose=True, **self._where)
+        servers = [] if info is None else info.servers
+        return [[one.node_namespace, one.node_name, one.type_hash, one.qos] for one in servers]
+
     def close(self) -> None:
         for end in (*self._publishers.values(), *self._subscribers):
             end.close()

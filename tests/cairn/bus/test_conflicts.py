@@ -81,7 +81,7 @@ def test_mismatch_with_a_foreign_node_is_a_warning_of_the_component(
     for number, (kind, qos) in enumerate(
         (("MP", LATCHED), ("MS", SENSOR), ("MP", SENSOR), ("MS", LATCHED)), 1
     ):
-        strangers.announce(endpoint(number, kind, qos))  # type: ignore[arg-type]
+        strangers.announce(endpoint(number, kind, qos))
 
     offered = qos_mismatch(TOPIC, "/ros/node", SENSOR, "/robot/base", RELIABLE)
     requested = qos_mismatch(TOPIC, "/robot/driver", RELIABLE, "/ros/node", LATCHED)

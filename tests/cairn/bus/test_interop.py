@@ -5,15 +5,18 @@ from typing import Any, ClassVar
 
 import pytest
 
-from cairn import RELIABLE, SENSOR, Component, In, Out, on
+from cairn import RELIABLE, SENSOR, ActionServer, Component, In, Out, ServerGoal, goal, on
 from cairn.bus.codec import to_plain
 from cairn.bus.keys import EndpointEntity, NodeEntity
 from cairn.bus.type_hash import type_hash
+from cairn.client import connect
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
+from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3
 from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rcl_interfaces.srv import GetParameters
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header, String
 from cairn.testing.launching import free_port
@@ -66,8 +69,13 @@ class Robot(Component):
     out_scan: Out[LaserScan] = Out(qos=SENSOR)
     out_odom: Out[Odometry]
     out_objects: Out[RecognizedObjectArray]
+    count: ActionServer[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback]
 
     received: ClassVar[dict[str, Any]] = {}
+
+    @goal("count")
+    def on_goal(self, _: ServerGoal[Fibonacci.Goal, Fibonacci.Result, Fibonacci.Feedback]) -> None:
+        """Accept it; only the graph is tested."""
 
     @on("word")
     def on_word(self, message: String) -> None:
@@ -196,3 +204,38 @@ def test_our_node_is_in_the_graph_of_a_ros2_client(known: Network, ros2: Ros2) -
         "subscribers": [["/robot", "base", "2::,5:,:,:,,"]],
     }
     assert eventually(lambda: ros2.request("info", topic="/robot/scan") == scan)
+
+
+def test_our_services_and_actions_are_in_the_graph_of_a_ros2_client(
+    known: Network, ros2: Ros2
+) -> None:
+    services = {
+        "/robot/base/get_parameters": "rcl_interfaces/srv/GetParameters",
+        "/robot/count/_action/send_goal": "example_interfaces/action/Fibonacci_SendGoal",
+        "/robot/count/_action/cancel_goal": "action_msgs/srv/CancelGoal",
+        "/robot/count/_action/get_result": "example_interfaces/action/Fibonacci_GetResult",
+    }
+    found = {name: [kind] for name, kind in services.items()}
+    assert eventually(lambda: found.items() <= dict(ros2.request("services")).items())
+    server = ["/robot", "base", type_hash(GetParameters), "::,10:,:,:,,"]
+    assert eventually(
+        lambda: ros2.request("servers", service="/robot/base/get_parameters") == [server]
+    )
+    topics = {
+        "/robot/count/_action/feedback": ["example_interfaces/action/Fibonacci_FeedbackMessage"],
+        "/robot/count/_action/status": ["action_msgs/msg/GoalStatusArray"],
+    }
+    assert eventually(lambda: topics.items() <= dict(ros2.request("topics")).items())
+
+
+def test_nodes_of_a_ros2_client_are_foreign_nodes_of_ours(known: Network) -> None:
+    with connect(known.endpoint, 0) as robot:
+        nodes = {one.name: one for one in robot.nodes()}
+        scan = next(one for one in robot.topics() if one.name == "/robot/scan")
+
+    assert [name for name, one in nodes.items() if not one.is_foreign] == ["/robot/base"]
+    assert nodes["/ros/talker_scan"].names("publisher") == ["/robot/scan"]
+    assert nodes["/ros/listener_scan"].names("subscriber") == ["/robot/out_scan"]
+    assert nodes["/robot/base"].names("action server") == ["/robot/count"]
+    assert (scan.publishers, scan.foreign) == (("/ros/talker_scan",), ("/ros/talker_scan",))
+    assert scan.problems == ()
