@@ -237,6 +237,8 @@ class Robot:
     def find_topic(self, topic: str) -> keys.EndpointEntity:
         """Return a publisher of a topic, or a subscription if nothing publishes it.
 
+        If components use the topic, it has their type.
+
         Raises `CairnError` if there is no such topic, or if it is used with several types.
         """
         endpoints = self.connection.endpoints()
@@ -245,9 +247,12 @@ class Robot:
             topics = {one for one in topics if not keys.is_infrastructure(one)} or topics
         full = self._resolve(topics, topic)
         ends = [end for end in endpoints if end.topic == full]
-        types = sorted({end.type_name for end in ends})
+        # A foreign node with another type must not keep the components' topic from its users.
+        ours = {end.type_name for end in ends if not end.node.is_foreign}
+        types = sorted(ours or {end.type_name for end in ends})
         if len(types) > 1:
             raise CairnError(f"{full} is used with several message types: {', '.join(types)}")
+        ends = [end for end in ends if end.type_name in types]
         return next((end for end in ends if end.kind == "MP"), ends[0])
 
     def subscribe(
@@ -595,12 +600,13 @@ class Robot:
 
     def _check_type(self, topic: str, message: type[Any]) -> None:
         ours = type_name(message)
-        for end in self.connection.endpoints(topic):
-            if end.type_name != ours:
-                raise CairnError(
-                    f"{topic}: {end.node.name} uses it with {end.type_name}, not with {ours}; "
-                    "subscribe with that message type"
-                )
+        ends = self.connection.endpoints(topic)
+        if ends and all(end.type_name != ours for end in ends):
+            end = ends[0]
+            raise CairnError(
+                f"{topic}: {end.node.name} uses it with {end.type_name}, not with {ours}; "
+                "subscribe with that message type"
+            )
 
 
 class Subscription(Generic[M]):

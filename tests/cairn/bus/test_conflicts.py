@@ -78,9 +78,10 @@ def test_mismatch_with_a_foreign_node_is_a_warning_of_the_component(
     }
     reader = Reader(nodes["base"], TOPIC, Twist, RELIABLE)
     nodes["driver"].advertise(TOPIC, Twist, RELIABLE)
-    for number, (kind, qos) in enumerate(
-        (("MP", LATCHED), ("MS", SENSOR), ("MP", SENSOR), ("MS", LATCHED)), 1
-    ):
+    theirs: list[tuple[EndpointKind, Qos]] = [
+        ("MP", LATCHED), ("MS", SENSOR), ("MP", SENSOR), ("MS", LATCHED),
+    ]  # fmt: skip
+    for number, (kind, qos) in enumerate(theirs, start=1):
         strangers.announce(endpoint(number, kind, qos))
 
     offered = qos_mismatch(TOPIC, "/ros/node", SENSOR, "/robot/base", RELIABLE)
@@ -95,7 +96,7 @@ def test_mismatch_of_two_components_is_reported_once_and_messages_arrive(network
     talking, listening = network.bus(), network.bus()
     warned: list[str] = []
     writer = talking.node("/robot/driver", fail_test).advertise(TOPIC, Twist, SENSOR)
-    reader = Reader(listening.node("/robot/base", fail_test, warned.append), TOPIC, Twist, RELIABLE)  # type: ignore[arg-type]
+    reader = Reader(listening.node("/robot/base", fail_test, warned.append), TOPIC, Twist, RELIABLE)
 
     talking.wait_for_peers(LIMIT_S)
     writer.publish(Twist())

@@ -13,7 +13,7 @@ from cairn.bus.type_hash import type_hash
 from cairn.client import connect
 from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts
-from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces.srv import GetParameters
 from cairn.testing.launching import Run
@@ -35,6 +35,7 @@ def strangers(rover: Run) -> Iterator[None]:
         ("MP", "/rover/words", type_name(Twist), type_hash(Twist)),
         ("MS", "/rover/velocity", type_name(Vector3), type_hash(Vector3)),
         ("MP", "/rosout", "rcl_interfaces/msg/Log", "RIHS01_ab"),
+        ("MS", "/rover/beacon", type_name(Vector3), type_hash(Vector3)),
         ("SS", "/ros/add", type_name(AddTwoInts), type_hash(AddTwoInts)),
         ("SS", "/ros/base/get_parameters", type_name(GetParameters), type_hash(GetParameters)),
         ("SS", "/ros/count/_action/send_goal",
@@ -52,8 +53,9 @@ def strangers(rover: Run) -> Iterator[None]:
         yield
 
 
-def _foreign(graph: list[NodeEntity | EndpointEntity]) -> list[NodeEntity | EndpointEntity]:
-    return [one for one in graph if (one if isinstance(one, NodeEntity) else one.node).is_foreign]
+def _foreign(graph: list[NodeEntity | EndpointEntity]) -> list[NodeEntity]:
+    nodes = (one if isinstance(one, NodeEntity) else one.node for one in graph)
+    return [node for node in nodes if node.is_foreign]
 
 
 def test_ps_lists_foreign_nodes_after_the_components(command: Command) -> None:
@@ -62,7 +64,7 @@ def test_ps_lists_foreign_nodes_after_the_components(command: Command) -> None:
 
     assert shown[-2].split()[:2] == [NAME, "foreign"]
     assert shown[-2].endswith(
-        "publishes /rover/words; subscribes /rover/velocity; serves /ros/add, /ros/count"
+        "publishes /rover/words; subscribes /rover/beacon, /rover/velocity; serves /ros/add, /ros/count"
     )
     assert [row["component"] for row in rows] == [NAME, "/rover/talker"]
     assert rows[0]["publishes"] == ["/rover/words"]
@@ -92,11 +94,12 @@ def test_node_list_and_info_have_what_a_node_uses(command: Command) -> None:
 
     assert (rows[NAME]["kind"], rows["/rover/listener"]["kind"]) == ("foreign", "component")
     assert rows["/rover/listener"]["subscribes"] == ["/rover/words"]
-    assert f"{NAME} foreign 1 1 2 0" in " ".join(command("node", "list").out.split())
+    assert f"{NAME} foreign 1 2 2 0" in " ".join(command("node", "list").out.split())
     assert table == [
         f"{NAME} (foreign)",
         "role name type qos",
         "publisher /rover/words geometry_msgs/msg/Twist best_effort, volatile, depth 5",
+        "subscriber /rover/beacon geometry_msgs/msg/Vector3 best_effort, volatile, depth 5",
         "subscriber /rover/velocity geometry_msgs/msg/Vector3 best_effort, volatile, depth 5",
         "service server /ros/add example_interfaces/srv/AddTwoInts",
         "action server /ros/count example_interfaces/action/Fibonacci",
@@ -126,6 +129,19 @@ def test_lists_mark_foreign_nodes_and_warn_of_mismatches(command: Command) -> No
     assert f"/ros/count example_interfaces/action/Fibonacci {NAME} (foreign)" in " ".join(
         command("action", "list").out.split()
     )
+
+
+def test_foreign_type_on_a_topic_does_not_keep_it_from_its_users(
+    command: Command, rover: Run
+) -> None:
+    latched = command("topic", "echo", "beacon", "--count", "1", "--json")
+    with connect(rover.endpoint) as robot:
+        message = robot.latest("beacon", PoseStamped)
+
+    assert latched.json["pose"]["position"]["x"] == message.pose.position.x == 4.0
+    conflict = command("topic", "info", "beacon").err
+    assert f"topic /rover/beacon: {NAME} uses it with type geometry_msgs/msg/Vector3" in conflict
+    assert "/rover/beacon with geometry_msgs/msg/PoseStamped" in conflict
 
 
 def test_component_logs_the_mismatch_as_a_warning(rover: Run) -> None:
