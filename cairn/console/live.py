@@ -212,7 +212,8 @@ class LiveSource:
             nodes = publishers if one.kind == "MP" else subscribers
             nodes[one.topic].add(one.node.name)
         self._hub.set_channels([topic.channel for topic in self._topics.values()])
-        self._hub.set_graph(ConnectionGraph(publishers, subscribers))
+        foreign = {one.node.name for one in endpoints.values() if one.node.is_foreign}
+        self._hub.set_graph(ConnectionGraph(publishers, subscribers, foreign))
         for id_, reader in list(self._readers.items()):
             if id_ in self._topics:
                 reader.set_publishers(self._topics[id_].publishers)

@@ -27,6 +27,7 @@ _STATUS_TYPE: Final = type_name(ComponentStatus)
 _MOST_COMPONENTS: Final = 1000  # of all robots; further ones, of forged statuses, are not shown
 _LONGEST_STATUS: Final = 64 << 10  # one port takes about 100 bytes
 _SILENT_NS: Final = 3 * SECOND  # statuses arrive four times a second
+_MAX_FOREIGN: Final = 20  # names of one topic that pages get
 _LENGTH: Final = struct.Struct("<I")
 _STAMP_END: Final = 12  # of the header, after 4 bytes of encapsulation
 
@@ -183,7 +184,7 @@ class StatusMonitor:
                 counter = one.counters[port.port, port.direction]
                 ports[port.topic].append((port, counter))
         types = {channel.topic: channel.type_name for channel in channels}
-        rows = []
+        rows: list[dict[str, Any]] = []
         for topic in sorted({*types, *graph.publishers, *graph.subscribers}):
             sent = [counter for port, counter in ports[topic] if port.direction == port.OUT]
             taken = [counter for port, counter in ports[topic] if port.direction == port.IN]
@@ -193,12 +194,16 @@ class StatusMonitor:
                 if (rates := [one.rate_hz for one in counters if one.rate_hz is not None])
             ]
             changed = [one.changed_at for one in (*sent, *taken) if one.changed_at is not None]
+            publishers = graph.publishers.get(topic, frozenset())
+            subscribers = graph.subscribers.get(topic, frozenset())
             rows.append(
                 {
                     "topic": topic,
                     "type": types.get(topic, ""),
-                    "publishers": len(graph.publishers.get(topic, ())),
-                    "subscribers": len(graph.subscribers.get(topic, ())),
+                    "publishers": len(publishers),
+                    "subscribers": len(subscribers),
+                    "foreign_publishers": sorted(publishers & graph.foreign)[:_MAX_FOREIGN],
+                    "foreign_subscribers": sorted(subscribers & graph.foreign)[:_MAX_FOREIGN],
                     "rate_hz": round(max(rates), 2) if rates else None,
                     "age_s": round(max(0, now - max(changed)) / SECOND, 2) if changed else None,
                 }

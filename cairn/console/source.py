@@ -47,10 +47,14 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class ConnectionGraph:
-    """Full names of the nodes that publish and subscribe, by topic."""
+    """Full names of the nodes that publish and subscribe, by topic.
+
+    Those in `foreign` are not components of Cairn, such as nodes of ROS 2.
+    """
 
     publishers: Mapping[str, Set[str]]
     subscribers: Mapping[str, Set[str]]
+    foreign: Set[str] = frozenset()
 
 
 class Source(Protocol):

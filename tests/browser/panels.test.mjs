@@ -202,6 +202,7 @@ test("topics are those with a rate and those that are only advertised, in order"
   );
   assert.deepEqual(rows.map((one) => [one.topic, one.type, one.rate]), [["/r/odom", "nav_msgs/msg/Odometry", NaN], ["/r/scan", "sensor_msgs/msg/LaserScan", 10]]);
   assert.equal(endpoints(COMPONENTS, "/r/scan", "in", 3), "gate, recorder, 1 other");
+  assert.equal(endpoints(COMPONENTS, "/r/scan", "in", 4, ["/ros/rviz"]), "gate, recorder, /ros/rviz (foreign), 1 other");
   assert.equal(endpoints(COMPONENTS, "/r/none", "out", 0), "none");
   assert.equal(endpoints(COMPONENTS, "/r/none", "out", 2), "2");
 });

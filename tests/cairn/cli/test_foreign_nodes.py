@@ -64,7 +64,8 @@ def test_ps_lists_foreign_nodes_after_the_components(command: Command) -> None:
 
     assert shown[-2].split()[:2] == [NAME, "foreign"]
     assert shown[-2].endswith(
-        "publishes /rover/words; subscribes /rover/beacon, /rover/velocity; serves /ros/add, /ros/count"
+        "publishes /rover/words; subscribes /rover/beacon, /rover/velocity; "
+        "serves /ros/add, /ros/count"
     )
     assert [row["component"] for row in rows] == [NAME, "/rover/talker"]
     assert rows[0]["publishes"] == ["/rover/words"]

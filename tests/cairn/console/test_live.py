@@ -9,13 +9,15 @@ import pytest
 from cairn import LATCHED, RELIABLE, SENSOR
 from cairn.bus.codec import Codec
 from cairn.bus.keys import EndpointEntity, NodeEntity, token_key
-from cairn.bus.type_hash import definition
+from cairn.bus.session import open_client
+from cairn.bus.type_hash import definition, type_hash
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.client.connection import Connection
 from cairn.console import live as live_module
 from cairn.console.live import LiveSource
 from cairn.console.message_types import MessageType, MessageTypes
 from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.schemas.message import type_name
 from cairn.schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually, router_at
 from tests.cairn.console.conftest import NoLease, Running, running
@@ -128,6 +130,20 @@ def test_subscriptions_of_a_busy_topic_come_and_go(
         page.send(op="unsubscribe", subscriptionIds=[number])
         assert eventually(lambda: not publisher.has_subscribers)
     page.close()
+
+
+def test_foreign_nodes_are_known(network: Network, live: Running) -> None:
+    network.bus().node("/robot/base", print).advertise("/robot/odom", Twist, RELIABLE)
+    node = NodeEntity(0, "5e55", 0, "/ros/rviz")
+    rviz = EndpointEntity(
+        node, 1, "MS", "/robot/odom", type_name(Twist), type_hash(Twist), RELIABLE
+    )
+    with open_client([network.endpoint]) as session:
+        token = session.liveliness().declare_token(token_key(rviz))
+
+        assert eventually(lambda: live.hub.graph.foreign == {"/ros/rviz"})
+        assert live.hub.graph.subscribers["/robot/odom"] == {"/ros/rviz"}
+        token.undeclare()
 
 
 def test_publication_of_a_browser_reaches_a_component(network: Network, live: Running) -> None:

@@ -107,6 +107,16 @@ def test_rates_and_ages_follow_from_the_counters_also_after_a_restart() -> None:
     assert (later["rate_hz"], later["age_s"], later["type"]) == (0, 2.0, "nav_msgs/msg/Odometry")
 
 
+def test_foreign_nodes_of_a_topic_are_named() -> None:
+    nodes = {"/odom": frozenset({"/ros/base", "/robot/localizer"})}
+    graph = ConnectionGraph(nodes, nodes, frozenset({"/ros/base", "/ros/rviz"}))
+
+    (found,) = Bench().monitor.topics([], graph)
+
+    assert (found["publishers"], found["subscribers"]) == (2, 2)
+    assert found["foreign_publishers"] == found["foreign_subscribers"] == ["/ros/base"]
+
+
 def test_status_that_is_not_valid_is_ignored() -> None:
     monitor = StatusMonitor(lambda _: 0)
     for payload in (b"", bytes(40), b"\0\1\0\0" + b"\xff" * 40, Codec().encode(BASE)[:60]):

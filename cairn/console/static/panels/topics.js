@@ -14,22 +14,23 @@ const PREVIEW_ITEMS = 4;
 const ENUMERATIONS = new Set(["state", "kind", "outcome", "behavior", "level", "verdict", "direction"]);
 
 /**
- * Return {topic, type, publishers, subscribers, rate, age} per topic, in order of their names.
+ * Return {topic, type, publishers, subscribers, foreignPublishers, foreignSubscribers, rate, age} per topic, in order of their names.
  *
  * `listed` is that of the event "topics", `advertised` the topics of the connection: in a recording there
  * are no statuses to count by, so a topic may be in one of them only. Numbers that are not known are NaN.
  */
 export function mergeTopics(listed, advertised) {
   const rows = new Map();
-  for (const { topic, type, channels } of advertised) rows.set(topic, { topic, type, publishers: channels, subscribers: NaN, rate: NaN, age: NaN });
-  for (const { topic, type, publishers, subscribers, rate_hz: rate, age_s: age } of listed)
-    rows.set(topic, { topic, type: type || rows.get(topic)?.type || "", publishers, subscribers, rate: rate ?? NaN, age: age ?? NaN });
+  for (const { topic, type, channels } of advertised) rows.set(topic, { topic, type, publishers: channels, subscribers: NaN, foreignPublishers: [], foreignSubscribers: [], rate: NaN, age: NaN });
+  for (const { topic, type, publishers, subscribers, foreign_publishers: foreignPublishers, foreign_subscribers: foreignSubscribers, rate_hz: rate, age_s: age } of listed)
+    rows.set(topic, { topic, type: type || rows.get(topic)?.type || "", publishers, subscribers, foreignPublishers, foreignSubscribers, rate: rate ?? NaN, age: age ?? NaN });
   return [...rows.values()].sort((a, b) => (a.topic < b.topic ? -1 : 1));
 }
 
-/** Return who publishes (direction "out") or subscribes ("in") in words: the components by name, others by number. */
-export function endpoints(components, topic, direction, count) {
+/** Return who publishes (direction "out") or subscribes ("in") in words: components and foreign nodes by name, others by number. */
+export function endpoints(components, topic, direction, count, foreign = []) {
   const names = components.filter((one) => one.ports.some((port) => port.topic === topic && port.direction === direction)).map((one) => one.name);
+  names.push(...foreign.map((name) => `${name} (foreign)`));
   const others = Number.isFinite(count) ? count - names.length : 0;
   if (others > 0) names.push(names.length > 0 ? `${others} other${others > 1 ? "s" : ""}` : `${count}`);
   return names.length > 0 ? names.join(", ") : Number.isFinite(count) ? "none" : "not known";
@@ -87,8 +88,8 @@ function Details({ one, connection }) {
       <dl class="pairs">
         <dt>Topic</dt><dd class="mono">${one.topic}</dd>
         <dt>Type</dt><dd class="mono">${one.type}</dd>
-        <dt>Publishers</dt><dd>${endpoints(components, one.topic, "out", one.publishers)}</dd>
-        <dt>Subscribers</dt><dd>${endpoints(components, one.topic, "in", one.subscribers)}</dd>
+        <dt>Publishers</dt><dd>${endpoints(components, one.topic, "out", one.publishers, one.foreignPublishers)}</dd>
+        <dt>Subscribers</dt><dd>${endpoints(components, one.topic, "in", one.subscribers, one.foreignSubscribers)}</dd>
       </dl>
       ${message
         ? html`
