@@ -89,7 +89,7 @@ def default_domain() -> int:
 
 
 def parse_domain(text: str) -> int:
-    """Return the domain that a text gives, 0 if it is blank; `ValueError` if it is none."""
+    """Return the domain that a text gives, 0 if it is blank; `ValueError` if it gives none."""
     text = text.strip()
     if not re.fullmatch("[0-9]{0,3}", text) or int(text or 0) > MAX_DOMAIN:
         raise ValueError(f"is not a domain; set it to a number from 0 to {MAX_DOMAIN}")

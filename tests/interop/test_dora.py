@@ -238,3 +238,17 @@ def test_mismatch_with_dora_is_a_warning_and_messages_arrive(network: Network, d
         return dora.do("receive", topic="/robot/scan")
 
     assert any(received() == to_plain(message) for _ in range(100))
+
+
+def test_dora_and_ours_use_one_rule_for_the_domain(
+    network: Network, ament: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nodes(domain: int | None) -> list[str]:
+        with connect(network.endpoint, domain) as robot:
+            return [one.name for one in robot.nodes()]
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    with dora_node(network.endpoint, ament, tmp_path) as dora:
+        dora.do("serve_sums", name="/ros/add")
+        assert eventually(lambda: nodes(None) == ["/ros/dora"])
+        assert nodes(0) == []
