@@ -250,7 +250,7 @@ class ZenohNode:
             process_of(other.zid),
             lambda process: (
                 f"another node has the name {self.name}, in {process}, which {where}: tools of "
-                "ROS 2 and its services cannot tell the two apart; rename one of them"
+                "ROS 2 and services cannot distinguish the two; rename one of them"
             ),
         )
 
