@@ -73,9 +73,12 @@ def ps(
         row["note"] = "; ".join(filter(None, (row["note"], shared.get(row["component"]))))
     prefix = f"/{robot}/" if robot else "/"
     foreign = [one for one in nodes if one.is_foreign and one.name.startswith(prefix)]
-    rows += [_row_of_foreign(one) for one in foreign[: _MAX_ROWS - len(rows)]]
+    left_out = max(0, len(foreign) - (_MAX_ROWS - len(rows)))
+    rows += [_row_of_foreign(one) for one in foreign[: len(foreign) - left_out]]
     if statuses.left_out:
         note(f"{statuses.left_out} more announced components do not answer; they are left out")
+    if left_out:
+        note(f"{left_out} foreign nodes are left out; `cairn node list` has all")
     if len(tree) == _MAX_ROWS:
         note(f"only the first {_MAX_ROWS} components are listed; choose a robot with --robot")
     shown = {key: title for key, title in _COLUMNS.items() if key != "robot" or len(robots) > 1}

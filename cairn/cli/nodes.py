@@ -82,22 +82,32 @@ def show_node(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Print what a node publishes, subscribes, serves and calls, with types and QoS."""
+    """Print what a node publishes, subscribes, serves and calls, with types and QoS.
+
+    If several nodes have the name, all are printed; JSON is a list.
+    """
     with connect_to(connect, domain, robot) as client:
         nodes = client.nodes()
     full = resolve((one.name for one in nodes), name, robot)
-    for one in nodes:
-        if one.name != full:
-            continue
-        rows = [_row(end) for end in one.endpoints if all_ or not _is_of_every_node(end)]
-        if json:
-            print_json({
-                "node": full, "namespace": one.namespace, "foreign": one.is_foreign,
-                "note": note_on(one), "endpoints": rows,
-            })  # fmt: skip
-            continue
-        line("; ".join(filter(None, (marked(full, one.is_foreign), note_on(one, short=True)))))
-        show(rows, ("role", "name", "type", "qos"), as_json=False, nothing="it has no endpoint")
+    found: list[dict[str, Any]] = [
+        {
+            "node": one.name,
+            "namespace": one.namespace,
+            "foreign": one.is_foreign,
+            "note": note_on(one, short=True),
+            "endpoints": [_row(end) for end in one.endpoints if all_ or not _is_of_every_node(end)],
+        }
+        for one in nodes
+        if one.name == full
+    ]
+    if json:
+        print_json(found)
+        return
+    for info in found:
+        title = marked(info["node"], info["foreign"])
+        line("; ".join(filter(None, (title, info["note"]))))
+        columns = ("role", "name", "type", "qos")
+        show(info["endpoints"], columns, as_json=False, nothing="it has no endpoint")
 
 
 def marked(name: str, is_foreign: bool) -> str:

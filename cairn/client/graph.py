@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
@@ -92,12 +92,12 @@ def read_nodes(connection: Connection, *, patience_s: float | None = None) -> li
             end = endpoint_of(one)
             if not end.is_part_of_action:
                 ends[one.node].append(end)
-    names = [node.name for node in nodes]
+    number = Counter(node.name for node in nodes)
     return [
         NodeInfo(
             node.name,
             node.is_foreign,
-            names.count(node.name) == 1,
+            number[node.name] == 1,
             tuple(sorted(ends[node], key=_by_role)),
         )
         for node in sorted(nodes, key=lambda node: (node.name, node.zid))

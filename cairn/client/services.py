@@ -55,25 +55,21 @@ class ServiceInfo:
 
 def find_services(connection: Connection) -> tuple[list[ServiceInfo], list[ServiceInfo]]:
     """Return the services on the bus, without those that are part of an action, and the actions."""
-    by_name: defaultdict[str, list[keys.EndpointEntity]] = defaultdict(list)
     found: defaultdict[tuple[bool, str, str], list[Endpoint]] = defaultdict(list)
-    problems: dict[str, tuple[str, ...]] = {}
+    entities: defaultdict[tuple[bool, str], list[keys.EndpointEntity]] = defaultdict(list)
     for entity in connection.service_endpoints():
-        by_name[entity.topic].append(entity)
-    for entities in by_name.values():
-        for entity in entities:
-            end = endpoint_of(entity)
-            if not end.is_part_of_action:
-                is_action = end.role.startswith("action")
-                found[is_action, end.name, end.type_name].append(end)
-                problems[end.name] = problems_of(entities)
+        end = endpoint_of(entity)
+        if not end.is_part_of_action:
+            is_action = end.role.startswith("action")
+            found[is_action, end.name, end.type_name].append(end)
+            entities[is_action, end.name].append(entity)
     services: tuple[list[ServiceInfo], list[ServiceInfo]] = ([], [])
     for (is_action, name, kind), ends in sorted(found.items()):
         info = ServiceInfo(
             name, kind,
             nodes_in(ends, "service server", "action server"),
             nodes_in(ends, "service client", "action client"),
-            foreign_in(ends), problems[name],
+            foreign_in(ends), problems_of(entities[is_action, name]),
         )  # fmt: skip
         services[is_action].append(info)
     return services

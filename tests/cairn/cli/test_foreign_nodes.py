@@ -91,7 +91,7 @@ def test_component_whose_name_another_node_has_is_marked_and_still_reached(
 def test_node_list_and_info_have_what_a_node_uses(command: Command) -> None:
     rows = {row["node"]: row for row in command("node", "list", "--json").json}
     table = [" ".join(line.split()) for line in command("node", "info", NAME).out.splitlines()]
-    with_all = command("node", "info", NAME, "--all", "--json").json
+    [with_all] = command("node", "info", NAME, "--all", "--json").json
 
     assert (rows[NAME]["kind"], rows["/rover/listener"]["kind"]) == ("foreign", "component")
     assert rows["/rover/listener"]["subscribes"] == ["/rover/words"]
