@@ -325,6 +325,10 @@ class ZenohClient:
         self.sent += 1
         call = _PendingCall(self, on_reply, on_failure, timeout_s)
         self._pending.add(call)
+        cancellation = self._cancellation  # of the server that there is now
+        if not self.is_available:
+            call.fail(ServiceError(f"{self.name}: there is no server of this type"))
+            return
         # Zenoh's thread wakes the waiter without Python, which takes half as long as a call of
         # Python does. One that waits long would keep it from others.
         waits = timeout_s <= _LONGEST_WAIT_S and self._waiter.reserve()
@@ -336,7 +340,7 @@ class ZenohClient:
                 payload=self._codec.encode(request),
                 attachment=keys.Attachment(self.sent, time.time_ns(), self._gid).encode(),
                 timeout=timeout_s,
-                cancellation_token=self._cancellation,
+                cancellation_token=cancellation,
                 **self._options,
             )
         except zenoh.ZError as error:
@@ -509,10 +513,8 @@ class _PendingCall:
         elif self._refusal is not None:
             data = self._refusal.to_bytes()[: 4 * _LONGEST_REASON]
             error = data.decode(errors="replace")[:_LONGEST_REASON]
-        elif self._client.is_available:
-            error = f"{name}: no answer: the server ended, or has too many calls; call again later"
         else:
-            error = f"{name}: there is no server of this type, or it ended before it answered"
+            error = f"{name}: no answer: the server ended, or has too many calls; call again later"
         self._on_failure(ServiceError(error))
 
 

@@ -74,7 +74,9 @@ class Robot:
         self.map = robot.advertise("/robot/map", PoseStamped, LATCHED)
         self.map.publish(GOAL)
         self.requests: list[str] = []
-        self.server = ControlServer(self.bus.session, 0, "/robot/mobile", self._now, self._answer)
+        self.server = ControlServer(
+            self.bus.session, 0, "/robot/velocity_gate", self._now, self._answer
+        )
         assert eventually(lambda: answers(self.gateway))
 
     def close(self) -> None:
@@ -92,7 +94,7 @@ class Robot:
 
 def answers(session: zenoh.Session) -> bool:
     """Return whether the robot answers a query with the priority of messages."""
-    key = keys.control_key(0, "/robot/mobile", "parameters")
+    key = keys.control_key(0, "/robot/velocity_gate", "parameters")
     replies = session.get(key, payload="{}", timeout=LIMIT_S)
     return any(reply.ok is not None for reply in replies)
 
@@ -160,7 +162,7 @@ def received(robot: Robot, reader: Reader, key: str, last: Any) -> list[Any]:
 
 
 def request(session: zenoh.Session, verb: str) -> Any:
-    return control.request(session, 0, "/robot/mobile", verb, timeout_s=LIMIT_S)
+    return control.request(session, 0, "/robot/velocity_gate", verb, timeout_s=LIMIT_S)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +193,6 @@ def test_every_role_reads_topics_latched_messages_the_graph_and_parameters(
 
     assert "/robot/mobile" in client.nodes()
     assert request(user, "parameters") == "parameters"
-    assert request(user, "mission") == "mission"
 
 
 def test_only_operators_and_administrators_give_goals(
@@ -203,10 +204,10 @@ def test_only_operators_and_administrators_give_goals(
     goals = received(robot, robot.goals, GOAL_KEY, PoseStamped(header=Header(frame_id="last")))
     assert goals == ([] if role == "view" else [GOAL])
     if role == "view":
-        with pytest.raises(ControlError, match="no reply to go"):
-            request(user, "go")
+        with pytest.raises(ControlError, match="no reply to renew_lease"):
+            request(user, "renew_lease")
     else:
-        assert request(user, "go") == "go"
+        assert request(user, "renew_lease") == "renew_lease"
 
 
 def test_only_administrators_publish_commands_and_change_components(
@@ -373,7 +374,7 @@ def test_client_is_known_by_its_certificate(certified: Robot, keys_folder: Path)
         )
 
     with joined(certified, known_by("tablet")) as tablet:
-        assert request(tablet, "go") == "go"
+        assert request(tablet, "renew_lease") == "renew_lease"
         with pytest.raises(ControlError, match="no reply to deactivate"):
             request(tablet, "deactivate")
     with joined(certified, known_by("guest")) as guest:  # signed, but without a role
