@@ -69,8 +69,9 @@ class ZenohServer:
         self._invalid_response = invalid_response
         self._max_bytes = default_max_bytes(self._request) if max_bytes is None else max_bytes
         self._pending = _PendingQueries()
-        for cls in (self._request, self._response):
-            self._codec.register(cls)
+        if not is_private:  # those of every node, whose codecs take 2 MiB, are rarely called
+            for cls in (self._request, self._response):
+                self._codec.register(cls)
         self._announcement = node.announce("SS", name, service, SERVICES)
         self._closed = False
         key = self._announcement.key
