@@ -127,7 +127,7 @@ def follow(navigator: Navigator, goals: Sequence[Sequence[float] | str], *, as_j
     if as_json:
         print_json(_fields(goal.id, status))
     if status.state != NavigationStatus.SUCCEEDED:
-        state = NAVIGATION_STATES[status.state]
+        state = "failed" if status.state == NavigationStatus.FAILED else "was canceled"
         raise CairnError(f"the goal {state} after {status.elapsed:.1f} s: {status.reason}")
     if not as_json:
         line(f"{status.elapsed:6.1f} s  {status.reason}")
