@@ -15,7 +15,8 @@ from pydantic import ValidationError
 
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.exclusive_topics import ONE_WRITER, only_writer, two_writers
-from cairn.deployment.model import RESERVED, Deployment
+from cairn.deployment.frames import DESCRIPTION, FRAMES
+from cairn.deployment.model import RESERVED, ROBOT_FRAMES, Deployment
 from cairn.deployment.plugins import PluginError, find_plugin, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import validation_problems
@@ -94,8 +95,18 @@ def check_document(
         problems += _unattainable_stop(root, component)
     if not import_plugins:
         return problems
+    components += _frames_component(root)
     problems += _file_problems(root)
     return problems + list(_wiring_problems(root, components))
+
+
+def _frames_component(root: DocumentNode) -> Iterator[CheckedComponent]:
+    """Yield the component that publishes the robot's frames, which the document does not name."""
+    section = root.find(FRAMES) or root.find(DESCRIPTION)
+    if section is not None:
+        node = DocumentNode({"plugin": DocumentNode(ROBOT_FRAMES, section.where)}, section.where)
+        own = CheckedComponent(ROBOT_FRAMES, ("components", ROBOT_FRAMES), node)
+        yield _resolve_plugin(own, frozenset(), import_plugins=True)[0]
 
 
 def _file_problems(root: DocumentNode) -> Iterator[Problem]:

@@ -1,4 +1,4 @@
-"""Interpolation: replace `${name}` by settings, and `${here}` by the folder of the file.
+"""Interpolation: replace `${name}` by settings, frames, and `${here}` by the folder of the file.
 
 OmegaConf interpolates too, but stops at the first mistake and does not know the lines of a file.
 """
@@ -6,8 +6,10 @@ OmegaConf interpolates too, but stops at the first mistake and does not know the
 import re
 from collections.abc import Mapping
 
+from cairn.deployment.frames import DESCRIPTION, FRAMES, FrameReferences
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, dotted
+from cairn.errors import CairnError
 
 # "$${" is a literal "${"; the last alternative matches a reference that is not closed.
 _REFERENCE = re.compile(r"\$\$\{|\$\{([^{}]*)\}|\$\{")
@@ -22,7 +24,18 @@ def interpolate(root: DocumentNode) -> tuple[DocumentNode, list[Problem], frozen
     becomes text.
     """
     references = _References(root)
-    resolved = references.resolve(root, ())
+    first = {
+        key: references.resolve(root.entries[key], (key,))
+        for key in ("settings", FRAMES, DESCRIPTION)
+        if key in root.entries
+    }
+    references.frames = FrameReferences(first.get(FRAMES), first.get(DESCRIPTION))
+    references.problems += references.frames.problems
+    entries = {
+        key: first[key] if key in first else references.resolve(node, (key,))
+        for key, node in root.entries.items()
+    }
+    resolved = DocumentNode(entries, root.at, root.key_at)
     return resolved, references.problems, frozenset(references.unresolved)
 
 
@@ -33,6 +46,7 @@ class _UnresolvedError(Exception):
 class _References:
     def __init__(self, root: DocumentNode) -> None:
         self.settings = root.find("settings") or DocumentNode({}, root.at)
+        self.frames: FrameReferences | None = None  # until they are known
         self.problems: list[Problem] = []
         self.unresolved: set[KeyPath] = set()
         self.resolved: dict[KeyPath, DocumentNode | None] = {}
@@ -95,11 +109,14 @@ class _References:
             return str(at.folder)
         value = self.value(name, at, path).value
         if value is None or isinstance(value, Mapping | tuple):
-            found = f"the setting {name} is not a text, number or boolean, so it has no text"
+            found = f"{name} is not a text, number or boolean, so it has no text"
             raise self.problem(at, path, found, "refer to a text, number or boolean")
         return str(value).lower() if isinstance(value, bool) else str(value)
 
     def value(self, name: str, at: Location, path: KeyPath) -> DocumentNode:
+        section, _, frame = name.partition(".")
+        if section == FRAMES and frame:
+            return self.frame(frame, at, path)
         steps = tuple(name.split("."))
         if self.settings.find(*steps) is None:
             known = [".".join(known) for known in _names(self.settings, ())]
@@ -111,6 +128,19 @@ class _References:
             found = f"circular settings: {chain}"
             raise self.problem(at, path, found, "give one of them a value")
         node = self.setting(steps)
+        if node is None:
+            raise _UnresolvedError
+        return node
+
+    def frame(self, name: str, at: Location, path: KeyPath) -> DocumentNode:
+        if self.frames is None:
+            found = f"a reference to the frame {name} among what the frames may depend on"
+            raise self.problem(at, path, found, "refer to frames below components only")
+        try:
+            node = self.frames.value(name)
+        except CairnError as error:
+            found, _, remedy = str(error).rpartition("; ")
+            raise self.problem(at, path, found, remedy) from error
         if node is None:
             raise _UnresolvedError
         return node

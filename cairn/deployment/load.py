@@ -12,6 +12,7 @@ from typing import NamedTuple
 from cairn.bounded_yaml import YAML_VALUES
 from cairn.bus.endpoints import default_domain
 from cairn.deployment.check import check_document
+from cairn.deployment.frames import FRAMES
 from cairn.deployment.interpolation import interpolate
 from cairn.deployment.model import Deployment
 from cairn.deployment.problems import DeploymentError, Location, Problem, suggestion
@@ -115,8 +116,9 @@ def apply_set(
 ) -> tuple[DocumentNode, list[Problem]]:
     """Return the base changed by one `--set`, `path=value` with the value in YAML, and problems.
 
-    A path whose first key is not one of the format's `sections` names a setting, which must exist;
-    `components.NAME` finds the component at any depth of the tree.
+    A path whose first key is not one of the format's `sections` names a setting, which must exist,
+    as must the frame of `frames.NAME.x`; `components.NAME` finds the component at any depth of the
+    tree.
     """
     at = Location(f"--set {assignment}", 0, 0, Path.cwd())
     path, equals, text = assignment.partition("=")
@@ -211,6 +213,10 @@ def _target(
             found = f"there is no component {keys[1]}"
             return (), Problem(at, ".".join(keys[:2]), found, suggestion(keys[1], places))
         return (*places[keys[1]], *keys[2:]), None
+    if keys[0] == FRAMES and len(keys) > 2 and base.find(FRAMES, keys[1]) is None:
+        known_frames = base.entries[FRAMES].entries if FRAMES in base.entries else ()
+        found = f"there is no frame {keys[1]} below {FRAMES}"
+        return (), Problem(at, ".".join(keys[:2]), found, suggestion(keys[1], known_frames))
     if keys[0] in sections and keys[0] != "settings":
         return tuple(keys), None
     names = keys[1:] if keys[0] == "settings" else keys

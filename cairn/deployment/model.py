@@ -1,5 +1,6 @@
 """The deployment format: a tree of components, each with where and how it runs."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -8,9 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cairn.bus.endpoints import MAX_DOMAIN, default_domain
 from cairn.deployment.bus_settings import BusSettings
+from cairn.tf.robot_frames import BASE_FRAME
+from cairn.tf.transform import Transform
+from cairn.tf.urdf import Joint
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 Topic = Annotated[str, Field(pattern=r"^/?[a-zA-Z_][a-zA-Z0-9_]*(/[a-zA-Z_][a-zA-Z0-9_]*)*$")]
+FrameName = Annotated[str, Field(pattern=r"^[a-zA-Z_][a-zA-Z0-9_]*$")]
+Meters = Annotated[float, Field(ge=-5, le=5, allow_inf_nan=False)]
 Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
 Restart = Literal["permanent", "transient", "temporary"]
 Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
@@ -22,10 +28,13 @@ RECORDER = "recorder"
 """The plugin that records the bus."""
 ALL_TOPICS = "/**"
 """What a recorder records unless its parameter `topics` says otherwise."""
+ROBOT_FRAMES = "robot_frames"
+"""The component that publishes the robot's frames, and its plugin."""
 _ROOT_PLUGIN = "cairn.supervision.supervisor:Supervisor"
 RESERVED = {
     ROOT: "the root of the tree of components",
     VIEW: "the node with which `cairn up` listens",
+    ROBOT_FRAMES: "the component that publishes the robot's frames",
 }
 """Names of nodes that every deployment has, which no component may use."""
 
@@ -74,6 +83,30 @@ class Storage(_Section):
         le=1_000_000_000_000_000,
         description="Size of all run folders [bytes]; beyond it fewer are kept complete.",
     )
+
+
+class Frame(_Section):
+    """Where a frame is mounted on the robot, level: x ahead, y to the left, z up."""
+
+    parent: str = Field(
+        BASE_FRAME, min_length=1, description="Frame that it is mounted on, by default the base."
+    )
+    x: Meters = Field(0.0, description="Ahead of the parent's origin [m].")
+    y: Meters = Field(0.0, description="Left of it [m].")
+    z: Meters = Field(0.0, description="Above it [m].")
+    theta: float = Field(
+        0.0,
+        ge=-math.pi,
+        le=math.pi,
+        allow_inf_nan=False,
+        description="Turned to the left [rad].",
+    )
+
+    def joint(self, name: str) -> Joint:
+        """Return the joint between the parent and this frame, which has that name."""
+        rotation = (0.0, 0.0, math.sin(self.theta / 2), math.cos(self.theta / 2))
+        pose = Transform((self.x, self.y, self.z), rotation)
+        return Joint(f"{name}_mount", "fixed", self.parent, name, pose)
 
 
 class ChildSpec(_Section):
@@ -212,6 +245,15 @@ class Deployment(_Section):
         default_factory=dict,
         description="Values that `${name}` refers to and `--set name=value` changes.",
     )
+    frames: dict[FrameName, Frame] = Field(
+        default_factory=dict,
+        description="Mounts of the robot's sensors, which `${frames.NAME}` refers to.",
+    )
+    robot_description: str | None = Field(
+        None,
+        min_length=1,
+        description="File with a robot description (URDF), whose links are frames, too.",
+    )
     external_topics: tuple[Topic, ...] = Field(
         (), strict=False, description="Topics published by programs outside the deployment."
     )
@@ -251,12 +293,18 @@ class Deployment(_Section):
             plugin=_ROOT_PLUGIN,
             placement="in_process",
             supervision=self.supervision,
-            children=self.components,
+            children=self._all_components,
         )
 
     def members(self) -> Iterator[Member]:
         """Yield all components in start order, each one followed by its children."""
-        yield from _members(self.components, None, "components")
+        yield from _members(self._all_components, None, "components")
+
+    @property
+    def _all_components(self) -> dict[str, ChildSpec]:
+        """The components, and before them the one that publishes the robot's frames."""
+        own = frames_component(self.frames, self.robot_description)
+        return self.components if own is None else {ROBOT_FRAMES: own, **self.components}
 
     def member(self, name: str) -> Member:
         """Return the component of that name at any depth; `KeyError` if there is none."""
@@ -264,6 +312,17 @@ class Deployment(_Section):
             if member.name == name:
                 return member
         raise KeyError(name)
+
+
+def frames_component(frames: Mapping[str, Frame], description: str | None) -> ChildSpec | None:
+    """Return the component that publishes the frames of a robot; None if it has none."""
+    if not frames and description is None:
+        return None
+    parameters: dict[str, Any] = {
+        "frames": {name: frame.model_dump(mode="json") for name, frame in frames.items()},
+        "robot_description": description,
+    }
+    return ChildSpec(plugin=ROBOT_FRAMES, parameters=parameters, placement="in_process")
 
 
 def _records_all_topics(spec: ChildSpec) -> bool:

@@ -19,21 +19,26 @@ from cairn.tf.errors import (
     TransformError,
     UnknownFrameError,
 )
+from cairn.tf.robot_frames import BASE_FRAME, RobotFrames
 from cairn.tf.transform import Transform
-from cairn.tf.urdf import RobotDescription, read_urdf, read_urdf_file
+from cairn.tf.urdf import Joint, RobotDescription, read_urdf, read_urdf_file, write_urdf
 
 __all__ = [
+    "BASE_FRAME",
     "Buffer",
     "BufferFullError",
     "ConnectivityError",
     "ExtrapolationError",
     "FrameInfo",
     "InvalidArgumentError",
+    "Joint",
     "RobotDescription",
     "RobotDescriptionError",
+    "RobotFrames",
     "Transform",
     "TransformError",
     "UnknownFrameError",
     "read_urdf",
     "read_urdf_file",
+    "write_urdf",
 ]

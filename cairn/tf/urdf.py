@@ -1,4 +1,4 @@
-"""The fixed joints of a robot description (URDF) as static transforms.
+"""The joints of a robot description (URDF): read from one, or written as one.
 
 Format: wiki.ros.org/urdf/XML. Only names, joint types and origins are read.
 """
@@ -6,9 +6,11 @@ Format: wiki.ros.org/urdf/XML. Only names, joint types and origins are read.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 from cairn.bounded_files import RefusedFileError, read_text_bounded
@@ -30,6 +32,38 @@ _MOVABLE = ("revolute", "continuous", "prismatic", "floating", "planar")
 
 
 @dataclass(frozen=True)
+class Joint:
+    """A joint between two links.
+
+    Attributes:
+        name: name of the joint.
+        type: `fixed`, or how the joint moves.
+        parent: name of the parent link.
+        child: name of the child link.
+        transform: pose of the child in the parent, that of a movable joint at position 0.
+    """
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    transform: Transform
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the joint does not move, so that its transform is static."""
+        return self.type == "fixed"
+
+    def message(self) -> TransformStamped:
+        """Return the transform parent -> child as a message with stamp 0."""
+        return TransformStamped(
+            header=Header(frame_id=self.parent),
+            child_frame_id=self.child,
+            transform=self.transform.to_message(),
+        )
+
+
+@dataclass(frozen=True)
 class RobotDescription:
     """What a robot description says of its frames.
 
@@ -37,16 +71,28 @@ class RobotDescription:
         name: name of the robot.
         root: the link that has no parent.
         links: names of all links, in the order of the description.
-        static_transforms: transforms parent -> child of the fixed joints, with stamp 0.
-        movable_joints: names of the other joints: their transforms are not static, and have to be
-            published by what knows their positions.
+        joints: all joints, in the order of the description.
+        text: the XML.
     """
 
     name: str
     root: str
     links: tuple[str, ...]
-    static_transforms: tuple[TransformStamped, ...]
-    movable_joints: tuple[str, ...]
+    joints: tuple[Joint, ...]
+    text: str
+
+    @property
+    def static_transforms(self) -> tuple[TransformStamped, ...]:
+        """Transforms parent -> child of the fixed joints, with stamp 0."""
+        return tuple(joint.message() for joint in self.joints if joint.is_fixed)
+
+    @property
+    def movable_joints(self) -> tuple[str, ...]:
+        """Names of the joints that are not fixed.
+
+        Their transforms are not static, and have to be published by what knows their positions.
+        """
+        return tuple(joint.name for joint in self.joints if not joint.is_fixed)
 
 
 def read_urdf_file(path: Path) -> RobotDescription:
@@ -89,7 +135,7 @@ def read_urdf(text: str, source: str = "robot description") -> RobotDescription:
     reader = _Reader(source)
     try:
         reader.parse(text)
-        return reader.description()
+        return reader.description(text)
     except expat.ExpatError as error:
         raise RobotDescriptionError(f"{source}: it is not XML: {error}; correct it") from error
     except UnicodeEncodeError as error:
@@ -98,8 +144,23 @@ def read_urdf(text: str, source: str = "robot description") -> RobotDescription:
         ) from error
 
 
+def write_urdf(name: str, root: str, joints: Sequence[Joint]) -> str:
+    """Return the text of a robot description with fixed joints below the link `root`."""
+    robot = ElementTree.Element("robot", name=name)
+    for link in (root, *(joint.child for joint in joints)):
+        ElementTree.SubElement(robot, "link", name=link)
+    for joint in joints:
+        element = ElementTree.SubElement(robot, "joint", name=joint.name, type=joint.type)
+        xyz, rpy = joint.transform.translation, joint.transform.roll_pitch_yaw()
+        ElementTree.SubElement(element, "origin", xyz=_text(xyz), rpy=_text(rpy))
+        ElementTree.SubElement(element, "parent", link=joint.parent)
+        ElementTree.SubElement(element, "child", link=joint.child)
+    ElementTree.indent(robot)
+    return ElementTree.tostring(robot, encoding="unicode", xml_declaration=False)
+
+
 @dataclass
-class _Joint:
+class _ReadJoint:
     name: str
     type: str
     parent: str = ""
@@ -107,8 +168,7 @@ class _Joint:
     xyz: str = "0 0 0"
     rpy: str = "0 0 0"
 
-    def transform(self, source: str) -> TransformStamped:
-        """Return the transform parent -> child."""
+    def joint(self, source: str) -> Joint:
         try:
             x, y, z = _three_numbers(self.xyz)
             transform = Transform.from_roll_pitch_yaw(*_three_numbers(self.rpy), (x, y, z))
@@ -117,11 +177,7 @@ class _Joint:
                 f"{source}: joint {self.name}: origin xyz={self.xyz[:80]!r} rpy={self.rpy[:80]!r} "
                 "are not three finite numbers each; correct it, and expand it first if it is xacro"
             ) from error
-        return TransformStamped(
-            header=Header(frame_id=self.parent),
-            child_frame_id=self.child,
-            transform=transform.to_message(),
-        )
+        return Joint(self.name, self.type, self.parent, self.child, transform)
 
 
 @dataclass
@@ -131,7 +187,7 @@ class _Reader:
     source: str
     robot: str | None = None
     links: list[str] = field(default_factory=list)
-    joints: list[_Joint] = field(default_factory=list)
+    joints: list[_ReadJoint] = field(default_factory=list)
     path: list[str] = field(default_factory=list)
     elements: int = 0
 
@@ -142,7 +198,7 @@ class _Reader:
         parser.StartDoctypeDeclHandler = self._refuse_doctype
         parser.Parse(text.encode("utf-8"), True)
 
-    def description(self) -> RobotDescription:
+    def description(self, text: str) -> RobotDescription:
         """Return what was read, after it was checked to be one tree."""
         if not self.links:
             raise self._error("it has no links", "give a robot description with a link")
@@ -175,10 +231,8 @@ class _Reader:
             name=self.robot or "",
             root=roots[0],
             links=tuple(self.links),
-            static_transforms=tuple(
-                joint.transform(self.source) for joint in self.joints if joint.type == "fixed"
-            ),
-            movable_joints=tuple(joint.name for joint in self.joints if joint.type != "fixed"),
+            joints=tuple(joint.joint(self.source) for joint in self.joints),
+            text=text,
         )
 
     def _start(self, element: str, attributes: dict[str, str]) -> None:
@@ -222,8 +276,8 @@ class _Reader:
             "it declares a document type, which may contain entities", "remove <!DOCTYPE ...>"
         )
 
-    def _joint(self, attributes: dict[str, str]) -> _Joint:
-        joint = _Joint(self._name("joint", attributes), attributes.get("type", ""))
+    def _joint(self, attributes: dict[str, str]) -> _ReadJoint:
+        joint = _ReadJoint(self._name("joint", attributes), attributes.get("type", ""))
         if joint.type != "fixed" and joint.type not in _MOVABLE:
             known = ", ".join(("fixed", *_MOVABLE))
             raise self._error(
@@ -272,3 +326,7 @@ def _three_numbers(text: str) -> tuple[float, float, float]:
     if not all(map(math.isfinite, (x, y, z))):
         raise ValueError(text)
     return x, y, z
+
+
+def _text(numbers: tuple[float, float, float]) -> str:
+    return " ".join(f"{number:.12g}" for number in numbers)

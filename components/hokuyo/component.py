@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from cairn import (
-    LATCHED,
     SECOND,
     SENSOR,
     CairnError,
@@ -22,11 +21,9 @@ from cairn.driver.device_clock import ahead_of_monotonic
 from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import diagnostics
 from cairn.driver.errors import DeviceError
-from cairn.planar.messages import transform_message
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan, MultiEchoLaserScan
 from cairn.schemas.std_msgs import Header
-from cairn.schemas.tf2_msgs import TFMessage
 
 
 class HokuyoScanner(Component):
@@ -41,7 +38,6 @@ class HokuyoScanner(Component):
 
     scan: Out[LaserScan] = Out(qos=SENSOR)
     multi_echo_scan: Out[MultiEchoLaserScan] = Out(qos=SENSOR)
-    tf_static: Out[TFMessage] = Out(qos=LATCHED)
     diagnostics: Out[DiagnosticArray]
 
     def on_configure(self) -> None:
@@ -79,10 +75,7 @@ class HokuyoScanner(Component):
         )
 
     def on_activate(self) -> None:
-        """Publish its pose on the robot; start measuring."""
-        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
-        mounted = transform_message(header, self.config.frame_id, self.config.mount.pose)
-        self.tf_static.publish(TFMessage(transforms=(mounted,)))
+        """Start measuring."""
         self._feed.start()
 
     def on_deactivate(self) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from cairn import Config, Mount
+from cairn import Config
 from cairn.components.hokuyo.client import BAUDS
 from cairn.components.hokuyo.messages import Echo
 from cairn.components.hokuyo.protocol import Encoding
@@ -37,7 +37,6 @@ class HokuyoConfig(Config):
     )
     tcp_port: int = Field(10940, ge=1, le=65535, description="Its TCP port [1].")
     frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
-    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     angle_min: float = Field(
         -math.pi, ge=-math.pi, le=math.pi, description="Direction of the first ray, at least [rad]."
     )

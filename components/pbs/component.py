@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cairn import LATCHED, SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
+from cairn import SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
 from cairn.components.pbs.config import PbsConfig
 from cairn.components.pbs.messages import PbsMessages
 from cairn.components.pbs.sensor import PbsMeasurement, TimedDistances
@@ -10,11 +10,9 @@ from cairn.driver.device_clock import ahead_of_monotonic
 from cairn.driver.device_thread import DeviceFeed
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
 from cairn.driver.errors import DeviceError
-from cairn.planar.messages import transform_message
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from cairn.schemas.tf2_msgs import TFMessage
 
 
 class PbsScanner(Component):
@@ -28,7 +26,6 @@ class PbsScanner(Component):
     config: PbsConfig
 
     scan: Out[LaserScan] = Out(qos=SENSOR)
-    tf_static: Out[TFMessage] = Out(qos=LATCHED)
     diagnostics: Out[DiagnosticArray]
 
     def on_configure(self) -> None:
@@ -53,10 +50,7 @@ class PbsScanner(Component):
             self._feed.device_error = str(error)
 
     def on_activate(self) -> None:
-        """Publish its pose on the robot; start measuring."""
-        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
-        mounted = transform_message(header, self.config.frame_id, self.config.mount.pose)
-        self.tf_static.publish(TFMessage(transforms=(mounted,)))
+        """Start measuring."""
         self._feed.start()
 
     def on_deactivate(self) -> None:

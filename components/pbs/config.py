@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn import Config, Mount
+from cairn import Config
 from cairn.driver.device_names import SerialPort
 
 
@@ -24,7 +24,6 @@ class PbsConfig(Config):
     )
     data_bits: Literal[7, 8] = Field(7, description="Data bits on the line; the sensor has 7 [1].")
     frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
-    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
     resolution: float = Field(
         math.radians(1.8),
         ge=math.radians(1.7),

@@ -14,9 +14,10 @@ from cairn.components.replay.recording import Gray, ImageStream
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.camera_file import read_camera
+from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME
 from cairn.vision.stereo import StereoRig
 
-_FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
+_FRAMES = (LEFT_FRAME, RIGHT_FRAME)
 
 
 class ReplayCameraConfig(RecordingConfig):

@@ -1,7 +1,6 @@
 """The mount of a bag's scanner: from its static transforms, or from a robot's description (URDF).
 
-Static transforms are on `/tf_static`, and in ROS 1 also, published over and over, on `/tf`. URDF:
-wiki.ros.org/urdf/XML/joint.
+Static transforms are on `/tf_static`, and in ROS 1 also, published over and over, on `/tf`.
 """
 
 from __future__ import annotations
@@ -10,15 +9,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.replay.recording import ScannerMount
 from cairn.errors import RecordingError
+from cairn.tf import InvalidArgumentError, RobotDescriptionError, Transform, read_urdf
 
 Array = NDArray[np.float64]
 
@@ -27,7 +25,6 @@ BASES = ("base_footprint", "base_link")
 
 _TILTED_RAD = math.radians(15.0)  # a scanner tilted by more does not scan the plane
 _STILL_M, _STILL_RAD = 1e-3, 1e-3  # a transform that varies by more is not static
-_LONGEST_URDF = 4_000_000
 _MOST_FRAMES = 10_000
 
 
@@ -45,43 +42,37 @@ def links_of_transforms(source: str, transforms: Iterable[Any]) -> list[FrameLin
     """Return the links of transforms (geometry_msgs/TransformStamped) that do not vary."""
     links: dict[tuple[str, str], FrameLink] = {}
     varying: set[tuple[str, str]] = set()
-    last: dict[tuple[str, str], tuple[float, ...]] = {}
-    for transform in transforms:
-        key = (transform.header.frame_id.strip("/"), transform.child_frame_id.strip("/"))
+    last: dict[tuple[str, str], Transform] = {}
+    for message in transforms:
+        key = (message.header.frame_id.strip("/"), message.child_frame_id.strip("/"))
         if key in varying:
             continue
-        moved, turned = transform.transform.translation, transform.transform.rotation
-        values = (moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w)
-        if last.get(key) == values:
+        try:
+            transform = Transform.from_message(message.transform)
+        except InvalidArgumentError:
             continue
-        last[key] = values
-        matrix = _matrix(values)
-        if matrix is None:
+        if last.get(key) == transform:
             continue
+        last[key] = transform
         if key not in links:
             if len(links) < _MOST_FRAMES:
-                links[key] = FrameLink(*key, matrix, source)
-        elif not _same(links[key].matrix, matrix):
+                links[key] = FrameLink(*key, transform.matrix(), source)
+        elif not _same(links[key].matrix, transform.matrix()):
             varying.add(key)
     return [link for key, link in links.items() if key not in varying]
 
 
 def links_of_description(source: str, urdf: str) -> list[FrameLink]:
     """Return the links of the fixed joints in a robot's description; raise `RecordingError`."""
-    if len(urdf) > _LONGEST_URDF or "<!DOCTYPE" in urdf or "<!ENTITY" in urdf:
-        raise RecordingError(
-            f"{source} is not a robot's description: it is longer than {_LONGEST_URDF:,} "
-            "characters, or declares entities; name the scanner's mount yourself"
-        )
     try:
-        robot = ElementTree.fromstring(urdf)
-        joints = list(islice(robot.iter("joint"), _MOST_FRAMES))
-        joints = [joint for joint in joints if joint.get("type") == "fixed"]
-        return [link for joint in joints if (link := _link_of(source, joint)) is not None]
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise RecordingError(
-            f"{source} is not a robot's description ({error}); name the scanner's mount yourself"
-        ) from error
+        joints = read_urdf(urdf, source).joints
+    except RobotDescriptionError as error:
+        raise RecordingError(f"{error}; or name the scanner's mount yourself") from error
+    return [
+        FrameLink(joint.parent.strip("/"), joint.child.strip("/"), joint.transform.matrix(), source)
+        for joint in joints
+        if joint.is_fixed
+    ]
 
 
 def find_mount(
@@ -154,52 +145,6 @@ def _chain(links: Sequence[FrameLink], base: str, scanner: str) -> list[tuple[Ar
         chain.append((matrix.astype(np.float64), link.source))
         frame = step[0]
     return chain[::-1]
-
-
-def _link_of(source: str, joint: ElementTree.Element) -> FrameLink | None:
-    parent, child, origin = joint.find("parent"), joint.find("child"), joint.find("origin")
-    if parent is None or child is None:
-        return None
-    xyz = _numbers("0 0 0" if origin is None else origin.get("xyz", "0 0 0"))
-    roll, pitch, yaw = _numbers("0 0 0" if origin is None else origin.get("rpy", "0 0 0"))
-    matrix = np.eye(4)
-    matrix[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
-    matrix[:3, 3] = xyz
-    names = (parent.get("link", "").strip("/"), child.get("link", "").strip("/"))
-    return FrameLink(*names, matrix, source)
-
-
-def _numbers(text: str) -> tuple[float, float, float]:
-    x, y, z = (float(word) for word in text.split())
-    if not all(map(math.isfinite, (x, y, z))):
-        raise ValueError(f"{text[:60]!r} is not finite")
-    return x, y, z
-
-
-def _about(axis: int, angle: float) -> Array:
-    """Return the rotation (3, 3) about an axis, 0 for x."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    first, second = [(1, 2), (2, 0), (0, 1)][axis]
-    matrix = np.eye(3)
-    matrix[first, first] = matrix[second, second] = cosine
-    matrix[first, second], matrix[second, first] = -sine, sine
-    return matrix
-
-
-def _matrix(values: tuple[float, ...]) -> Array | None:
-    """Return the transform (4, 4) of a translation and a quaternion; None if they are invalid."""
-    length = math.sqrt(sum(value * value for value in values[3:]))
-    if not all(map(math.isfinite, values)) or length < 1e-6:
-        return None
-    x, y, z, w = (value / length for value in values[3:])
-    matrix = np.eye(4)
-    matrix[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    matrix[:3, 3] = values[:3]
-    return matrix
 
 
 def _same(first: Array, second: Array) -> bool:

@@ -48,10 +48,10 @@ from cairn.components.simulation.world_file import WorldFile
 from cairn.components.simulation.world_tracker import WorldTracker, sensor_poses
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
-from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transform
 
 Fault = Literal["none", "left_missing", "right_missing", "frozen", "right_frozen", "swapped"]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
@@ -118,6 +118,11 @@ class SimulatedStereoCameraConfig(Config):
         description="Delay from the exposure to the publication of the images [s].",
     )
     mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
+    mount_frame: str = Field(
+        "camera",
+        min_length=1,
+        description="Frame of that pose on the robot; the optical frames are published in it.",
+    )
     z: float = Field(1.0, ge=0.05, le=10, description="Height above the floor [m].")
     distortion: Annotated[list[Coefficient], Field(max_length=5)] = Field(
         [],
@@ -204,9 +209,6 @@ def write_picture(picture: Gray, file: Path) -> None:
         raise CairnError(f"{file}: cannot be written; check that the folder exists and is writable")
 
 
-_LEFT, _RIGHT = "left_camera_optical_frame", "right_camera_optical_frame"
-
-
 class SimulatedStereoCamera(Component):
     """Photograph the simulated world in perspective, as a stereo pair with a horizontal view.
 
@@ -232,8 +234,8 @@ class SimulatedStereoCamera(Component):
         except CairnError as error:
             raise CairnError(f"{self.name}: {error}") from error
         self._infos = (
-            camera_info(lens, config.distortion, _LEFT, 0.0),
-            camera_info(lens, config.distortion, _RIGHT, config.baseline),
+            camera_info(lens, config.distortion, LEFT_FRAME, 0.0),
+            camera_info(lens, config.distortion, RIGHT_FRAME, config.baseline),
         )
         self._film = ImageSensor(config.width, config.height, self.random)
         self._light_drift = float(self.random.standard_normal())
@@ -243,17 +245,11 @@ class SimulatedStereoCamera(Component):
         self._period = round(SECOND / config.rate)
 
     def on_activate(self) -> None:
-        """Publish the mounting poses; start to take photographs."""
-        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
-        baseline = self.config.baseline
-        self.tf_static.publish(
-            TFMessage(
-                transforms=(
-                    self._mounted(header, _LEFT, 0),
-                    self._mounted(header, _RIGHT, baseline),
-                )
-            )
-        )
+        """Publish the optical frames; start to take photographs."""
+        header = Header(stamp=from_ns(self.clock.now()), frame_id=self.config.mount_frame)
+        left = optical_transform(header, LEFT_FRAME, 0.0)
+        right = optical_transform(header, RIGHT_FRAME, self.config.baseline)
+        self.tf_static.publish(TFMessage(transforms=(left, right)))
         self._due = self.clock.now() + self._period
         self.schedule(self._due, self._photograph)
 
@@ -353,18 +349,3 @@ class SimulatedStereoCamera(Component):
                         data=image.reshape(-1),
                     )
                 )
-
-    def _mounted(self, header: Header, frame: str, right: float) -> TransformStamped:
-        """Return a mounting pose: x of the camera frame to the right, y down, z ahead (REP 103)."""
-        camera_pose = CameraPose(self.config.mount.pose, self.config.z).beside(right)
-        x, y, theta = camera_pose.pose
-        sine, cosine = math.sin(0.5 * theta), math.cos(0.5 * theta)
-        more, less = 0.5 * (cosine + sine), 0.5 * (cosine - sine)
-        return TransformStamped(
-            header=header,
-            child_frame_id=frame,
-            transform=Transform(
-                translation=Vector3(x=x, y=y, z=camera_pose.height),
-                rotation=Quaternion(x=-more, y=less, z=-less, w=more),
-            ),
-        )

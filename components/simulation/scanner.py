@@ -28,11 +28,9 @@ from cairn import (
 from cairn.components.simulation.layout import SURFACES
 from cairn.components.simulation.ray_casting import cast
 from cairn.components.simulation.world_tracker import RayTargets, WorldTracker, sensor_poses
-from cairn.planar.messages import transform_message
 from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from cairn.schemas.tf2_msgs import TFMessage
 
 
 @dataclass(frozen=True)
@@ -230,7 +228,6 @@ class SimulatedScanner(Component):
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
     world_geometry: In[WorldGeometry] = In(qos=LATCHED)
     scan: Out[LaserScan] = Out(qos=SENSOR)
-    tf_static: Out[TFMessage] = Out(qos=LATCHED)
 
     def on_configure(self) -> None:
         """Select the beams; check range and rate."""
@@ -264,10 +261,7 @@ class SimulatedScanner(Component):
             )
 
     def on_activate(self) -> None:
-        """Publish the mounting pose; start to measure."""
-        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
-        mounted = transform_message(header, _FRAME, self.config.mount.pose)
-        self.tf_static.publish(TFMessage(transforms=(mounted,)))
+        """Start to measure."""
         self._due = self.clock.now() + self._period
         self.schedule(self._due, self._sweep)
 

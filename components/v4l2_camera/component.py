@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -20,7 +19,6 @@ from cairn import (
     CairnError,
     Component,
     Config,
-    Mount,
     Out,
     ParameterRejected,
     every,
@@ -36,14 +34,14 @@ from cairn.components.v4l2_camera.pairing import UNPAIRED_KEPT, StampedImage, St
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
-from cairn.schemas.geometry_msgs import Quaternion, Transform, TransformStamped, Vector3
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.vision.camera_file import read_camera
+from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transform
 from cairn.vision.stereo import StereoRig
 
-_FRAMES = ("left_camera_optical_frame", "right_camera_optical_frame")
+_FRAMES = (LEFT_FRAME, RIGHT_FRAME)
 _SIDES = ("left", "right")
 
 
@@ -93,18 +91,14 @@ class V4l2StereoCamera(Component):
             raise CairnError(f"{self.name}: {error}") from error
 
     def on_activate(self) -> None:
-        """Publish the poses of the cameras, and start their streams."""
-        header = Header(stamp=from_ns(self.clock.now()), frame_id="base_link")
+        """Publish the optical frames of the cameras, and start their streams."""
+        header = Header(stamp=from_ns(self.clock.now()), frame_id=self.config.mount_frame)
         offsets = (0.0,) if self._baseline is None else (0.0, self._baseline)
-        config = self.config
-        self.tf_static.publish(
-            TFMessage(
-                transforms=tuple(
-                    _optical_frame_transform(header, frame, config.mount, config.z, offset)
-                    for frame, offset in zip(_FRAMES, offsets, strict=False)
-                )
-            )
+        transforms = tuple(
+            optical_transform(header, frame, offset)
+            for frame, offset in zip(_FRAMES, offsets, strict=False)
         )
+        self.tf_static.publish(TFMessage(transforms=transforms))
         self._newest = [deque[StampedImage](maxlen=1) for _ in self._cameras]
         # The stamps of the last left images that were published without a right one.
         self._alone = deque[int](maxlen=UNPAIRED_KEPT + 1)
@@ -289,25 +283,3 @@ def _read_calibrations(
     if len(known) == 2:
         return infos, StereoRig.of(*known).baseline
     return infos, None
-
-
-def _optical_frame_transform(
-    header: Header, frame: str, mount: Mount, height: float, baseline: float
-) -> TransformStamped:
-    """Return the optical frame of a level camera, `baseline` [m] to the right of the left one.
-
-    Its x axis points right, y down and z forward (REP 103); `mount` is that of the left camera,
-    `height` is above the floor [m].
-    """
-    x, y, theta = mount.pose
-    sine, cosine = math.sin(theta), math.cos(theta)
-    half_sine, half_cosine = math.sin(0.5 * theta), math.cos(0.5 * theta)
-    more, less = 0.5 * (half_cosine + half_sine), 0.5 * (half_cosine - half_sine)
-    return TransformStamped(
-        header=header,
-        child_frame_id=frame,
-        transform=Transform(
-            translation=Vector3(x=x + baseline * sine, y=y - baseline * cosine, z=height),
-            rotation=Quaternion(x=-more, y=less, z=-less, w=more),
-        ),
-    )

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cairn import Config, Mount, ReadPath
+from cairn import Config, ReadPath
 from cairn.components.v4l2_camera.camera_names import find_camera, is_name
 from cairn.components.v4l2_camera.decoding import FORMATS
 from cairn.driver.device_names import NamesDevice
@@ -127,8 +127,12 @@ class V4l2StereoCameraConfig(Config):
     right_calibration: ReadPath | None = Field(
         None, description="camera_info YAML file of the right camera."
     )
-    mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
-    z: float = Field(1.0, ge=0.0, le=10, description="Height of the cameras above the floor [m].")
+    mount_frame: str = Field(
+        "camera",
+        min_length=1,
+        description="Frame on the robot at the left camera, which looks along its x axis; the "
+        "optical frames are published in it.",
+    )
     controls: ControlsConfig = Field(
         ControlsConfig(), description="Exposure, gain and other controls of both cameras."
     )

@@ -26,6 +26,7 @@ from cairn.vision.calibration import (
 )
 from cairn.vision.chessboard import Board
 from cairn.vision.image_files import pair_files
+from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME
 
 _MOST_LABELS = 40
 
@@ -78,7 +79,7 @@ def calibrate_cameras(
         for name, error in stereo.excluded.items()
     ]
     remarks += stereo.warnings()
-    frames = ("left_camera_optical_frame", "right_camera_optical_frame")
+    frames = (LEFT_FRAME, RIGHT_FRAME)
     infos = list(stereo_camera_infos(stereo, frames))
     return CalibrationResult(cameras, infos, stereo, pairs, without, remarks)
 

@@ -108,7 +108,7 @@ def _seconds(scan: Any) -> float:
 
 
 def test_angles_and_diagnostics_describe_the_sensor(tmp_path: Path) -> None:
-    with emulated_driver(tmp_path, UTM, mount={"x": 0.2}, frame_id="front_laser") as setup:
+    with emulated_driver(tmp_path, UTM, frame_id="front_laser") as setup:
         scan = setup.scans.wait(3)[0]
         report = setup.health(lambda status: True)
     values = {value.key: value.value for value in report.values}

@@ -31,7 +31,6 @@ from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.serial_and_tcp import SerialLink
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.schemas.tf2_msgs import TFMessage
 from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.components.hokuyo.emulated_driver import Received
 from tests.patience import LIMIT_S
@@ -56,7 +55,6 @@ class EmulatedDriver:
     component: ThreadedComponent
     scans: Received
     diagnostics: Received
-    mounted: Received
 
 
 @contextmanager
@@ -68,7 +66,6 @@ def _emulated_driver(
     device = EmulatedPbs(on_scan=sent.append)
     bus = LockstepBus()
     received = (Received(bus, "scan", LaserScan), Received(bus, "diagnostics", DiagnosticArray))
-    mounted = Received(bus, "tf_static", TFMessage)
     with (
         pytest.MonkeyPatch.context() as patch,
         Emulator(device, PtyEnd(folder / "scanner"), **line) as emulator,
@@ -81,7 +78,7 @@ def _emulated_driver(
         try:
             if activate:
                 component.activate()
-            yield EmulatedDriver(emulator, sent, component, *received, mounted)
+            yield EmulatedDriver(emulator, sent, component, *received)
         finally:
             component.close()
 
@@ -107,7 +104,6 @@ def test_every_scan_is_equal_to_what_was_sent(tmp_path: Path) -> None:
         scans = driver.scans.wait_for(
             lambda scans: len(scans) >= 5 and _stamp(scans[-1]) > _stamp(scans[0])
         )
-        (mounted,) = driver.mounted.wait(1)
         now = time.time_ns()
     sent = map(_in_range, driver.sent)
     for scan in scans:  # a busy computer may drop some of those sent
@@ -117,7 +113,6 @@ def test_every_scan_is_equal_to_what_was_sent(tmp_path: Path) -> None:
     assert all(later - sooner > -1_000_000 for sooner, later in pairwise(stamps))
     assert {scan.header.frame_id for scan in scans} == {"laser"}
     assert math.isclose(scans[0].angle_increment, math.radians(1.8), rel_tol=1e-6)
-    assert mounted.transforms[0].child_frame_id == "laser"
 
 
 def test_damaged_frames_are_counted_in_the_diagnostics(tmp_path: Path) -> None:

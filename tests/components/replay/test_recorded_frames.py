@@ -28,7 +28,8 @@ from tests.wording import assert_words
 pytestmark = pytest.mark.slow
 
 AT = BEGIN * SECOND
-URDF = """<robot name="r"><joint name="b" type="fixed"><parent link="base_link"/>
+URDF = """<robot name="r"><link name="base_link"/><link name="base_laser"/>
+  <joint name="b" type="fixed"><parent link="base_link"/>
   <child link="base_laser"/><origin xyz="0.2 0 0.05" rpy="3.14159265 0 0.25"/></joint></robot>"""
 DESCRIBED = of(STORE, "std_msgs/msg/String", data=URDF)
 TILTED = tf(fixed("base_link", "base_laser", (0.2, 0.0, 0.1), (0.0, 0.8, 0.0)))

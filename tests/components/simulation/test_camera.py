@@ -21,6 +21,7 @@ from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose
 from cairn.schemas.geometry_msgs import TransformStamped
 from cairn.schemas.sensor_msgs import Image
+from cairn.tf import Transform
 from cairn.vision.rectification import Rectifier
 from cairn.vision.stereo import StereoRig
 from tests.components.simulation.camera_images import cut_out
@@ -125,22 +126,19 @@ def test_image_shows_the_world_from_the_camera_pose_at_its_stamp(
     assert np.nanmean(right) > np.nanmean(late) + 0.01
 
 
-def test_camera_frames_are_optical_frames_on_the_robot(simulate_camera: SimulateCamera) -> None:
-    simulation = simulate_camera(mount={"x": 0.2, "y": 0.05, "theta": math.pi / 2}, z=1.3)
-    transforms = {one.child_frame_id: one for one in simulation.camera_transforms()}
-    left = transforms["left_camera_optical_frame"].transform
-    right = transforms["right_camera_optical_frame"].transform
+def test_optical_frames_look_along_the_mounts_x_axis(simulate_camera: SimulateCamera) -> None:
+    transforms = {one.child_frame_id: one for one in simulate_camera().camera_transforms()}
+    assert {one.header.frame_id for one in transforms.values()} == {"camera"}
+    left, right = (
+        Transform.from_message(transforms[f"{side}_camera_optical_frame"].transform)
+        for side in ("left", "right")
+    )
 
-    assert (left.translation.x, left.translation.y, left.translation.z) == (0.2, 0.05, 1.3)
-    # It faces the left side of the robot: its right is the robot's front.
-    assert right.translation.x == pytest.approx(0.29)
-    assert right.translation.y == pytest.approx(0.05)
-    q = left.rotation
-    w, axis = q.w, np.array((q.x, q.y, q.z))
-    for own, base in (((1, 0, 0), (1, 0, 0)), ((0, 1, 0), (0, 0, -1)), ((0, 0, 1), (0, 1, 0))):
-        vector = np.array(own, float)
-        turned = vector + 2 * np.cross(axis, np.cross(axis, vector) + w * vector)
-        assert turned == pytest.approx(np.array(base), abs=1e-9)
+    assert left.translation == (0.0, 0.0, 0.0)
+    assert right.translation == pytest.approx((0.0, -0.09, 0.0))
+    for transform in (left, right):  # x to the right, y down, z ahead
+        turned = transform.rotation_matrix()
+        assert turned == pytest.approx(np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]), abs=1e-9)
 
 
 def test_light_and_sensor_parameters_change_at_run_time(simulate_camera: SimulateCamera) -> None:

@@ -105,19 +105,6 @@ def driven_base(**parameters: float) -> list[tuple[int, int, Pose]]:
     return [one for one in received if one[1] <= 10 * SECOND]
 
 
-def test_mounting_pose_of_the_scanner_is_a_static_transform(simulate: Simulate) -> None:
-    simulation = simulate()
-    simulation.drive(1.0, 0.0, 0.0)
-    (message,) = simulation.take("tf_static")
-    scan = simulation.take("scan")[-1]
-
-    (transform,) = message.transforms
-    assert transform.header.frame_id == simulation.take("odom")[-1].child_frame_id
-    assert transform.child_frame_id == scan.header.frame_id
-    assert transform.transform.translation == Vector3(x=0.1)
-    assert 2 * math.asin(transform.transform.rotation.z) == pytest.approx(0.2)
-
-
 def test_each_beam_starts_at_the_pose_of_the_robot_at_its_time(simulate: Simulate) -> None:
     simulation = simulate(furniture=[TABLE], objects=OBJECTS)
     drive_curves(simulation)

@@ -106,14 +106,13 @@ def stereo(cameras: FakeCameras, tmp_path: Path) -> dict[str, Any]:
 
 
 def test_calibrations_determine_the_pose_of_the_right_camera(stereo: dict[str, Any]) -> None:
-    with Driver(**stereo, mount={"x": 0.2, "y": 0.05}, z=0.7) as driver:
+    with Driver(**stereo, mount_frame="head") as driver:
         [message] = driver.take("tf_static")
 
     left, right = message.transforms
-    place = left.transform.translation
-    assert (place.x, place.y, place.z) == (0.2, 0.05, 0.7)
-    baseline = place.y - right.transform.translation.y
-    assert baseline == pytest.approx(BASELINE_M)
+    assert (left.header.frame_id, right.header.frame_id) == ("head", "head")
+    assert left.transform.translation.y == 0.0
+    assert right.transform.translation.y == pytest.approx(-BASELINE_M)
     assert left.child_frame_id == "left_camera_optical_frame"
 
 
