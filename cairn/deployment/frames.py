@@ -7,7 +7,7 @@ from typing import Final
 from pydantic import ValidationError
 
 from cairn.deployment.model import Frame
-from cairn.deployment.problems import Problem, suggestion
+from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.yaml_document import DocumentNode
 from cairn.errors import CairnError
 from cairn.tf.errors import RobotDescriptionError
@@ -45,8 +45,8 @@ class FrameReferences:
         joints = () if described is None else described.joints
         self._tree = RobotFrames((*joints, *(mounts[name].joint(name) for name in mounts)))
 
-    def value(self, name: str) -> DocumentNode | None:
-        """Return the value of `${frames.NAME}`, or of `${frames.NAME.x}`, y, z or theta.
+    def value(self, name: str, at: Location) -> DocumentNode | None:
+        """Return the value of `${frames.NAME}` at `at`, or of `${frames.NAME.x}`, y, z or theta.
 
         That of a frame is its pose in the plane of the base: x, y [m], theta [rad]. It is None if
         the frame is given, but wrong.
@@ -70,20 +70,18 @@ class FrameReferences:
         if number in ("", "theta"):
             _check_level(frame, pose)
         node = self._frames.get(frame) or self._description
-        if node is None:
-            raise FrameReferenceError(
-                f"{frame} is the robot's base itself; refer to a frame that is mounted on it"
-            )
+        if node is not None:
+            at = node.where
         x, y, z = (round(one, _DECIMALS) for one in pose.translation)
         theta = max(-math.pi, min(math.pi, round(pose.pose2d()[2], _DECIMALS)))
         values = {
-            key: DocumentNode(value, node.where, node.where)
+            key: DocumentNode(value, at, at)
             for key, value in zip(_NUMBERS, (x, y, z, theta), strict=True)
         }
         if number:
             return values[number]
         del values["z"]
-        return DocumentNode(values, node.where, node.where)
+        return DocumentNode(values, at, at)
 
     def _read_description(self) -> RobotDescription | None:
         node = self._description

@@ -109,7 +109,8 @@ class _References:
             return str(at.folder)
         value = self.value(name, at, path).value
         if value is None or isinstance(value, Mapping | tuple):
-            found = f"{name} is not a text, number or boolean, so it has no text"
+            kind = "" if name.startswith(f"{FRAMES}.") else "the setting "
+            found = f"{kind}{name} is not a text, number or boolean, so it has no text"
             raise self.problem(at, path, found, "refer to a text, number or boolean")
         return str(value).lower() if isinstance(value, bool) else str(value)
 
@@ -137,7 +138,7 @@ class _References:
             found = f"a reference to the frame {name} among what the frames may depend on"
             raise self.problem(at, path, found, "refer to frames below components only")
         try:
-            node = self.frames.value(name)
+            node = self.frames.value(name, at)
         except CairnError as error:
             found, _, remedy = str(error).rpartition("; ")
             raise self.problem(at, path, found, remedy) from error

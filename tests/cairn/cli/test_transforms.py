@@ -29,7 +29,7 @@ frame              transform     Hz  age s  publisher
 map
 └── odom           changing    N.NN   N.NN  localizer
     └── base_link  changing   NN.NN   N.NN  base
-        └── laser  static                   range_scanner
+        └── laser  static                   robot_frames
 """
 WAIT = ("--wait", str(LIMIT_S))
 

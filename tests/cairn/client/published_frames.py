@@ -30,7 +30,7 @@ class PublishedFrames:
         self._nodes[0].advertise(f"/{robot}/component_status", ComponentStatus, LATCHED)
         self._localizer = self.publisher("localizer")
         self._base = self.publisher("base")
-        self.static = self.publisher("range_scanner", static=True)
+        self.static = self.publisher("robot_frames", static=True)
         laser = stamped(0, "base_link", "laser", Transform((0.1, 0.0, 0.2)))
         self.static.publish(TFMessage(transforms=(laser,)))
         self._thread = threading.Thread(target=self._run)

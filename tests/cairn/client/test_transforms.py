@@ -70,7 +70,7 @@ def test_frames_have_the_names_of_their_publishers(robot: Robot) -> None:
         "map": "",
         "odom": "/robot/localizer",
         "base_link": "/robot/base",
-        "laser": "/robot/range_scanner",
+        "laser": "/robot/robot_frames",
     }
 
     def publishers() -> dict[str, str]:
