@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 TOKENS = "@ros2_lv"
 """First chunk of every liveliness token of rmw_zenoh."""
 
+ROS_NAMES = "ros_names"
+"""Name of the node that repeats a robot's topics under their names without the robot's."""
+
 DEFAULT_DEPTH = 42
 """The depth that rmw_zenoh leaves out of its tokens."""
 
@@ -192,6 +195,17 @@ def is_infrastructure(topic: str) -> bool:
         or last in ("component_status", "transition_event")
         or "/_action/" in topic
     )
+
+
+def first_name(node: str, topic: str) -> str | None:
+    """Return the robot's own name of a topic of which a node (full names) publishes the second one.
+
+    It is None if the node does not repeat the messages of another topic: see `ros_names` in
+    deployments.
+    """
+    robot, _, name = node.rpartition("/")
+    repeats = name == ROS_NAMES and not topic.startswith(f"{robot}/")
+    return f"{robot}{topic}" if repeats else None
 
 
 def tokens_pattern(domain: int) -> str:

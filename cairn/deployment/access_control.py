@@ -14,6 +14,7 @@ from cairn.bus.bus import full_name
 from cairn.bus.roles import Role
 from cairn.deployment.model import ROOT, Deployment
 from cairn.deployment.plugins import load_plugin
+from cairn.deployment.ros_names import ros_services, ros_topics
 from cairn.runtime.call_log import call_log_topic
 from cairn.runtime.ports import actions_of, ports_of
 from cairn.schemas.message import type_name
@@ -203,6 +204,9 @@ def _operator_topics(deployment: Deployment) -> dict[str, tuple[str, ...]]:
     for name in deployment.external_topics:  # the type may be one that no component here has
         topic = full_name(deployment.robot, name)
         topics[topic] = (f"{deployment.domain}{topic}/*/*",)
+    for one in ros_topics(deployment) if deployment.ros_names else ():
+        if one.target in topics:
+            topics[one.source] = (keys.message_key(deployment.domain, one.source, one.message),)
     return topics
 
 
@@ -233,6 +237,9 @@ def _services(deployment: Deployment) -> dict[str, Role]:
                 found |= {f"{name}/{part}": role for part in actions[port].services()}
             else:
                 found[name] = role
+    if deployment.ros_names:
+        roles = [(one.name, found.get(one.server)) for one in ros_services(deployment)]
+        found |= {name: role for name, role in roles if role is not None}
     return found
 
 

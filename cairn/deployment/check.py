@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
+from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.exclusive_topics import ONE_WRITER, only_writer, two_writers
 from cairn.deployment.frames import DESCRIPTION, FRAMES
@@ -95,18 +96,19 @@ def check_document(
         problems += _unattainable_stop(root, component)
     if not import_plugins:
         return problems
-    components += _frames_component(root)
+    components += _implicit_components(root)
     problems += _file_problems(root)
     return problems + list(_wiring_problems(root, components))
 
 
-def _frames_component(root: DocumentNode) -> Iterator[CheckedComponent]:
-    """Yield the component that publishes the robot's frames, which the document does not name."""
-    section = root.find(FRAMES) or root.find(DESCRIPTION)
-    if section is not None:
-        node = DocumentNode({"plugin": DocumentNode(ROBOT_FRAMES, section.where)}, section.where)
-        own = CheckedComponent(ROBOT_FRAMES, ("components", ROBOT_FRAMES), node)
-        yield _resolve_plugin(own, frozenset(), import_plugins=True)[0]
+def _implicit_components(root: DocumentNode) -> Iterator[CheckedComponent]:
+    """Yield the components that keys of the document add, which it does not name."""
+    for plugin, keys in ((ROBOT_FRAMES, (FRAMES, DESCRIPTION)), (ROS_NAMES, (ROS_NAMES,))):
+        section = next((node for key in keys if (node := root.find(key)) is not None), None)
+        if section is not None and section.value:
+            node = DocumentNode({"plugin": DocumentNode(plugin, section.where)}, section.where)
+            own = CheckedComponent(plugin, ("components", plugin), node)
+            yield _resolve_plugin(own, frozenset(), import_plugins=True)[0]
 
 
 def _file_problems(root: DocumentNode) -> Iterator[Problem]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pydantic import BaseModel, ConfigDict
 
 from cairn.bus.bus import full_name
+from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.errors import CairnError
@@ -43,6 +44,9 @@ def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
                 writers[topic].append(member.name)
             elif port.exclusive:
                 readers[topic].append(member.name)
+    if deployment.ros_names:  # it passes on what the entitled component has published
+        for names in readers.values():
+            names.append(ROS_NAMES)
     external = {full_name(deployment.robot, topic) for topic in deployment.external_topics}
     found = []
     for topic in sorted(readers):

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from cairn.bus.endpoints import MAX_DOMAIN, default_domain
+from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.bus_settings import BusSettings
 from cairn.tf.robot_frames import BASE_FRAME
 from cairn.tf.transform import Transform
@@ -30,11 +31,15 @@ ALL_TOPICS = "/**"
 """What a recorder records unless its parameter `topics` says otherwise."""
 ROBOT_FRAMES = "robot_frames"
 """The component that publishes the robot's frames, and its plugin."""
+_ROS = "ros"
+"""The supervisor of that component."""
 _ROOT_PLUGIN = "cairn.supervision.supervisor:Supervisor"
 RESERVED = {
     ROOT: "the root of the tree of components",
     VIEW: "the node with which `cairn up` listens",
     ROBOT_FRAMES: "the component that publishes the robot's frames",
+    ROS_NAMES: "the component that gives topics their names of ROS",
+    _ROS: "the supervisor of ros_names",
 }
 """Names of nodes that every deployment has, which no component may use."""
 
@@ -254,6 +259,11 @@ class Deployment(_Section):
         min_length=1,
         description="File with a robot description (URDF), whose links are frames, too.",
     )
+    ros_names: bool = Field(
+        False,
+        description="Whether topics, services and actions also have their names without the "
+        "robot's: /tf, /scan, /navigate_to_pose.",
+    )
     external_topics: tuple[Topic, ...] = Field(
         (), strict=False, description="Topics published by programs outside the deployment."
     )
@@ -302,9 +312,18 @@ class Deployment(_Section):
 
     @property
     def _all_components(self) -> dict[str, ChildSpec]:
-        """The components, and before them the one that publishes the robot's frames."""
-        own = frames_component(self.frames, self.robot_description)
-        return self.components if own is None else {ROBOT_FRAMES: own, **self.components}
+        """The components, and those that other keys add."""
+        found = dict(self.components)
+        if self.frames or self.robot_description is not None:
+            frames = {name: one.model_dump(mode="json") for name, one in self.frames.items()}
+            parameters = {"frames": frames, "robot_description": self.robot_description}
+            publisher = ChildSpec(
+                plugin=ROBOT_FRAMES, parameters=parameters, placement="in_process"
+            )
+            found = {ROBOT_FRAMES: publisher, **found}
+        if self.ros_names:  # last, so that the services exist before their second names
+            found[_ROS] = expendable({ROS_NAMES: ChildSpec(plugin=ROS_NAMES)})
+        return found
 
     def member(self, name: str) -> Member:
         """Return the component of that name at any depth; `KeyError` if there is none."""
@@ -314,15 +333,15 @@ class Deployment(_Section):
         raise KeyError(name)
 
 
-def frames_component(frames: Mapping[str, Frame], description: str | None) -> ChildSpec | None:
-    """Return the component that publishes the frames of a robot; None if it has none."""
-    if not frames and description is None:
-        return None
-    parameters: dict[str, Any] = {
-        "frames": {name: frame.model_dump(mode="json") for name, frame in frames.items()},
-        "robot_description": description,
-    }
-    return ChildSpec(plugin=ROBOT_FRAMES, parameters=parameters, placement="in_process")
+def expendable(children: dict[str, ChildSpec]) -> ChildSpec:
+    """Return a supervisor of components without which the robot continues, however they fail."""
+    return ChildSpec(
+        plugin="supervisor",
+        placement="in_process",
+        restart="temporary",
+        supervision=Supervision(max_restarts=5, within_s=60.0),
+        children=children,
+    )
 
 
 def _records_all_topics(spec: ChildSpec) -> bool:

@@ -17,7 +17,7 @@ from cairn.deployment.access_control import access_control
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
 from cairn.deployment.load import SourceDocument, assemble
-from cairn.deployment.model import RECORDER, ChildSpec, Deployment, Supervision
+from cairn.deployment.model import RECORDER, ChildSpec, Deployment, expendable
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
 from cairn.deployment.topic_limits import topic_limits
@@ -92,7 +92,7 @@ def argument_of_check(
 
 
 def with_recorder(deployment: Deployment, file: Path) -> Deployment:
-    """Return a deployment with a recorder, which starts before all others and stops after them.
+    """Return a deployment with a recorder, which starts before its components and stops after them.
 
     It has a supervisor of its own that nothing depends on: however often the recorder fails, the
     robot continues. Raises `CairnError` if the deployment has a component of such a name.
@@ -104,14 +104,7 @@ def with_recorder(deployment: Deployment, file: Path) -> Deployment:
             "start it without --record, or rename that component"
         )
     recorder = ChildSpec(plugin=RECORDER, parameters={"file": str(file)})
-    group = ChildSpec(
-        plugin="supervisor",
-        placement="in_process",
-        restart="temporary",
-        supervision=Supervision(max_restarts=5, within_s=60.0),
-        children={RECORDER: recorder},
-    )
-    components = {_RECORDING: group, **deployment.components}
+    components = {_RECORDING: expendable({RECORDER: recorder}), **deployment.components}
     return deployment.model_copy(update={"components": components})
 
 

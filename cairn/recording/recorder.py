@@ -443,7 +443,7 @@ class Recorder:
 
     def _take(self, sample: Sample) -> None:
         reason = self._triggers.observe(sample)
-        if not self._is_recorded(sample.topic):
+        if not self._is_recorded(sample.topic) or self._is_repeated(sample):
             pass
         elif self.continuous:
             if not self._paused:
@@ -644,6 +644,12 @@ class Recorder:
 
     def _is_recorded(self, topic: str) -> bool:
         return self._include.match(topic) and not self._exclude.match(topic)
+
+    def _is_repeated(self, sample: Sample) -> bool:
+        """Return whether the same message is recorded under the robot's own name of its topic."""
+        info = self._info(sample.gid)
+        first = None if info is None else first_name(info.node, sample.topic)
+        return first is not None and self._is_recorded(first)
 
     def _lost(self, tap: Tap) -> dict[str, int]:
         return {

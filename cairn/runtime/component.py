@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, get_type_hin
 
 import numpy as np
 
-from cairn.bus.bus import Bus
+from cairn.bus.bus import Bus, Node
 from cairn.bus.roles import Role
 from cairn.clock import Clock
 from cairn.errors import CairnError
@@ -29,6 +29,7 @@ class ComponentContext(Protocol):
     random: np.random.Generator
     restarts: int
     bus: Bus
+    node: Node
     launch: "LaunchRequest"
     call_log: CallLog | None
 

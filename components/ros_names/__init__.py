@@ -1,0 +1,1 @@
+"""Gives the topics and services of a robot their names of ROS."""

@@ -1,0 +1,175 @@
+"""The component that gives topics, services and actions of a robot their names of ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from cairn import RELIABLE, SECOND, Component, In, Out, every, from_ns, on, to_ns
+from cairn.bus.actions import RESULT_TIMEOUT_S
+from cairn.bus.bus import Call, ServiceError, Subscription
+from cairn.components.ros_names.diagnostics import diagnostic_status
+from cairn.deployment.model import Deployment
+from cairn.deployment.ros_names import RosService, RosTopic, ros_services, ros_topics
+from cairn.runtime.component import ComponentContext
+from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.schemas.geometry_msgs import TransformStamped
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.std_msgs import Header
+from cairn.schemas.tf2_msgs import TFMessage
+
+_SILENT_NS = 5 * SECOND  # a component publishes its status four times a second
+
+
+class RosNames(Component):
+    """Passes messages and calls on between the robot's names and those without its name.
+
+    A deployment with `ros_names: true` has this component without naming it. Messages are passed on
+    while something subscribes to the other name, latched ones always. It also publishes the state
+    of all components on `diagnostics`.
+    """
+
+    clock_source = "system"
+
+    component_status: In[ComponentStatus] = In(qos=RELIABLE.with_depth(500), optional=True)
+    diagnostics: Out[DiagnosticArray]
+
+    def on_activate(self) -> None:
+        """Join the second names."""
+        context = self._context
+        deployment = Deployment.model_validate_json(context.launch.context.deployment)
+        self._statuses: dict[str, ComponentStatus] = {}
+        self._topics = [_Topic(context, one) for one in ros_topics(deployment)]
+        self._services = [_Service(context, one) for one in ros_services(deployment)]
+        self.follow_subscribers()
+
+    def on_deactivate(self) -> None:
+        """Leave the second names."""
+        for topic in self._topics:
+            topic.close()
+        for service in self._services:
+            service.close()
+
+    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for any error
+        """Leave the second names; the supervisor decides what follows."""
+        if "_services" in vars(self):
+            self.on_deactivate()
+        return False
+
+    @on("component_status")
+    def on_component_status(self, status: ComponentStatus) -> None:
+        """Keep the newest status of each component."""
+        self._statuses[status.component] = status
+
+    @every(hz=4)
+    def follow_subscribers(self) -> None:
+        """Read the topics whose second names have subscribers, and no others."""
+        for topic in self._topics:
+            topic.follow()
+
+    @every(hz=1)
+    def publish_diagnostics(self) -> None:
+        """Publish the state of all components."""
+        now, robot = self.clock.now(), self._context.launch.context.robot
+        statuses = tuple(
+            diagnostic_status(
+                robot, status, is_silent=now - to_ns(status.header.stamp) > _SILENT_NS
+            )
+            for _, status in sorted(self._statuses.items())
+        )
+        self.diagnostics.publish(
+            DiagnosticArray(header=Header(stamp=from_ns(now)), status=statuses)
+        )
+
+
+class _Topic:
+    """Passes on the messages of one topic."""
+
+    def __init__(self, context: ComponentContext, topic: RosTopic) -> None:
+        self._context = context
+        self._topic = topic
+        self._publisher = context.node.advertise(topic.target, topic.message, topic.qos)
+        self._subscription: Subscription | None = None
+        self._static: dict[str, TransformStamped] = {}  # transforms, by their child frames
+
+    def follow(self) -> None:
+        """Subscribe while there are subscribers."""
+        if self._publisher.has_subscribers:
+            if self._subscription is None:
+                self._subscription = self._subscribe()
+        elif self._subscription is not None:
+            self._subscription.close()
+            self._subscription = None
+
+    def close(self) -> None:
+        """End both sides."""
+        if self._subscription is not None:
+            self._subscription.close()
+        self._publisher.close()
+
+    def _subscribe(self) -> Subscription:
+        topic, context = self._topic, self._context
+        exclusive = context.launch.exclusive(topic.source) if topic.is_exclusive else None
+        return context.node.subscribe(
+            topic.source,
+            topic.message,
+            topic.qos,
+            lambda: context.post(self._pass_on),
+            exclusive,
+            topic.max_bytes,
+        )
+
+    def _pass_on(self) -> None:
+        if self._subscription is None:
+            return
+        try:
+            message = self._subscription.take()
+        except InvalidMessage as error:
+            self._context.log.warning("dropped a message on %s: %s", self._topic.source, error)
+            return
+        if message is None:  # a newer one has displaced it
+            return
+        if isinstance(message, TFMessage) and self._topic.qos.latched:
+            message = self._all_static(message)
+        self._publisher.publish(message)
+
+    def _all_static(self, message: TFMessage) -> TFMessage:
+        """Return the newest static transforms of all publishers.
+
+        A late subscriber of ROS gets the last message of a publisher alone.
+        """
+        self._static |= {one.child_frame_id: one for one in message.transforms}
+        return TFMessage(transforms=tuple(self._static.values()))
+
+
+class _Service:
+    """Passes on the calls of one service."""
+
+    def __init__(self, context: ComponentContext, service: RosService) -> None:
+        self._context = context
+        self._service = service
+        post = context.post
+        self._client = context.node.client(service.server, service.service, post)
+        self._server = context.node.serve(
+            service.name, service.service, lambda: post(self._pass_on)
+        )
+
+    def close(self) -> None:
+        """End both sides."""
+        self._server.close()
+        self._client.close()
+
+    def _pass_on(self) -> None:
+        try:
+            call = self._server.take()
+        except InvalidMessage as error:
+            self._context.log.warning("refused a call of %s: %s", self._service.name, error)
+            return
+        if call is not None:
+            refuse: Callable[[ServiceError], None] = partial(_refuse, call)
+            self._client.call(call.request, call.reply, refuse, RESULT_TIMEOUT_S)
+
+
+def _refuse(call: Call, error: ServiceError) -> None:
+    call.refuse(str(error))
