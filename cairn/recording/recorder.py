@@ -22,6 +22,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from cairn.bell import Bell
+from cairn.bus.keys import first_name
 from cairn.clock import SECOND
 from cairn.deployment.model import ALL_TOPICS
 from cairn.errors import CairnError

@@ -270,6 +270,26 @@ def test_clock_of_the_robot_counts_before_that_of_ros(network: Network) -> None:
         assert transforms.now_ns() == 5 * SECOND
 
 
+def test_transforms_that_are_repeated_under_names_of_ros_count_once(
+    robot: Robot, setting: Setting
+) -> None:
+    """A deployment with `ros_names` publishes them on `/tf`, too."""
+    transforms = robot.transforms()
+    transforms.lookup("map", "laser", timeout_s=LIMIT_S)
+    repeater = setting[0].bus().node("/robot/ros_names", print)
+    other = setting[0].bus().node("/ros/driver", print)
+    moved = TFMessage(transforms=(stamped(0, "base_link", "laser", Transform((9.0, 0.0, 0.0))),))
+    repeated = repeater.advertise("/tf_static", TFMessage, LATCHED)
+    repeated.publish(moved)
+    sign = TFMessage(transforms=(stamped(0, "base_link", "sign", Transform()),))
+    signs = other.advertise("/tf_static", TFMessage, LATCHED)
+    signs.publish(sign)
+
+    transforms.lookup("base_link", "sign", timeout_s=LIMIT_S)
+
+    assert transforms.lookup("base_link", "laser").translation[0] == 0.1
+
+
 def test_message_that_is_not_valid_does_not_end_the_listener(
     robot: Robot, setting: Setting
 ) -> None:
