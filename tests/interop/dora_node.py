@@ -66,9 +66,16 @@ class Node:
             self._ends[topic] = self._node.create_publisher(found, qos)
         self._ends[topic].publish(_array(interface(type), value))
 
-    def subscribe(self, topic: str, type: str, reliable: bool) -> None:  # noqa: A002
+    def subscribe(
+        self,
+        topic: str,
+        type: str,  # noqa: A002
+        reliable: bool,
+        latched: bool = False,
+    ) -> None:
         """Subscribe to a topic."""
-        qos = dora.Ros2QosPolicies(reliable=reliable, keep_last=10)
+        kind = dora.Ros2Durability.TransientLocal if latched else dora.Ros2Durability.Volatile
+        qos = dora.Ros2QosPolicies(durability=kind, reliable=reliable, keep_last=10)
         found = self._node.create_topic(topic, type.replace("/msg/", "/"), qos)
         self._ends[topic] = self._node.create_subscription(found, qos)
 
