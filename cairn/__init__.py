@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cairn.errors import CairnError
     from cairn.runtime.component import Component
     from cairn.runtime.lifecycle import LifecycleState
-    from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath
+    from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath, SensorFrame
     from cairn.runtime.ports import (
         ActionClient,
         ActionServer,
@@ -64,6 +64,7 @@ __all__ = [
     "RateLimitedLog",
     "ReadPath",
     "RetriedSave",
+    "SensorFrame",
     "Server",
     "ServerGoal",
     "ServiceError",
@@ -86,7 +87,13 @@ _MODULES: Final = {
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),
     "cairn.runtime.lifecycle": ("LifecycleState",),
-    "cairn.runtime.parameters": ("Config", "Mount", "ParameterRejected", "ReadPath"),
+    "cairn.runtime.parameters": (
+        "Config",
+        "Mount",
+        "ParameterRejected",
+        "ReadPath",
+        "SensorFrame",
+    ),
     "cairn.runtime.ports": (
         "ActionClient",
         "ActionServer",

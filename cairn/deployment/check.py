@@ -16,14 +16,14 @@ from pydantic import ValidationError
 from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.exclusive_topics import ONE_WRITER, only_writer, two_writers
-from cairn.deployment.frames import DESCRIPTION, FRAMES
+from cairn.deployment.frames import DESCRIPTION, FRAMES, FrameReferences
 from cairn.deployment.model import RESERVED, ROBOT_FRAMES, Deployment
 from cairn.deployment.plugins import PluginError, find_plugin, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import validation_problems
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.errors import CairnError
-from cairn.runtime.parameters import Config
+from cairn.runtime.parameters import Config, SensorFrameMark, marked_parameters
 from cairn.runtime.ports import (
     ActionSpec,
     PortSpec,
@@ -98,6 +98,7 @@ def check_document(
         return problems
     components += _implicit_components(root)
     problems += _file_problems(root)
+    problems += _frame_problems(root, components)
     return problems + list(_wiring_problems(root, components))
 
 
@@ -109,6 +110,38 @@ def _implicit_components(root: DocumentNode) -> Iterator[CheckedComponent]:
             node = DocumentNode({"plugin": DocumentNode(plugin, section.where)}, section.where)
             own = CheckedComponent(plugin, ("components", plugin), node)
             yield _resolve_plugin(own, frozenset(), import_plugins=True)[0]
+
+
+def _frame_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:
+    """Yield frames that two components publish, and those of sensors that the robot has not."""
+    frames, description = root.find(FRAMES), root.find(DESCRIPTION)
+    found = FrameReferences(frames, description)
+    if (frames is None and description is None) or found.problems:
+        return
+    for component in components:
+        plugin = component.node.find("plugin") or component.node
+        published = frozenset() if component.cls is None else component.cls.published_frames
+        for name in sorted(published & {*found.names}):
+            where = FRAMES if frames is not None and name in frames.entries else DESCRIPTION
+            yield Problem(
+                plugin.where,
+                dotted((*component.path, "plugin")),
+                f"it publishes the transform of frame {name}, which {where} has, too",
+                f"remove {name} from {where}",
+            )
+        if component.config is None or "tf_static" in _texts(root.find("external_topics")):
+            continue
+        for parameter in marked_parameters(component.config, SensorFrameMark):
+            if parameter.value not in found.names:
+                path = (*component.path, "parameters", parameter.name)
+                node = component.node.find("parameters", *parameter.name.split(".")) or plugin
+                yield Problem(
+                    node.where,
+                    dotted(path),
+                    f"there is no frame {parameter.value} on the robot",
+                    f"add it below {FRAMES}, name another one of {', '.join(found.names)}, or list "
+                    "tf_static under external_topics",
+                )
 
 
 def _file_problems(root: DocumentNode) -> Iterator[Problem]:

@@ -45,6 +45,11 @@ class FrameReferences:
         joints = () if described is None else described.joints
         self._tree = RobotFrames((*joints, *(mounts[name].joint(name) for name in mounts)))
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The frames of the robot that are right, the base first."""
+        return self._tree.names
+
     def value(self, name: str, at: Location) -> DocumentNode | None:
         """Return the value of `${frames.NAME}` at `at`, or of `${frames.NAME.x}`, y, z or theta.
 

@@ -92,6 +92,9 @@ class Component:
     confidential_inputs: ClassVar[frozenset[str]] = frozenset()
     """Input ports whose topics users on the network with less than `administer` may not read."""
 
+    published_frames: ClassVar[frozenset[str]] = frozenset()
+    """Frames whose transforms to their parents it publishes, so that nothing else may."""
+
     config: Config
 
     def __init__(self, context: ComponentContext) -> None:

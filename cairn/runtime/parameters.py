@@ -104,6 +104,18 @@ ReadPath = Annotated[Path, ReadPathMark()]
 
 
 @dataclass(frozen=True)
+class SensorFrameMark:
+    """Marks a parameter whose value is a frame that is mounted on the robot."""
+
+
+SensorFrame = Annotated[str, Field(min_length=1), SensorFrameMark()]
+"""Type of a parameter: the frame of a sensor, which the robot should have.
+
+`cairn check` reports it if the deployment has frames, but not this one.
+"""
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One parameter as shown to an operator; parameters in groups have dotted names.
 

@@ -129,6 +129,7 @@ class Localizer(Component):
     and publishes the evidence.
     """
 
+    published_frames = frozenset({"odom"})
     config: LocalizerConfig
     operator_inputs = frozenset({"initialpose"})
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), exclusive=True)

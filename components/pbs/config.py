@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from cairn import Config
+from cairn import Config, SensorFrame
 from cairn.driver.device_names import SerialPort
 
 
@@ -23,7 +23,7 @@ class PbsConfig(Config):
         "[:SERIAL] with hexadecimal numbers."
     )
     data_bits: Literal[7, 8] = Field(7, description="Data bits on the line; the sensor has 7 [1].")
-    frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
+    frame_id: SensorFrame = Field("laser", description="Frame of the scans.")
     resolution: float = Field(
         math.radians(1.8),
         ge=math.radians(1.7),

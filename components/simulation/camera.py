@@ -24,6 +24,7 @@ from cairn import (
     Mount,
     Out,
     ParameterRejected,
+    SensorFrame,
     from_ns,
     on,
 )
@@ -118,9 +119,8 @@ class SimulatedStereoCameraConfig(Config):
         description="Delay from the exposure to the publication of the images [s].",
     )
     mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
-    mount_frame: str = Field(
+    mount_frame: SensorFrame = Field(
         "camera",
-        min_length=1,
         description="Frame of that pose on the robot; the optical frames are published in it.",
     )
     z: float = Field(1.0, ge=0.05, le=10, description="Height above the floor [m].")
@@ -215,6 +215,7 @@ class SimulatedStereoCamera(Component):
     Both images of a pair and their camera infos have the time of the middle of the exposure.
     """
 
+    published_frames = frozenset({LEFT_FRAME, RIGHT_FRAME})
     config: SimulatedStereoCameraConfig
 
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))

@@ -79,6 +79,7 @@ class Slam(Component):
     Replaces localizer and map_builder until the map is finished. The request `save` writes the map.
     """
 
+    published_frames = frozenset({"odom"})
     config: SlamConfig
     request_roles = MappingProxyType({"save": "operate", "status": "view"})
 

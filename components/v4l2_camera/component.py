@@ -54,6 +54,7 @@ class V4l2StereoCamera(Component):
 
     clock_source = "device"
 
+    published_frames = frozenset({LEFT_FRAME, RIGHT_FRAME})
     config: V4l2StereoCameraConfig
 
     left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))

@@ -6,7 +6,17 @@ import time
 from typing import ClassVar, Literal
 
 import numpy as np
-from cairn import SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
+from cairn import (
+    SECOND,
+    SENSOR,
+    Component,
+    Config,
+    Out,
+    ParameterRejected,
+    SensorFrame,
+    every,
+    from_ns,
+)
 from cairn.driver.device_clock import DeviceClock
 from cairn.driver.device_names import SerialPort
 from cairn.driver.device_thread import DeviceFeed
@@ -32,7 +42,7 @@ class LanternConfig(Config):
     port: SerialPort = Field(
         description="Serial port: /dev/serial/by-id/..., or usb:VENDOR:PRODUCT[:SERIAL]."
     )
-    frame_id: str = Field("laser", min_length=1, description="Frame of the scans.")
+    frame_id: SensorFrame = Field("laser", description="Frame of the scans.")
     farthest: float = Field(
         8.0, ge=0.1, le=8.0, description="Farther ranges count as nothing hit [m]."
     )

@@ -9,6 +9,7 @@ import pytest
 
 from cairn.deployment.load import load_deployment
 from cairn.deployment.problems import DeploymentError
+from cairn.deployment.shipped import deployment_file
 from tests.wording import assert_words
 
 Write = Callable[..., Path]
@@ -128,3 +129,28 @@ def test_one_component_publishes_the_frames_of_a_robot_that_has_some(write: Writ
     ] == ["one"]
     taken = problems(file, "components={robot_frames: {plugin: acme_supervisor}}")
     assert_words(taken, "components.robot_frames", "another name")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("frames.odom={x: 1}", ("components.localizer.plugin", "odom, which frames has", "remove")),
+        (
+            "frames.left_camera_optical_frame={}",
+            ("components.stereo_camera.plugin", "left_camera_optical_frame", "remove"),
+        ),
+        (
+            "components.stereo_camera.parameters.mount_frame=head",
+            ("components.stereo_camera.parameters.mount_frame", "no frame head", "laser, camera"),
+        ),
+    ],
+)
+def test_each_frame_of_components_is_published_once(change: str, words: tuple[str, ...]) -> None:
+    sim, pixels = deployment_file("sim"), deployment_file("pixels")
+
+    with pytest.raises(DeploymentError) as raised:
+        load_deployment(sim, [pixels], [change])
+
+    assert_words(str(raised.value), "1 problem", *words)
+    if "head" in change:
+        load_deployment(sim, [pixels], [change, "external_topics=[tf_static]"])

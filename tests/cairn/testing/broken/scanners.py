@@ -180,7 +180,7 @@ class NeverSilent(CorrectScanner):
     def on_configure(self) -> None:
         super().on_configure()
         self._stopping = threading.Event()
-        node = self._context.node  # type: ignore[attr-defined] # bypasses the port
+        node = self._context.node  # bypasses the port
         self._publisher = node.advertise(self.scan.topic, LaserScan, SENSOR)
         self._thread = threading.Thread(target=self._stream, daemon=True)
         self._thread.start()
