@@ -26,7 +26,7 @@ from cairn.rerun.comparison import first_difference
 from cairn.runtime.call_records import RecordKind, StartInfo
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
-from cairn.runtime.ports import ports_of, services_of
+from cairn.runtime.ports import actions_of, ports_of, services_of
 from cairn.runtime.runtime import Runtime
 from cairn.runtime.timers import CLOCK_TOPIC
 from cairn.schemas.message import InvalidMessage, Service, type_name
@@ -261,6 +261,12 @@ class Rerun:
         self._service_ports = {
             full_name(robot, info.topics.get(port, port)): port for port in services_of(plugin)
         }
+        for action in actions_of(plugin).values():
+            name = full_name(robot, info.topics.get(action.name, action.name))
+            for part, topic in action.topics().items():
+                self._ports[f"{name}/{part}"] = topic.name
+            for part, service in action.services().items():
+                self._service_ports[f"{name}/{part}"] = service.name
         self._ports.setdefault(
             full_name(robot, info.topics.get(CLOCK_TOPIC, CLOCK_TOPIC)), CLOCK_TOPIC
         )

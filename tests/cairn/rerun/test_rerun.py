@@ -41,10 +41,11 @@ from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import CallBatch
 from cairn.schemas.geometry_msgs import Twist, TwistStamped, Vector3
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.schemas.std_msgs import Header
+from cairn.schemas.std_msgs import Header, String
 from cairn.testing.lockstep import DeploymentHarness
 from cairn.testing.rerun import assert_rerun_equal, rerun_messages
 from tests.cairn.rerun.walkers import CHANGE, Fragile, Walker
+from tests.cairn.runtime.test_services_and_actions import Counter, Starter
 from tests.commands import cairn
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
@@ -108,6 +109,25 @@ def test_unchanged_components_publish_the_same_bytes(recording: Path) -> None:
         assert not result.notes
     assert results["first", 1].topics["/robot/pushes"].compared == 30
     assert results["second", 1].topics["/robot/corner2"].compared > 20
+
+
+def test_servers_and_clients_of_actions_are_re_run(tmp_path: Path) -> None:
+    plugins = {"counter": Counter, "starter": Starter}
+    components = {
+        name: ChildSpec(plugin=f"{plugin.__module__}:{plugin.__name__}")
+        for name, plugin in plugins.items()
+    }
+    deployment = Deployment(cairn=1, external_topics=("word",), components=components)
+    out = tmp_path / "recording.mcap"
+    with DeploymentHarness(with_recorder(deployment, out)) as run:
+        run.run_for(0.5)
+        run.publish("word", String(data="3"))
+        run.run_for(1.0)
+
+    results = {name: result for name, _, result in rerun_all(out)}
+    assert all(one.equal for one in results.values()), results
+    assert results["counter"].topics["/robot/fibonacci/_action/feedback"].compared == 2
+    assert results["starter"].topics["/robot/answer"].compared == 3
 
 
 def test_first_difference_is_named_by_topic_time_and_field(
