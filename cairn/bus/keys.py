@@ -24,7 +24,7 @@ TOKENS = "@ros2_lv"
 """First chunk of every liveliness token of rmw_zenoh."""
 
 ROS_NAMES = "ros_names"
-"""Name of the node that repeats a robot's topics under their names without the robot's."""
+"""Name of the node that gives a robot's topics their ROS names, without the robot's name."""
 
 DEFAULT_DEPTH = 42
 """The depth that rmw_zenoh leaves out of its tokens."""
@@ -197,8 +197,8 @@ def is_infrastructure(topic: str) -> bool:
     )
 
 
-def first_name(node: str, topic: str) -> str | None:
-    """Return the robot's own name of a topic of which a node (full names) publishes the second one.
+def own_name(node: str, topic: str) -> str | None:
+    """Return the name with the robot's of a topic that a node (full names) gives its ROS name.
 
     It is None if the node does not repeat the messages of another topic: see `ros_names` in
     deployments.

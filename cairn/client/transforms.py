@@ -187,7 +187,7 @@ class TransformListener:
             self._set_clock(topic, to_ns(received.clock))
             return
         publisher = self._publisher(topic, sample)
-        if keys.first_name(publisher, topic) in self.topics:
+        if keys.own_name(publisher, topic) in self.topics:
             return  # it has arrived on the robot's own topic
         is_static = topic.endswith(f"/{_STATIC}")
         self.buffer.add(received, static=is_static, publisher=publisher)

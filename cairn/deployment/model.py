@@ -38,7 +38,7 @@ RESERVED = {
     ROOT: "the root of the tree of components",
     VIEW: "the node with which `cairn up` listens",
     ROBOT_FRAMES: "the component that publishes the robot's frames",
-    ROS_NAMES: "the component that gives topics their names of ROS",
+    ROS_NAMES: "the component that gives topics their ROS names",
     _ROS: "the supervisor of ros_names",
 }
 """Names of nodes that every deployment has, which no component may use."""
@@ -321,7 +321,7 @@ class Deployment(_Section):
                 plugin=ROBOT_FRAMES, parameters=parameters, placement="in_process"
             )
             found = {ROBOT_FRAMES: publisher, **found}
-        if self.ros_names:  # last, so that the services exist before their second names
+        if self.ros_names:  # last, so that the services exist before their ROS names
             found[_ROS] = expendable({ROS_NAMES: ChildSpec(plugin=ROS_NAMES)})
         return found
 

@@ -1,4 +1,4 @@
-"""The second names of a robot's topics and services, without the robot's name: `/tf`, `/scan`.
+"""The ROS names of a robot's topics and services, without the robot's name: `/tf`, `/scan`.
 
 `ros_names: true` gives them to a deployment. The component `ros_names` passes messages and calls on
 between both names. A name leads to the robot if nothing in the deployment publishes or serves it.
@@ -20,7 +20,7 @@ from cairn.schemas.message import Service
 from cairn.schemas.rosgraph_msgs import Clock
 
 _LATCHED_OF_ALL = 100
-"""Depth of a latched second name with several publishers."""
+"""Depth of a latched ROS name with several publishers."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class _Port:
 
 
 def ros_name(name: str) -> str:
-    """Return the second name of a topic or service that has this short name."""
+    """Return the ROS name of a topic or service that has this short name."""
     return f"/{name}"
 
 
@@ -147,7 +147,7 @@ def _services(deployment: Deployment) -> Iterator[tuple[str, ServiceSpec]]:
 
 
 def _keeps_its_name(name: str, known: Mapping[str, Any]) -> bool:
-    """Return whether a name is complete, or its second name is used in the deployment already.
+    """Return whether a name is complete, or its ROS name is used in the deployment already.
 
     Every component publishes its status, also where none of the ports says so.
     """

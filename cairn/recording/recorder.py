@@ -22,7 +22,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from cairn.bell import Bell
-from cairn.bus.keys import first_name
+from cairn.bus.keys import own_name
 from cairn.clock import SECOND
 from cairn.deployment.model import ALL_TOPICS
 from cairn.errors import CairnError
@@ -649,8 +649,8 @@ class Recorder:
     def _is_repeated(self, sample: Sample) -> bool:
         """Return whether the same message is recorded under the robot's own name of its topic."""
         info = self._info(sample.gid)
-        first = None if info is None else first_name(info.node, sample.topic)
-        return first is not None and self._is_recorded(first)
+        own = None if info is None else own_name(info.node, sample.topic)
+        return own is not None and self._is_recorded(own)
 
     def _lost(self, tap: Tap) -> dict[str, int]:
         return {

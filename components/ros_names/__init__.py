@@ -1,1 +1,1 @@
-"""Gives the topics and services of a robot their names of ROS."""
+"""Gives the topics and services of a robot their ROS names."""

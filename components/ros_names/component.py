@@ -1,4 +1,4 @@
-"""The component that gives topics, services and actions of a robot their names of ROS."""
+"""The component that gives topics, services and actions of a robot their ROS names."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cairn import RELIABLE, SECOND, Component, In, Out, every, from_ns, on, to_n
 from cairn.bus.actions import RESULT_TIMEOUT_S
 from cairn.bus.bus import Call, ServiceError, Subscription
 from cairn.components.ros_names.diagnostics import diagnostic_status
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import ROOT, Deployment
 from cairn.deployment.ros_names import RosService, RosTopic, ros_services, ros_topics
 from cairn.runtime.component import ComponentContext
 from cairn.schemas.cairn_msgs import ComponentStatus
@@ -19,6 +19,7 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
+_MOST_FRAMES = 10_000  # as in a robot description
 _SILENT_NS = 5 * SECOND  # a component publishes its status four times a second
 
 
@@ -36,35 +37,31 @@ class RosNames(Component):
     diagnostics: Out[DiagnosticArray]
 
     def on_activate(self) -> None:
-        """Join the second names."""
+        """Join the ROS names."""
         context = self._context
         deployment = Deployment.model_validate_json(context.launch.context.deployment)
+        self._members = {ROOT, *(member.name for member in deployment.members())}
         self._statuses: dict[str, ComponentStatus] = {}
         self._topics = [_Topic(context, one) for one in ros_topics(deployment)]
         self._services = [_Service(context, one) for one in ros_services(deployment)]
         self.follow_subscribers()
 
     def on_deactivate(self) -> None:
-        """Leave the second names."""
+        """Leave the ROS names."""
         for topic in self._topics:
             topic.close()
         for service in self._services:
             service.close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for any error
-        """Leave the second names; the supervisor decides what follows."""
-        if "_services" in vars(self):
-            self.on_deactivate()
-        return False
-
     @on("component_status")
     def on_component_status(self, status: ComponentStatus) -> None:
         """Keep the newest status of each component."""
-        self._statuses[status.component] = status
+        if status.component in self._members:
+            self._statuses[status.component] = status
 
     @every(hz=4)
     def follow_subscribers(self) -> None:
-        """Read the topics whose second names have subscribers, and no others."""
+        """Read the topics whose ROS names have subscribers, and no others."""
         for topic in self._topics:
             topic.follow()
 
@@ -89,7 +86,9 @@ class _Topic:
     def __init__(self, context: ComponentContext, topic: RosTopic) -> None:
         self._context = context
         self._topic = topic
-        self._publisher = context.node.advertise(topic.target, topic.message, topic.qos)
+        self._merges = topic.message is TFMessage and topic.qos.latched
+        qos = topic.qos.with_depth(1) if self._merges else topic.qos
+        self._publisher = context.node.advertise(topic.target, topic.message, qos)
         self._subscription: Subscription | None = None
         self._static: dict[str, TransformStamped] = {}  # transforms, by their child frames
 
@@ -130,16 +129,16 @@ class _Topic:
             return
         if message is None:  # a newer one has displaced it
             return
-        if isinstance(message, TFMessage) and self._topic.qos.latched:
-            message = self._all_static(message)
-        self._publisher.publish(message)
+        self._publisher.publish(self._all_static(message) if self._merges else message)
 
     def _all_static(self, message: TFMessage) -> TFMessage:
         """Return the newest static transforms of all publishers.
 
         A late subscriber of ROS gets the last message of a publisher alone.
         """
-        self._static |= {one.child_frame_id: one for one in message.transforms}
+        for one in message.transforms:
+            if one.child_frame_id in self._static or len(self._static) < _MOST_FRAMES:
+                self._static[one.child_frame_id] = one
         return TFMessage(transforms=tuple(self._static.values()))
 
 

@@ -221,7 +221,7 @@ test("diagnostics are sorted by urgency; a silent part is not ok", () => {
   const one = (name, level) => ({ level, name, message: "", hardware_id: "", values: [] });
   takeStatuses(statuses, "/r/diagnostics", { status: [one("old", 0)] }, 0);
   takeStatuses(statuses, "/r/diagnostics", { status: [one("b", 0), one("a", 0), one("w", 1), one("e", 2)] }, 9000);
-  takeStatuses(statuses, "/r/diagnostics", { status: [one("w", 1)] }, 9500);
+  takeStatuses(statuses, "/diagnostics", { status: [one("w", 1)] }, 9500); // the same one, by `ros_names`
   const sorted = sortStatuses(statuses.values(), 10_000);
   assert.deepEqual(sorted.map((status) => status.name), ["e", "w", "old", "a", "b"]);
   assert.deepEqual([sorted[1].age, sorted[2].silent], [0.5, true]);

@@ -1,4 +1,4 @@
-"""Components whose topics, services and actions get names of ROS."""
+"""Components whose topics, services and actions get ROS names."""
 
 from cairn import (
     LATCHED,

@@ -16,8 +16,9 @@ const MOST_STATUSES = 500;
 /** Take a DiagnosticArray into the map of statuses by topic and name; `at` is the time of arrival [ms]. */
 export function takeStatuses(statuses, topic, { status }, at) {
   for (const one of status) {
-    const key = `${topic} ${one.hardware_id} ${one.name}`;
-    if (statuses.has(key) || statuses.size < MOST_STATUSES) statuses.set(key, { key, topic, at, ...one });
+    const key = `${one.hardware_id} ${one.name}`; // with `ros_names` it arrives on two topics
+    const known = statuses.get(key);
+    if (known || statuses.size < MOST_STATUSES) statuses.set(key, { key, topic: known?.topic ?? topic, at, ...one });
   }
 }
 
