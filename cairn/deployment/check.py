@@ -115,8 +115,10 @@ def _implicit_components(root: DocumentNode) -> Iterator[CheckedComponent]:
 def _frame_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:
     """Yield frames that two components publish, and those of sensors that the robot has not."""
     frames, description = root.find(FRAMES), root.find(DESCRIPTION)
+    if frames is None and description is None:
+        return
     found = FrameReferences(frames, description)
-    if (frames is None and description is None) or found.problems:
+    if found.problems:
         return
     for component in components:
         plugin = component.node.find("plugin") or component.node

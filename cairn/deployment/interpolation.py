@@ -30,7 +30,9 @@ def interpolate(root: DocumentNode) -> tuple[DocumentNode, list[Problem], frozen
         if key in root.entries
     }
     references.frames = FrameReferences(first.get(FRAMES), first.get(DESCRIPTION))
-    references.problems += references.frames.problems
+    references.problems += [
+        one for one in references.frames.problems if (one.path,) not in references.unresolved
+    ]
     entries = {
         key: first[key] if key in first else references.resolve(node, (key,))
         for key, node in root.entries.items()

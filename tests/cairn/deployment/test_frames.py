@@ -88,6 +88,7 @@ def test_frames_are_also_the_links_of_a_robot_description(write: Write) -> None:
         ("frames.base_link={}", ("frames.base_link", "the robot's base", "rename")),
         ("settings.ahead=${frames.mast.x}", ("settings.ahead", "mast", "below components only")),
         ("frames=null", ("robot.yaml:10", "there is no frame laser", "expected one of", "top")),
+        ("robot_description=${nope}.urdf", ("robot_description: there is no setting nope",)),
         ("robot_description=none.urdf", ("robot_description: none.urdf", "No such file", "give")),
         ("frames.top={x: 1}", ("frames.top", "link of robot_description", "rename")),
         ("${frames.tilted}", ("tilted by 23 degrees", "level")),
