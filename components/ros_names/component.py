@@ -8,9 +8,11 @@ from functools import partial
 from cairn import RELIABLE, SECOND, Component, In, Out, every, from_ns, on, to_ns
 from cairn.bus.actions import RESULT_TIMEOUT_S
 from cairn.bus.bus import Call, ServiceError, Subscription
+from cairn.bus.keys import ROS_NAMES, EndpointEntity
+from cairn.bus.zenoh_bus import ZenohBus
 from cairn.components.ros_names.diagnostics import diagnostic_status
 from cairn.deployment.model import ROOT, Deployment
-from cairn.deployment.ros_names import RosService, RosTopic, ros_services, ros_topics
+from cairn.deployment.ros_names import RosService, RosTopic, ros_name, ros_services, ros_topics
 from cairn.runtime.component import ComponentContext
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
@@ -40,14 +42,20 @@ class RosNames(Component):
         """Join the ROS names."""
         context = self._context
         deployment = Deployment.model_validate_json(context.launch.context.deployment)
+        self._robot = deployment.robot
         self._members = {ROOT, *(member.name for member in deployment.members())}
         self._statuses: dict[str, ComponentStatus] = {}
         self._topics = [_Topic(context, one) for one in ros_topics(deployment)]
         self._services = [_Service(context, one) for one in ros_services(deployment)]
         self.follow_subscribers()
+        self._stop_watching = _nothing
+        if isinstance(context.bus, ZenohBus):  # in lockstep there is no other robot
+            topic = ros_name(self.diagnostics.topic.rpartition("/")[2])
+            self._stop_watching = context.bus.graph.watch(topic, self._check_robot)
 
     def on_deactivate(self) -> None:
         """Leave the ROS names."""
+        self._stop_watching()
         for topic in self._topics:
             topic.close()
         for service in self._services:
@@ -68,16 +76,26 @@ class RosNames(Component):
     @every(hz=1)
     def publish_diagnostics(self) -> None:
         """Publish the state of all components."""
-        now, robot = self.clock.now(), self._context.launch.context.robot
+        now = self.clock.now()
         statuses = tuple(
             diagnostic_status(
-                robot, status, is_silent=now - to_ns(status.header.stamp) > _SILENT_NS
+                self._robot, status, is_silent=now - to_ns(status.header.stamp) > _SILENT_NS
             )
             for _, status in sorted(self._statuses.items())
         )
         self.diagnostics.publish(
             DiagnosticArray(header=Header(stamp=from_ns(now)), status=statuses)
         )
+
+    def _check_robot(self, endpoint: EndpointEntity) -> None:
+        """Warn of another robot that has ROS names; on a thread of the bus."""
+        robot, _, name = endpoint.node.name.rpartition("/")
+        if name == ROS_NAMES and endpoint.node.name != f"/{self._robot}/{self.name}":
+            self.log.warning(
+                "robot %s has ROS names in this domain, too, so that /tf and actions are those of "
+                "both robots; set ros_names: false for one of them, or another domain",
+                robot.strip("/"),
+            )
 
 
 class _Topic:
@@ -172,3 +190,7 @@ class _Service:
 
 def _refuse(call: Call, error: ServiceError) -> None:
     call.refuse(str(error))
+
+
+def _nothing() -> None:
+    return

@@ -38,7 +38,9 @@ def test_driver_tests_pass_with_installed_wheels_only(installed: Environment) ->
 @pytest.mark.realtime  # as the other, so that both share an environment
 def test_installed_driver_is_found_by_its_name(installed: Environment) -> None:
     assert "Measures ranges with a Lantern" in installed.run("cairn", "plugins", "lantern_scanner")
-    assert "no problem: robot_frames, scanner" in installed.run("cairn", "check", "deploy/lantern.yaml")
+    assert "no problem: robot_frames, scanner" in installed.run(
+        "cairn", "check", "deploy/lantern.yaml"
+    )
 
 
 def test_quotes_on_the_page_equal_the_files(page_blocks: Callable[[str], Any]) -> None:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from cairn import Component
 from cairn.bus.bus import Bus
 from cairn.clock import SystemClock
-from cairn.deployment.model import ChildSpec
+from cairn.deployment.model import ChildSpec, Deployment
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.loop import ThreadLoop
@@ -34,6 +34,7 @@ class ThreadedComponent:
         topics: dict[str, str] | None = None,
         restarts: int = 0,
         simulated_time: bool = False,
+        deployment: Deployment | None = None,
     ) -> None:
         """Construct it, and start its thread; raises `CairnError` if that fails."""
         self.loop = ThreadLoop()
@@ -47,7 +48,11 @@ class ThreadedComponent:
                 topics=topics or {},
             ),
             incarnation=1 + restarts,
-            context=RunContext(simulated_time=simulated_time),
+            context=RunContext(
+                simulated_time=simulated_time,
+                robot="robot" if deployment is None else deployment.robot,
+                deployment="" if deployment is None else deployment.model_dump_json(),
+            ),
         )
         self.runtime = Runtime(component, launch, bus, self.loop, SystemClock(), self._note_end)
         self.thread = threading.Thread(target=self.loop.run, daemon=True)

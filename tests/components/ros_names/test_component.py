@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from cairn import SECOND
 from cairn.bus.bus import ServiceError
 from cairn.bus.keys import message_key
+from cairn.components.ros_names.component import RosNames
 from cairn.deployment.access_control import access_control
 from cairn.deployment.model import Deployment
 from cairn.deployment.ros_names import ros_services, ros_topics
@@ -21,6 +22,8 @@ from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.std_msgs import String
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing.lockstep import DeploymentHarness
+from tests.cairn.bus.network import Network, eventually
+from tests.cairn.runtime.threaded import ThreadedComponent
 
 PARTS = "tests.components.ros_names.parts"
 DEPLOYMENT = Deployment.model_validate(
@@ -101,6 +104,24 @@ def test_services_and_actions_answer_under_both_names(rover: DeploymentHarness) 
     assert list(sent.result.sequence) == [0, 1]
 
 
+@pytest.mark.processes
+def test_other_robot_with_ros_names_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    network, started = Network(), []
+    try:
+        for robot in ("rover", "tower"):
+            of_robot = DEPLOYMENT.model_copy(update={"robot": robot})
+            started.append(
+                ThreadedComponent(RosNames, network.bus(), name="ros_names", deployment=of_robot)
+            )
+            started[-1].activate()
+        assert eventually(lambda: "robot tower has ROS names in this domain, too" in caplog.text)
+        assert "robot rover has ROS names in this domain, too" in caplog.text
+    finally:
+        for one in started:
+            one.close()
+        network.close()
+
+
 def test_confidential_topics_and_complete_names_have_one_name() -> None:
     names = {(one.source, one.target) for one in ros_topics(DEPLOYMENT)}
 
@@ -113,6 +134,9 @@ def test_confidential_topics_and_complete_names_have_one_name() -> None:
         ("/rover/fibonacci/_action/status", "/fibonacci/_action/status"),
         ("/rover/diagnostics", "/diagnostics"),
     }
+    external = DEPLOYMENT.model_copy(update={"external_topics": ("stop",)})
+    (stop,) = (one for one in ros_topics(external) if one.source == "/stop")
+    assert stop.target == "/rover/stop"  # a node of ROS may write to it then
     simulated = DEPLOYMENT.model_copy(update={"clock": "simulated"})
     (clock,) = (one for one in ros_topics(simulated) if one.message is Clock)
     assert (clock.source, clock.target) == ("/clock", "/rover/clock")
