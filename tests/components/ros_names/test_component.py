@@ -114,8 +114,11 @@ def test_other_robot_with_ros_names_is_reported(caplog: pytest.LogCaptureFixture
                 ThreadedComponent(RosNames, network.bus(), name="ros_names", deployment=of_robot)
             )
             started[-1].activate()
-        assert eventually(lambda: "robot tower has ROS names in this domain, too" in caplog.text)
-        assert "robot rover has ROS names in this domain, too" in caplog.text
+
+        def reported(robot: str) -> bool:
+            return f"robot {robot} has ROS names in this domain, too" in caplog.text
+
+        assert eventually(lambda: reported("tower") and reported("rover"))
     finally:
         for one in started:
             one.close()
