@@ -65,7 +65,7 @@ class ActionServerPort:
             CANCEL_GOAL: CancelGoal.Response(return_code=CancelGoal.Response.ERROR_REJECTED),
         }
         self.servers: list[ServerPort] = []
-        # Many goals at once keep nobody from canceling, nor from the results of earlier ones.
+        # While many goals arrive, earlier ones are canceled and have results nevertheless.
         for part in (CANCEL_GOAL, GET_RESULT, SEND_GOAL):
             service = spec.services()[part]
             self.servers.append(
