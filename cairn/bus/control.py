@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from cairn.bounded_json import parse_json, too_large
 from cairn.bus.keys import control_key
 from cairn.bus.message_limits import REPLY_BYTES, REQUEST_BYTES
+from cairn.bus.reply_thread import ReplyThread
 from cairn.errors import CairnError
 
 _VERB = re.compile(r"[a-z][a-z0-9_]{0,99}")
@@ -183,6 +184,7 @@ class ControlServer:
         self._max_bytes = max_bytes
         self._urgent = frozenset(urgent)
         self._lock = threading.Lock()
+        self._replies = ReplyThread("cairn replies")
         self._pending: Counter[str] = Counter()  # by urgent verb; "" counts all others
         self._key = control_key(domain, component)
         self._post = post
@@ -211,6 +213,7 @@ class ControlServer:
             queryable.undeclare()
         for thread in self._threads:
             thread.join(timeout=2.0)
+        self._replies.close()
 
     def _serve(self, channel: Any, urgent: str) -> None:
         """Receive the requests with an urgent verb; "": all others."""
@@ -232,7 +235,7 @@ class ControlServer:
             self._reply(query, ControlReply(error=f"{verb[:100]!r} is not the name of a request"))
             return
         if verb == PING:  # not by the component's loop, which may be busy
-            self._reply(query, ControlReply())
+            _send(query, self._reply_key(PING), ControlReply().model_dump_json().encode())
             return
         try:
             received = _parsed_request(query, self._max_bytes.get(verb, _DEFAULT_BYTES))
@@ -274,9 +277,19 @@ class ControlServer:
                 f"the reply has {len(payload):,} bytes, more than the {REPLY_BYTES:,} that are "
                 "allowed; request less at a time"
             )
-        with query, suppress(zenoh.ZError):  # the requester may have ended
-            # Its own key, also if the request was to several components.
-            query.reply(self._key.removesuffix("*") + _verb(query), payload)
+        key = self._reply_key(_verb(query))
+        if not self._replies.send(partial(_send, query, key, payload), len(payload)):
+            payload = _error("too many replies wait to be sent; request less at a time")
+            self._replies.send(partial(_send, query, key, payload), 0)
+
+    def _reply_key(self, verb: str) -> str:
+        """Return this component's own key, also if the request was to several components."""
+        return self._key.removesuffix("*") + verb
+
+
+def _send(query: zenoh.Query, key: str, payload: bytes) -> None:
+    with query, suppress(zenoh.ZError):  # the requester may have ended
+        query.reply(key, payload)
 
 
 def _verb(query: zenoh.Query) -> str:

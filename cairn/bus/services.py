@@ -27,6 +27,7 @@ from cairn.bus.message_limits import (
     ring_length,
 )
 from cairn.bus.qos import SERVICES
+from cairn.bus.reply_thread import ReplyThread
 from cairn.schemas.message import InvalidMessage, Service, type_name
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ _REPLIES: Final = 16  # of several servers of one name; Zenoh's thread waits for
 _LONGEST_WAIT_S: Final = 60.0
 _LONGEST_SLEEP_S: Final = 3600.0
 _LAST_ANSWERS_S: Final = 0.5
+_SMALL: Final = 16 << 10  # bytes
+_MANY_REPLIES: Final = "too many answers wait to be sent; call again later"
 
 
 class ZenohServer:
@@ -69,6 +72,7 @@ class ZenohServer:
         self._invalid_response = invalid_response
         self._max_bytes = default_max_bytes(self._request) if max_bytes is None else max_bytes
         self._pending = _PendingQueries()
+        self._replies = ReplyThread(f"{name.rpartition('/')[2]} replies")
         if not is_private:  # those of every node, whose codecs take 2 MiB, are rarely called
             for cls in (self._request, self._response):
                 self._codec.register(cls)
@@ -92,7 +96,9 @@ class ZenohServer:
         query = self._pending.take()
         if query is None:
             return None
-        call = ZenohCall(query, self._codec, self._response)
+        call = ZenohCall(
+            query, self._codec, self._response, self._replies, has_backlog=self._pending.is_waiting
+        )
         payload = query.payload
         try:
             call.request = self._codec.decode(
@@ -118,7 +124,10 @@ class ZenohServer:
         if self._private is not None:
             self._private.remove(self._announcement.key)
         while (query := self._pending.take()) is not None:
-            _refuse(query, f"{self.name}: {self._node} does not serve it any more")
+            why = f"{self.name}: {self._node} does not serve it any more"
+            self._replies.send(partial(_refuse, query, why), 0)
+            del query
+        self._replies.close()
         self._announcement.close()
 
     def _receive(self, query: zenoh.Query) -> None:
@@ -212,6 +221,11 @@ class _PendingQueries:
             self._bytes += size
             return True
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether there is a query."""
+        return bool(self._queries)
+
     def take(self) -> zenoh.Query | None:
         """Remove and return the oldest query; None if there is none."""
         with self._lock:
@@ -227,8 +241,18 @@ class ZenohCall:
 
     request: Any
 
-    def __init__(self, query: zenoh.Query, codec: Codec, response: type[Any]) -> None:
+    def __init__(
+        self,
+        query: zenoh.Query,
+        codec: Codec,
+        response: type[Any],
+        replies: ReplyThread,
+        *,
+        has_backlog: bool,
+    ) -> None:
         self._query: zenoh.Query | None = query
+        self._replies = replies
+        self._has_backlog = has_backlog
         self._codec = codec
         self._response = response
         attachment = None
@@ -250,14 +274,17 @@ class ZenohCall:
         if query is None:
             return
         attachment = keys.Attachment(self.sequence, time.time_ns(), self.client).encode()
-        with query, suppress(zenoh.ZError):  # the client may have ended
-            query.reply(query.key_expr, payload, attachment=attachment)
+        # Calls that come one by one are of clients that read; another thread would slow them down.
+        if not self._has_backlog and self._replies.is_idle and len(payload) <= _SMALL:
+            _answer(query, payload, attachment)
+        elif not self._replies.send(partial(_answer, query, payload, attachment), len(payload)):
+            self._replies.send(partial(_refuse, query, _MANY_REPLIES), 0)
 
     def refuse(self, reason: str) -> None:
         """Answer with an error."""
         query, self._query = self._query, None
         if query is not None:
-            _refuse(query, reason)
+            self._replies.send(partial(_refuse, query, reason), 0)
 
 
 class ZenohClient:
@@ -517,6 +544,11 @@ class _PendingCall:
         else:
             error = f"{name}: no answer: the server ended, or has too many calls; call again later"
         self._on_failure(ServiceError(error))
+
+
+def _answer(query: zenoh.Query, payload: bytes, attachment: bytes) -> None:
+    with query, suppress(zenoh.ZError):  # the client may have ended
+        query.reply(query.key_expr, payload, attachment=attachment)
 
 
 def _refuse(query: zenoh.Query, reason: str) -> None:

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import zenoh
 
@@ -66,6 +66,17 @@ _REFUSED = (
 )
 
 _TLS_NAME = "; with TLS, the robot's certificate must contain the host name that you connect to"
+
+_STUCK_US: Final = {
+    "gateway": 1_000_000,
+    "router": 1_500_000,
+    "peer": 2_000_000,
+    "client": 2_000_000,
+}
+"""A link on which services wait so long [us] for a reader that reads nothing is closed.
+
+A reader keeps those waiting who send to it through others, too: the one next to it closes first.
+"""
 
 _PORT_TIMEOUT_S = 1.0
 """A message about a refused connection waits so long to learn whether the port is open."""
@@ -374,6 +385,7 @@ def _config(
         # stereo camera's second image does not meet a queue that its first one has filled. With
         # 128 KiB, the default, a reader on a busy computer lost 1 to 4 % of the second images.
         "transport/link/tx/queue/size/data_low": 16,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": _STUCK_US[kind],
         "transport/shared_memory/enabled": False,
         **more,
     }

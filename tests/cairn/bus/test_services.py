@@ -19,7 +19,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.example_interfaces.srv import AddTwoInts
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_srvs.srv import SetBool, Trigger
-from tests.cairn.bus.network import SECRET, Network, eventually, node
+from tests.cairn.bus.network import SECRET, Network, eventually, node, stop
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
 
@@ -291,6 +291,49 @@ def test_client_of_a_killed_server_gets_an_error_long_before_its_time_limit(mode
                     server.kill()
     finally:
         script.close()
+        network.close()
+
+
+MANY_CALLS = """
+import signal, sys
+from cairn.bus.session import open_peer
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.schemas.std_srvs.srv import Trigger
+from tests.cairn.bus.network import eventually
+
+bus = ZenohBus(open_peer([sys.argv[1]], secret=sys.argv[2]), secret=sys.argv[2])
+client = bus.node("/robot/paused", print).client(sys.argv[3], Trigger, lambda call: call())
+assert eventually(lambda: client.is_available)
+for _ in range(1500):
+    client.call(Trigger.Request(), lambda response: None, lambda error: None, 1000.0)
+signal.pause()
+"""
+
+
+@pytest.mark.processes
+def test_client_that_never_reads_does_not_stop_the_server() -> None:
+    network = Network()
+    program = [sys.executable, "-c", MANY_CALLS, network.endpoint, SECRET, SERVICE]
+    try:
+        servers, clients = network.bus(), network.bus()
+        serving = Serving(node(servers, "/robot/adder"), service=Trigger)
+        calling = Calling(node(clients, "/robot/asker"), service=Trigger)
+        assert clients.wait_for_peers(LIMIT_S) == []
+        with subprocess.Popen(program, text=True) as paused:
+            try:
+                calls = [serving.next() for _ in range(1500)]
+                stop(paused)
+                for call in calls:  # 60 MB, which no buffer holds
+                    call.reply(Trigger.Response(message="x" * 40_000))
+
+                assert not serving.server._replies.is_idle  # type: ignore[attr-defined]
+            finally:
+                paused.kill()
+        assert eventually(lambda: serving.server._replies.is_idle)  # type: ignore[attr-defined]
+        calling.call(Trigger.Request())
+        serving.next().reply(Trigger.Response(message="served"))
+        assert calling.next() == Trigger.Response(message="served")
+    finally:
         network.close()
 
 
