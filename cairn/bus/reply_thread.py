@@ -14,7 +14,7 @@ _CLOSE_LIMIT_S = 1.0
 class ReplyThread:
     """Sends replies on a thread of its own, which is started with the first one.
 
-    Zenoh sends replies reliably: whoever sends one waits for a requester that does not read,
+    Zenoh sends replies reliably: the sender waits for a requester that does not read,
     until Zenoh closes the connection to it. That must not be the thread of a component.
     """
 
