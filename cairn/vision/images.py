@@ -14,6 +14,7 @@ from cairn.bounded_images import check_pixels, decode_image, read_header, read_i
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
 from cairn.schemas.sensor_msgs import Image
+from cairn.schemas.std_msgs import Header
 
 Gray = NDArray[np.uint8]
 
@@ -128,6 +129,19 @@ def gray_of(image: Image) -> Gray:
         shape = (height, width, channels) if channels > 1 else (height, width)
         values = cv2.cvtColor(np.ascontiguousarray(values).reshape(shape), conversion)
     return eight_bits(values)
+
+
+def gray_message(gray: Gray, header: Header) -> Image:
+    """Return the message of a gray image (h, w)."""
+    height, width = gray.shape
+    return Image(
+        header=header,
+        height=height,
+        width=width,
+        encoding="mono8",
+        step=width,
+        data=np.ascontiguousarray(gray).reshape(-1),
+    )
 
 
 def eight_bits(gray: NDArray[np.integer[Any]]) -> Gray:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 from pydantic import Field
 
 from cairn import SENSOR, CairnError, Out, RateLimitedLog, ReadPath, every, from_ns
 from cairn.components.replay.components import ReplayComponent
 from cairn.components.replay.config import RecordingConfig
-from cairn.components.replay.recording import Gray, ImageStream
+from cairn.components.replay.recording import ImageStream
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.vision.camera_file import read_camera
+from cairn.vision.images import gray_message
 from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME
 from cairn.vision.stereo import StereoRig
 
@@ -82,7 +82,7 @@ class ReplayCamera(ReplayComponent):
             info.publish(replace(known, header=header))
         images = (self.left_image, self.right_image)
         for image, pixels, header in zip(images, views, headers, strict=False):
-            image.publish(_image_message(pixels, header))
+            image.publish(gray_message(pixels, header))
 
     def _calibrations(self, images: ImageStream) -> list[CameraInfo]:
         """Return the calibration of each camera, from its file or recorded.
@@ -124,15 +124,3 @@ class ReplayCamera(ReplayComponent):
         if cameras == 2 and all(info.k.any() for info in infos):
             StereoRig.of(*infos)
         return infos
-
-
-def _image_message(pixels: Gray, header: Header) -> Image:
-    height, width = pixels.shape
-    return Image(
-        header=header,
-        height=height,
-        width=width,
-        encoding="mono8",
-        step=width,
-        data=np.ascontiguousarray(pixels).ravel(),
-    )

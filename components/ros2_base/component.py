@@ -11,10 +11,8 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
-    RateLimitedLog,
     every,
     on,
-    to_ns,
 )
 from cairn.components.ros2_base.command_relay import CommandRelay, stamped_twist, twist
 from cairn.components.ros2_base.config import Ros2BaseConfig
@@ -26,17 +24,15 @@ from cairn.components.ros2_base.odometry import (
     rejection,
 )
 from cairn.driver.command_timeout import REST
-from cairn.driver.diagnostics import ERROR, OK, WARN, RateWindow, diagnostics
+from cairn.driver.diagnostics import OK, WARN
+from cairn.driver.ros2_source import Ros2Source, SourceLimits
 from cairn.planar.messages import planar_pose
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist, TwistStamped
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage
 
-_FUTURE_S = 0.1  # how far the clocks of two computers may differ
 _FASTER = 2.0  # times the commanded speed: the base may slow down late, or be pushed
-_SLOW = 0.8  # share of the nominal rate below which diagnostics warn
-_RESOLVED_S = 5.0  # without a rejection, until odometry counts as usable again
 
 
 class Ros2Base(Component):
@@ -67,7 +63,6 @@ class Ros2Base(Component):
             config.odom_timeout_s,
         )
         self._continuity = OdometryContinuity(self._limits)
-        self._warnings = RateLimitedLog(self.log)
 
     def on_activate(self) -> None:
         """Command rest, whatever was commanded before."""
@@ -75,10 +70,15 @@ class Ros2Base(Component):
         self._relay = CommandRelay(
             config.speed, config.turn, config.command_timeout_s, config.rest_s
         )
-        self._rate = RateWindow()
-        self._last_arrival: int | None = None
-        self._rejected = 0
-        self._rejection, self._rejected_at = "", 0
+        self._source = Ros2Source(
+            self,
+            self.base_odom.topic,
+            "the base's odometry",
+            "the base is not driven",
+            SourceLimits(
+                config.odom_rate, config.odom_timeout_s, config.odom_age_s, config.stamp_on_arrival
+            ),
+        )
 
     def on_deactivate(self) -> None:
         """Command rest."""
@@ -104,38 +104,32 @@ class Ros2Base(Component):
     @every(hz=20)
     def repeat_command(self) -> None:
         """Send the command again while it is fresh, as the base's own timeout requires."""
-        due = self._relay.due(self._seconds(), usable=self._is_usable())
+        due = self._relay.due(self._seconds(), usable=self._source.is_usable)
         if due is not None:
             self._send(*due)
 
     @on("base_odom")
     def on_base_odom(self, message: Odometry) -> None:
         """Publish the base's odometry if it is usable."""
-        now = self.clock.now()
-        stamp = now if self.config.stamp_on_arrival else to_ns(message.header.stamp)
-        reason = rejection(message, self._limits) or self._untimely(now, stamp)
+        stamp = self._source.stamp_of(message.header.stamp)
+        reason = rejection(message, self._limits) or self._untimely(stamp)
         if reason is not None:
-            self._reject(now, reason)
+            self._source.reject(reason)
             return
         jumps, newest = self._continuity.jumps, self._continuity.newest
         continued = self._continuity.add(stamp, planar_pose(message.pose.pose))
         if continued is None:
             assert newest is not None
-            self._reject(
-                now,
+            self._source.reject(
                 f"odometry of the base arrived {(newest - stamp) / SECOND:.2f} s out of order, and "
                 "is too late or does not fit the poses of that time; check that only one node "
-                f"publishes {self.base_odom.topic}",
+                f"publishes {self.base_odom.topic}"
             )
             return
-        pause = not self._is_usable()
-        if pause:
-            self._rate.restart()  # the pause was reported already
-        self._last_arrival = now
-        self._rate.note(now / SECOND)
+        was_silent = self._source.accept(stamp)
         if self._continuity.jumps > jumps:
-            if pause:
-                self._relay.base_restarted(now / SECOND)
+            if was_silent:
+                self._relay.base_restarted(self._seconds())
             self.log.warning(
                 "odometry of the base jumped, as if the base was restarted; it is continued from "
                 "its last pose"
@@ -148,79 +142,27 @@ class Ros2Base(Component):
     @every(hz=1)
     def publish_health(self) -> None:
         """Publish how the base's odometry arrives."""
-        now = self.clock.now()
-        if self._is_usable():
-            self._warnings.resolved("silence", "odometry of the base arrives again")
-        else:
-            self._warnings.warn("silence", self._unusable_reason())
-        if now - self._rejected_at > _RESOLVED_S * SECOND:
-            self._warnings.resolved("odometry", "all odometry of the base is usable again")
-        hz = self._rate.hz(now / SECOND)
-        level, text = self._judge(hz)
-        values = {
-            "odometry rate [Hz]": hz,
-            "nominal rate [Hz]": self.config.odom_rate,
-            "odometry rejected": self._rejected,
-            "jumps": self._continuity.jumps,
-        }
-        self.diagnostics.publish(
-            diagnostics(now, self.name, self.base_odom.topic, level, text, values)
-        )
-
-    def _judge(self, hz: float) -> tuple[int, str]:
-        if not self._is_usable():
-            return ERROR, self._unusable_reason()
+        healthy = (OK, "drives")
         if self._relay.awaits_rest:
-            return WARN, (
-                "the base was restarted: it is driven once the command has been rest, or has ceased"
+            healthy = (
+                WARN,
+                "the base was restarted: it is driven once the command has been rest, or has "
+                "ceased",
             )
-        if hz < _SLOW * self.config.odom_rate:
-            return WARN, (
-                f"the base's odometry arrives at {hz:.1f} Hz instead of {self.config.odom_rate:g} "
-                "Hz"
-            )
-        return OK, "drives"
+        values: dict[str, object] = {"jumps": self._continuity.jumps}
+        self.diagnostics.publish(self._source.report(healthy, values))
 
-    def _unusable_reason(self) -> str:
-        if self._rejection and self.clock.now() - self._rejected_at <= self._timeout():
-            return f"the base is not driven: {self._rejection}"
-        return (
-            f"no usable odometry arrives on {self.base_odom.topic}, so the base is not driven; "
-            "check that the base runs, that its ROS_DOMAIN_ID is that of the deployment, and that "
-            "both use the same router"
-        )
-
-    def _is_usable(self) -> bool:
-        last = self._last_arrival
-        return last is not None and self.clock.now() - last <= self._timeout()
-
-    def _timeout(self) -> float:
-        """Return how long the base is driven without usable odometry [ns]."""
-        return self.config.odom_timeout_s * SECOND
-
-    def _reject(self, now: int, reason: str) -> None:
-        self._rejected += 1
-        self._rejection, self._rejected_at = reason, now
-        self._warnings.warn("odometry", reason)
-
-    def _untimely(self, now: int, stamp: int) -> str | None:
+    def _untimely(self, stamp: int) -> str | None:
         """Return why a stamp cannot be used, as a sentence; None if it can."""
         newest = self._continuity.newest
-        if newest is not None and newest > now + _FUTURE_S * SECOND:
+        if newest is not None and self._source.is_ahead(newest):
             self._continuity.set_time_back()
         if self._continuity.has(stamp):
             return (
                 "odometry of the base arrived twice; check that only one node publishes "
                 f"{self.base_odom.topic}"
             )
-        age = (now - stamp) / SECOND
-        if -_FUTURE_S <= age <= self.config.odom_age_s:
-            return None
-        relation = f"{age:.2f} s old" if age > 0 else f"{-age:.2f} s in the future"
-        return (
-            f"the base's odometry is {relation} on arrival; synchronize both computers' clocks "
-            "(chrony), or set stamp_on_arrival"
-        )
+        return self._source.why_untimely(stamp)
 
     def _send(self, forward: float, turn: float) -> None:
         if self.config.stamped:

@@ -52,6 +52,7 @@ from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.vision.images import gray_message
 from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transform
 
 Fault = Literal["none", "left_missing", "right_missing", "frozen", "right_frozen", "swapped"]
@@ -339,14 +340,4 @@ class SimulatedStereoCamera(Component):
             (left, right), headers, (self.left_image, self.right_image), strict=True
         ):
             if image is not None:
-                height, width = image.shape
-                out.publish(
-                    Image(
-                        header=header,
-                        height=height,
-                        width=width,
-                        encoding="mono8",
-                        step=width,
-                        data=image.reshape(-1),
-                    )
-                )
+                out.publish(gray_message(image, header))

@@ -10,8 +10,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from cairn import (
     LATCHED,
     SECOND,
@@ -38,6 +36,7 @@ from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.vision.camera_file import read_camera
+from cairn.vision.images import gray_message
 from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transform
 from cairn.vision.stereo import StereoRig
 
@@ -230,7 +229,7 @@ class V4l2StereoCamera(Component):
             known = CameraInfo(width=width, height=height) if info is None else info
             port.publish(replace(known, header=header))
         for out, view, header in zip(images, views, headers, strict=False):
-            out.publish(_image_message(view, header))
+            out.publish(gray_message(view, header))
 
     def _on_device_error(self, side: int, error: DeviceError) -> None:
         self._device_errors[side] = str(error)
@@ -247,18 +246,6 @@ class V4l2StereoCamera(Component):
     def _close(self) -> None:
         for camera in self._cameras:
             camera.close()
-
-
-def _image_message(pixels: Gray, header: Header) -> Image:
-    height, width = pixels.shape
-    return Image(
-        header=header,
-        height=height,
-        width=width,
-        encoding="mono8",
-        step=width,
-        data=np.ascontiguousarray(pixels).reshape(-1),
-    )
 
 
 def _raise(error: Exception) -> None:

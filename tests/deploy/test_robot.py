@@ -23,10 +23,20 @@ def test_robot_deployment_differs_from_the_simulated_one_only_in_drivers() -> No
         assert differing == {"plugin", "parameters"}
 
 
-def test_overlay_replaces_the_base_by_a_ros2_base() -> None:
-    robot = load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_ros2_base.yaml"])
+def test_overlay_replaces_all_drivers_by_those_of_ros2_nodes() -> None:
+    own = load_deployment(DEPLOY / "robot.yaml")
+    robot = load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_ros2.yaml"])
 
-    assert robot.member("base").spec.plugin == "ros2_base"
+    plugins = {name: robot.member(name).spec.plugin for name in DRIVERS}
+    assert plugins == {
+        "base": "ros2_base",
+        "range_scanner": "ros2_scanner",
+        "stereo_camera": "ros2_stereo_camera",
+    }
+    for name in ("range_scanner", "stereo_camera"):
+        assert robot.member(name).spec.parameters == {
+            "mount": own.member(name).spec.parameters["mount"]
+        }
 
 
 def test_overlay_removes_the_camera() -> None:

@@ -1,0 +1,64 @@
+"""Scans of ROS 2 nodes: whether they are usable, and their form in Cairn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cairn import from_ns
+from cairn.planar.scans import sweep_s
+from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
+
+# A scan is placed by the odometry of its whole sweep, for which its users wait.
+_LONGEST_SWEEP_S: Final = 1.0
+_FULL_TURN: Final = math.radians(361)  # some scanners count a last beam that is the first one
+
+
+def why_unusable(scan: LaserScan, topic: str, frame: str) -> str | None:
+    """Return why a scan cannot be used, as a sentence; None if it can.
+
+    `LaserScan` itself has checked limits, numbers of values, and that the angles fit the beams.
+    """
+    if scan.header.frame_id != frame:
+        return (
+            f"the scan on {topic} is of frame {scan.header.frame_id!r}, not {frame!r}; set "
+            "frame_id, or correct the topic"
+        )
+    if not scan.ranges.size:
+        return f"the scan on {topic} has no ranges; correct the node that publishes it"
+    turn = abs(scan.angle_increment) * (scan.ranges.size - 1)
+    if turn > _FULL_TURN:
+        return (
+            f"the scan on {topic} spans {math.degrees(turn):.0f} degrees, with {scan.ranges.size} "
+            f"beams {scan.angle_increment:g} rad apart; correct the node that publishes it"
+        )
+    if sweep_s(scan) > _LONGEST_SWEEP_S:
+        return (
+            f"the scan on {topic} takes {sweep_s(scan):.1f} s, with {scan.ranges.size} beams "
+            f"{scan.time_increment:g} s apart; correct time_increment in the node's settings"
+        )
+    return None
+
+
+def scan_message(scan: LaserScan, stamp: int, *, upside_down: bool) -> LaserScan:
+    """Return a scan with a time [ns]; with mirrored angles if the scanner is upside down.
+
+    A range of exactly 0, which drivers older than REP 117 send where they measured nothing, becomes
+    NaN: with `range_min` 0 it would be an obstacle on the scanner.
+    """
+    side = -1.0 if upside_down else 1.0
+    ranges = scan.ranges
+    if not ranges.all():
+        ranges = np.where(ranges == 0.0, np.float32(math.nan), ranges)
+    return replace(
+        scan,
+        header=Header(stamp=from_ns(stamp), frame_id=scan.header.frame_id),
+        angle_min=side * scan.angle_min,
+        angle_max=side * scan.angle_max,
+        angle_increment=side * scan.angle_increment,
+        ranges=ranges,
+    )
