@@ -84,6 +84,23 @@ class Node:
         found = self._ends[topic].next()
         return None if found is None else _plain(found)
 
+    def relay(self, source: str, target: str, type: str, reliable: bool) -> None:  # noqa: A002
+        """Publish on one topic what arrives on another one, from now on."""
+        self.subscribe(source, type, reliable)
+        qos = dora.Ros2QosPolicies(reliable=reliable, keep_last=10)
+        topic = self._node.create_topic(target, type.replace("/msg/", "/"), qos)
+        subscription, publisher = self._ends[source], self._node.create_publisher(topic, qos)
+
+        def relay() -> None:
+            while True:
+                found = subscription.next()
+                if found is None:
+                    time.sleep(0.002)
+                else:
+                    publisher.publish(found)
+
+        threading.Thread(target=relay, daemon=True).start()
+
     def service_client(self, name: str, type: str) -> None:  # noqa: A002
         """Make a client, which waits for the server."""
         self._types[name] = interface(type)

@@ -23,8 +23,8 @@ from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import type_name
-from cairn.schemas.sensor_msgs import LaserScan
-from cairn.schemas.sensor_msgs.msg import Imu, PointCloud2
+from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
+from cairn.schemas.sensor_msgs.msg import CompressedImage, Imu, PointCloud2
 from tests.cairn.bus.network import Network, Reader, eventually, fail_test, node
 from tests.cairn.bus.test_services import Calling, Serving, added
 from tests.cairn.runtime.test_services_and_actions import Counter
@@ -42,6 +42,11 @@ MESSAGES = {
                angular_velocity_covariance=[0.5] * 9),  # type: ignore[arg-type]
     "cloud": PointCloud2(height=1, width=2, point_step=4, row_step=8,
                          data=[1, 2, 3, 4, 5, 6, 7, 8], is_dense=True),  # type: ignore[arg-type]
+    "image": Image(height=1, width=2, encoding="rgb8", step=6,
+                   data=[1, 2, 3, 4, 5, 6]),  # type: ignore[arg-type]
+    "compressed": CompressedImage(format="jpeg", data=[255, 216, 255]),  # type: ignore[arg-type]
+    "info": CameraInfo(width=640, height=480, distortion_model="plumb_bob",
+                       d=[0.5] * 5, k=[1.0] * 9),  # type: ignore[arg-type]
 }  # fmt: skip
 
 

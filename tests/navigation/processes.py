@@ -8,7 +8,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ UNTIL_READY = "child active: vision_supervisor"
 
 
 class ObservedRobot:
-    """A running `cairn up deploy/sim.yaml`, observed from outside."""
+    """A running robot in the simulated world, observed from outside."""
 
     def __init__(self, run: Run, bus: ZenohBus) -> None:
         self.run = run
@@ -145,18 +145,23 @@ class RunningGo:
 
 
 @contextmanager
-def robot_in(folder: Path, *sets: str, overlay: Path | None = None) -> Iterator[ObservedRobot]:
-    """Start the deployment, and stop all of it at the end."""
+def robot_in(
+    folder: Path,
+    *sets: str,
+    deployment: Path = SIM,
+    overlays: Sequence[Path] = (),
+    until: str = UNTIL_READY,
+) -> Iterator[ObservedRobot]:
+    """Start the deployment, wait for a line of its output, and stop all of it at the end."""
     with launching(folder) as launch:
         endpoint = new_endpoint()
         state_file = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
         changes = [f"bus.socket={endpoint}", state_file, *sets]
-        arguments = [str(SIM), *(word for one in changes for word in ("--set", one))]
-        if overlay is not None:
-            arguments += ["--overlay", str(overlay)]
+        arguments = [str(deployment), *(word for one in changes for word in ("--set", one))]
+        arguments += [word for one in overlays for word in ("--overlay", str(one))]
         run = Run(arguments, folder / "report", endpoint, {}, None, umask=0)
         launch.runs.append(run)
-        run.await_line(UNTIL_READY)
+        run.await_line(until)
         bus = ZenohBus(open_peer([endpoint]))
         try:
             yield ObservedRobot(run, bus)

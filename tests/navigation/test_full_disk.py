@@ -43,7 +43,7 @@ def test_robot_drives_while_its_disk_is_full_and_saves_all_when_there_is_room(
 ) -> None:
     overlay = tmp_path / "report.yaml"
     overlay.write_text(REPORT)
-    with robot_in(tmp_path, overlay=overlay) as robot:
+    with robot_in(tmp_path, overlays=[overlay]) as robot:
         report = robot.run.report
         robot.run.await_line("child active: report")  # the last one at start
         limit_files(robot, 0)  # also while AutoMove's components start, for the first goal
