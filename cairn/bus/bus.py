@@ -146,6 +146,11 @@ class Client(Protocol):
     """Calls one service."""
 
     @property
+    def gid(self) -> bytes:
+        """Its identity on the bus: 16 bytes."""
+        ...
+
+    @property
     def sent(self) -> int:
         """Number of calls so far."""
         ...

@@ -308,7 +308,7 @@ class ZenohClient:
         request, self._response = service.Request, service.Response
         self.name = name
         self._key = key
-        self._gid = gid
+        self.gid = gid
         self._max_bytes = default_max_bytes(self._response)
         self._post = post
         self._waiter = _Waiter(name, deliver)
@@ -366,7 +366,7 @@ class ZenohClient:
                 self._key,
                 zenoh.handlers.FifoChannel(_REPLIES) if waits else handler,
                 payload=self._codec.encode(request),
-                attachment=keys.Attachment(self.sent, time.time_ns(), self._gid).encode(),
+                attachment=keys.Attachment(self.sent, time.time_ns(), self.gid).encode(),
                 timeout=timeout_s,
                 cancellation_token=cancellation,
                 **self._options,

@@ -17,6 +17,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.deployment.ros_names import ros_services, ros_topics
 from cairn.runtime.call_log import call_log_topic
 from cairn.runtime.ports import actions_of, ports_of
+from cairn.runtime.service_events import SERVICE_EVENT_TOPIC
 from cairn.schemas.message import type_name
 
 _EVERY_MESSAGE: Final = (
@@ -60,6 +61,8 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     if deployment.has_call_log:  # which has the arguments of requests, such as the tokens of leases
         logs = f"{deployment.robot}/{call_log_topic('*')}"
         confidential["call logs"] = (f"{deployment.domain}/{logs}/*/*",)
+    # The calls of services may have such arguments, too.
+    confidential["service events"] = (f"{deployment.domain}/**/{SERVICE_EVENT_TOPIC}/*/*",)
     roles: Mapping[Role, list[dict[str, Any]]] = {
         "view": _view_rules(deployment.domain, requests["view"], confidential),
         "operate": _operate_rules(deployment.domain, topics, requests["operate"]),
@@ -123,11 +126,7 @@ def _view_rules(
         _rule("view: request", "ingress", ("query",), queries),
         # A publisher's cache replies with the keys of its messages.
         _rule("view: reply", "egress", ("reply",), (topics, *queries)),
-        *(
-            [_rule("view: confidential", "egress", ("put", "reply"), denied, permission="deny")]
-            if denied
-            else []
-        ),
+        _rule("view: confidential", "egress", ("put", "reply"), denied, permission="deny"),
     ]
 
 

@@ -772,6 +772,8 @@ class _RerunCall:
 
 
 class _RerunClient:
+    gid = bytes(16)
+
     def __init__(self, rerun: Rerun, name: str, service: type[Service[Any, Any]]) -> None:
         self.name = name
         self.service = service

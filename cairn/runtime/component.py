@@ -12,7 +12,7 @@ from cairn.bus.roles import Role
 from cairn.clock import Clock
 from cairn.errors import CairnError
 from cairn.runtime.call_log import CallLog
-from cairn.runtime.parameters import LOG_LEVEL, Config
+from cairn.runtime.parameters import COMMON_PARAMETERS, Config
 
 if TYPE_CHECKING:
     from cairn.runtime.launch_request import LaunchRequest
@@ -113,11 +113,12 @@ class Component:
                 f"{cls.__module__}.{cls.__qualname__}: config is annotated {annotation!r}; "
                 "derive its class from cairn.Config"
             )
-        if LOG_LEVEL in annotation.model_fields:
-            raise CairnError(
-                f"{cls.__module__}.{cls.__qualname__}: every component has a parameter {LOG_LEVEL} "
-                "already; rename that of its config"
-            )
+        for name in COMMON_PARAMETERS:
+            if name in annotation.model_fields:
+                raise CairnError(
+                    f"{cls.__module__}.{cls.__qualname__}: every component has a parameter {name} "
+                    "already; rename that of its config"
+                )
         return annotation
 
     @classmethod

@@ -15,7 +15,6 @@ from typing import (
     Literal,
     TypeVar,
     Union,
-    cast,
     get_args,
     get_origin,
 )
@@ -130,25 +129,39 @@ class Parameter:
     range: tuple[float | None, float | None] = (None, None)
 
 
+ServiceIntrospection = Literal["off", "metadata", "contents"]
+"""What a component publishes of the calls of its services: see `cairn.runtime.service_events`."""
+
 LOG_LEVEL: Final = "log_level"
-"""Name of the parameter that every component has beside those of its configuration."""
+SERVICE_INTROSPECTION: Final = "service_introspection"
+_COMMON: Final[Mapping[str, tuple[Any, str]]] = {
+    LOG_LEVEL: (LogLevel, "Lowest level of the records that the component logs."),
+    SERVICE_INTROSPECTION: (
+        ServiceIntrospection,
+        "What is published of the calls of its services and actions, on topic _service_event "
+        "below each: nothing, who called when, or also requests and responses.",
+    ),
+}
+COMMON_PARAMETERS: Final = tuple(_COMMON)
+"""Names of the parameters that every component has beside those of its configuration."""
 
 
-def describe_log_level(level: LogLevel) -> Parameter:
-    """Return the parameter `log_level` with its value."""
-    meaning = "Lowest level of the records that the component logs."
-    return Parameter(LOG_LEVEL, level, _type_name(LogLevel), meaning, "")
+def describe_common(values: Mapping[str, str]) -> list[Parameter]:
+    """Return the parameters that every component has, with their values."""
+    return [
+        Parameter(name, values[name], _type_name(kind), meaning, "")
+        for name, (kind, meaning) in _COMMON.items()
+    ]
 
 
-def checked_log_level(value: object) -> LogLevel:
-    """Return a value of the parameter `log_level`; raises `ParameterRejected`."""
-    for level in get_args(LogLevel):
-        if value == level:
-            return cast("LogLevel", level)
-    levels = ", ".join(get_args(LogLevel))
-    raise ParameterRejected(
-        f"parameter {LOG_LEVEL} = {_shown(value)} rejected: should be one of {levels}"
-    )
+def checked_common(name: str, value: object) -> str:
+    """Return a value of a parameter that every component has; raises `ParameterRejected`."""
+    allowed = get_args(_COMMON[name][0])
+    if value not in allowed:
+        raise ParameterRejected(
+            f"parameter {name} = {_shown(value)} rejected: should be one of {', '.join(allowed)}"
+        )
+    return str(value)
 
 
 def describe_parameters(config: Config) -> list[Parameter]:

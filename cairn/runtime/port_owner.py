@@ -3,11 +3,15 @@
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from cairn.clock import Clock
+
 
 class PortOwner(Protocol):
     """What the ports need of the component's runtime."""
 
     log: Any
+    unlogged_clock: Clock
+    """The component's time, read without a record in the call log."""
 
     @property
     def may_publish(self) -> bool:

@@ -9,6 +9,7 @@ from cairn.runtime.call_log import CallLog
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.loop import Scheduler
+from cairn.runtime.parameters import ServiceIntrospection
 from cairn.runtime.port_owner import PortOwner
 from cairn.runtime.ports import (
     CancelHandler,
@@ -134,6 +135,12 @@ class PortTable:
                 setattr(component, spec.name, client.bound)
                 self._clients += client.clients
                 self._inputs.append(client.feedback)
+
+    def introspect(self, introspection: ServiceIntrospection) -> None:
+        """Choose what is published of the calls of all services and actions."""
+        ends: list[ServerPort | ClientPort] = [*self._servers, *self._clients]
+        for end in ends:
+            end.events.configure(introspection)
 
     def advertise(self) -> None:
         """Open the publishers of the outputs."""

@@ -9,14 +9,13 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from cairn.bus.bus import Bus, Node, full_name
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
-from cairn.deployment.model import LogLevel
 from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.call_log import (
@@ -45,12 +44,15 @@ from cairn.runtime.node_services import (
     serve_node,
 )
 from cairn.runtime.parameters import (
+    COMMON_PARAMETERS,
     LOG_LEVEL,
+    SERVICE_INTROSPECTION,
     Config,
     Parameter,
     ReadPathMark,
-    checked_log_level,
-    describe_log_level,
+    ServiceIntrospection,
+    checked_common,
+    describe_common,
     describe_parameters,
     marked_parameters,
     with_changes,
@@ -100,7 +102,11 @@ class Runtime:
         self.restarts = launch.restarts
         self.log = logging.getLogger(f"cairn.{launch.context.robot}.{launch.name}")
         self.config = _config(component, launch)
-        self._set_log_level(launch.spec.log_level or launch.context.log_level)
+        self._common = {
+            LOG_LEVEL: launch.spec.log_level or launch.context.log_level,
+            SERVICE_INTROSPECTION: "off",
+        }
+        self.log.setLevel(self._common[LOG_LEVEL].upper())
         self.random = np.random.default_rng([launch.context.seed, zlib.crc32(launch.name.encode())])
         self.bus = bus
         self._scheduler = scheduler
@@ -125,6 +131,7 @@ class Runtime:
         simulated = launch.context.simulated_time and component.clock_source == "deployment"
         simulated_clock = SimulatedClock() if simulated else None
         self.clock: Clock = system_clock if simulated_clock is None else simulated_clock
+        self.unlogged_clock = self.clock
         self.node = bus.node(
             full_name(launch.context.robot, launch.name), self.log.error, self.log.warning
         )
@@ -203,14 +210,19 @@ class Runtime:
 
     def set_parameters(self, changes: Mapping[str, Any]) -> None:
         """Change live parameters, all or none; `ParameterRejected` names the one and the reason."""
-        own = {name: value for name, value in changes.items() if name != LOG_LEVEL}
-        level = checked_log_level(changes.get(LOG_LEVEL, self._log_level))
+        own = {name: value for name, value in changes.items() if name not in COMMON_PARAMETERS}
+        common = {
+            name: checked_common(name, changes.get(name, value))
+            for name, value in self._common.items()
+        }
         new = with_changes(self.config, own)
         if own:
             self.component.on_parameters(new)
             self.config = new
             self.component.config = new
-        self._set_log_level(level)
+        self._common = common
+        self.log.setLevel(common[LOG_LEVEL].upper())
+        self._ports.introspect(cast("ServiceIntrospection", common[SERVICE_INTROSPECTION]))
         self.log.info("parameters changed: %s", dict(changes))
         if self._parameter_services is not None:
             self._parameter_services.publish_change(list(changes))
@@ -231,7 +243,7 @@ class Runtime:
         return self._logged(request_record(verb, arguments), self._answer, verb, arguments)
 
     def _described_parameters(self) -> list[Parameter]:
-        return [*describe_parameters(self.config), describe_log_level(self._log_level)]
+        return [*describe_parameters(self.config), *describe_common(self._common)]
 
     def _answer(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         try:
@@ -304,10 +316,6 @@ class Runtime:
     def may_publish(self) -> bool:
         """Whether messages may be sent: an inactive component publishes nothing."""
         return self._state is LifecycleState.ACTIVE or self._in_transition is Transition.ACTIVATE
-
-    def _set_log_level(self, level: LogLevel) -> None:
-        self._log_level = level
-        self.log.setLevel(level.upper())
 
     def _construct(
         self, component: type[Component], simulated_clock: SimulatedClock | None

@@ -11,8 +11,10 @@ from cairn.runtime.call_records import RecordKind
 from cairn.runtime.loop import Scheduler
 from cairn.runtime.port_owner import PortOwner
 from cairn.runtime.ports import BoundClient, BoundServer, ServiceSpec
+from cairn.runtime.service_events import ServiceEvents
 from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.service_msgs.msg import ServiceEventInfo
 
 
 class ServerPort:
@@ -38,6 +40,7 @@ class ServerPort:
         the servers `after` which this one comes are handled first.
         """
         self.bound: BoundServer[Any, Any] = BoundServer(spec, service)
+        self.events = ServiceEvents(service, spec.service, node, owner.unlogged_clock)
         self._spec = spec
         self._owner = owner
         self._node = node
@@ -113,8 +116,14 @@ class ServerPort:
         if self._call_log is not None:
             self._call_log.called(self._spec.name, call)
             call = _LoggedCall(call, self._spec.name, self._call_log)
+        if self.events.are_wanted:
+            self._publish_event(ServiceEventInfo.REQUEST_RECEIVED, call, call.request)
+            call = _ObservedCall(call, self._publish_event)
         self._owner.run(self._where, self._make, call)
         return True
+
+    def _publish_event(self, event_type: int, call: Call, content: Any) -> None:
+        self.events.publish(event_type, call.client, call.sequence, content)
 
     def _make(self, call: Call) -> None:
         try:
@@ -164,6 +173,24 @@ class _LoggedCall:
         self._log.add(RecordKind.REFUSED, self._port, self.client, self.sequence, reason)
 
 
+class _ObservedCall:
+    """A call whose answer is published as an event."""
+
+    def __init__(self, call: Call, publish: Callable[[int, Call, Any], None]) -> None:
+        self._call = call
+        self._publish = publish
+        self.request = call.request
+        self.client = call.client
+        self.sequence = call.sequence
+
+    def reply(self, response: Any) -> None:
+        self._call.reply(response)
+        self._publish(ServiceEventInfo.RESPONSE_SENT, self._call, response)
+
+    def refuse(self, reason: str) -> None:
+        self._call.refuse(reason)
+
+
 class ClientPort:
     """A client of the component."""
 
@@ -181,6 +208,7 @@ class ClientPort:
         self.bound: BoundClient[Any, Any] = BoundClient(
             component, spec, service, self._call, self._is_available
         )
+        self.events = ServiceEvents(service, spec.service, node, owner.unlogged_clock)
         self._spec = spec
         self._owner = owner
         self._node = node
@@ -236,12 +264,23 @@ class ClientPort:
         if self._call_log is not None:
             content = self._call_log.codec.encode(request)
             self._call_log.add(RecordKind.REQUESTED, self._spec.name, sequence, content)
+        on_response = partial(self._on_answer, sequence, on_response)
+        if self.events.are_wanted:
+            call = (self._client.gid, self._client.sent + 1)
+            on_response = partial(self._on_observed_response, call, on_response)
+            self.events.publish(ServiceEventInfo.REQUEST_SENT, *call, request)
         self._client.call(
             request,
-            partial(self._on_answer, sequence, on_response),
+            on_response,
             partial(self._on_answer, sequence, on_failure or self._log_failure),
             timeout_s,
         )
+
+    def _on_observed_response(
+        self, call: tuple[bytes, int], handle: Callable[[Any], None], response: Any
+    ) -> None:
+        self.events.publish(ServiceEventInfo.RESPONSE_RECEIVED, *call, response)
+        handle(response)
 
     def _on_answer(self, sequence: int, handle: Callable[[Any], None], answer: Any) -> None:
         if self._call_log is not None:

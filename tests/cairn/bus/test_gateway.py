@@ -29,6 +29,7 @@ from cairn.placement.run_plan import plan_run
 from cairn.schemas.cairn_nav_msgs import TeleoperationCommand
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.message import type_name
+from cairn.schemas.nav2_msgs.action import Spin
 from cairn.schemas.std_msgs import Header
 from cairn.testing.launching import free_port
 from tests.cairn.bus.network import Network, Reader, eventually, node
@@ -245,6 +246,31 @@ def test_only_administrators_read_the_lease_in_the_commands_of_another_operator(
     assert (command in received) == (role == "administer")
     subscriber.undeclare()
     assert eventually(lambda: TeleoperationCommand(lease=4711) in robot.teleoperation.pending())
+
+
+def test_only_administrators_read_the_calls_of_services(
+    robot: Robot, user: zenoh.Session, role: str
+) -> None:
+    received: list[str] = []
+    subscriber: Any = user.declare_subscriber(
+        "0/robot/**", lambda sample: received.append(str(sample.key_expr))
+    )
+    events = "/robot/mobile/spin/_action/send_goal/_service_event"
+    contents = robot.node.advertise(events, Spin.SendGoal.Event, RELIABLE)
+    joy = robot.node.advertise("/robot/joy", PoseStamped, RELIABLE)
+    passed(user)
+
+    def published() -> bool:
+        contents.publish(Spin.SendGoal.Event())
+        joy.publish(GOAL)
+        return any("/joy/" in key for key in received)
+
+    assert eventually(published)
+    passed(user)
+    assert any(events[1:] in key for key in received) == (role == "administer")
+    contents.close()
+    joy.close()
+    subscriber.undeclare()
 
 
 def test_only_administrators_imitate_components(

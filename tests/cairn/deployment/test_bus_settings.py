@@ -152,7 +152,8 @@ def test_access_control_denies_by_default_and_follows_from_the_deployment() -> N
         {"id": "operate", "usernames": ["anna", "otto"]},
         {"id": "administer", "usernames": ["adam"]},
     ]
-    assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+    denied = [rule for rule in control["rules"] if rule["permission"] == "deny"]
+    assert [rule["key_exprs"] for rule in denied] == [["3/**/_service_event/*/*"]]
 
 
 def test_role_without_members_is_no_subject() -> None:

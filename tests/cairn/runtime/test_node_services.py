@@ -71,7 +71,7 @@ def test_parameters_are_listed_with_their_groups(tuned: ComponentHarness[Tuned])
         return response.result.names, response.result.prefixes
 
     names = ("count", "enabled", "name", "filter.gain", "beams", "poses", "limit")
-    assert listed() == ((*names, "log_level", "use_sim_time"), ("filter",))
+    assert listed() == ((*names, "log_level", "service_introspection", "use_sim_time"), ("filter",))
     assert listed(prefixes=("filter",)) == (("filter.gain",), ("filter",))
     assert "filter.gain" not in listed(depth=1)[0]
     assert listed(prefixes=("unknown",)) == ((), ())

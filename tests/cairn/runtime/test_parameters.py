@@ -110,7 +110,7 @@ def test_live_parameters_change_all_or_none() -> None:
 
     assert harness.component.config == BaseConfig(gain=0.75, limits=Limits(high=2.0))
     assert {one["name"]: one["value"] for one in harness.request("parameters")} == {
-        "gain": 0.75, "limits.high": 2.0, "log_level": "info"
+        "gain": 0.75, "limits.high": 2.0, "log_level": "info", "service_introspection": "off"
     }  # fmt: skip
 
 
@@ -153,7 +153,7 @@ def test_log_level_is_a_parameter_of_every_component(caplog: pytest.LogCaptureFi
     assert "hidden" not in caplog.messages
     assert_words(str(rejected.value), "log_level", "'loud'", "debug, info, warning, error")
     assert harness.component.config.gain == 0.5
-    assert harness.request("parameters")[-1]["value"] == "debug"
+    assert harness.request("parameters")[-2]["value"] == "debug"
 
 
 def test_configuration_may_not_have_a_parameter_of_that_name() -> None:
