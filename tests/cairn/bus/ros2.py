@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from cairn.bus.type_hash import definition
-from cairn.schemas.message import type_name
+from cairn.schemas.interfaces import packages
+from cairn.schemas.message import Service, type_name
 
 
 class Ros2:
@@ -50,6 +52,17 @@ def ros2_node(
             yield Ros2(process)
         finally:
             process.kill()
+
+
+def write_service_definitions(folder: Path, services: Iterable[type[Service[Any, Any]]]) -> None:
+    """Copy the .srv file of each service, and write .msg files of its messages."""
+    for service in services:
+        package, _, name = type_name(service).split("/")
+        target = folder / package / "srv" / f"{name}.srv"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(packages()[package] / "srv" / target.name, target)
+        # The client looks for files of both sides first, and would download the package.
+        write_definitions(folder, (service.Request, service.Response))
 
 
 def write_definitions(folder: Path, messages: Iterable[type[Any]]) -> None:

@@ -18,7 +18,7 @@ LIMIT_S = 120.0
 
 
 class Client:
-    """The node's publishers and subscriptions."""
+    """The node's publishers, subscriptions, servers and clients."""
 
     def __init__(self, port: int, definitions: Path) -> None:
         # The SDK logs to its standard output otherwise, among the answers.
@@ -32,6 +32,7 @@ class Client:
         self._publishers: dict[str, Any] = {}
         self._received: dict[str, queue.Queue[Any]] = {}
         self._subscribers: list[Any] = []
+        self._services: dict[str, Any] = {}
 
     def advertise(self, topic: str, type: str, node: str) -> None:  # noqa: A002
         self._publishers[topic] = self._sdk.ROS2Publisher(
@@ -55,6 +56,27 @@ class Client:
     def receive(self, topic: str) -> Any:
         return _plain(self._received[topic].get(timeout=LIMIT_S))
 
+    def service_client(self, name: str, type: str, node: str) -> None:  # noqa: A002
+        self._services[name] = self._sdk.ROS2ServiceClient(
+            name, type, node_name=node, namespace="/ros", timeout=LIMIT_S, **self._where
+        )
+
+    def has_server(self, name: str) -> bool:
+        return bool(self._services[name].querier.matching_status.matching)
+
+    def call(self, name: str, request: dict[str, Any]) -> Any:
+        client = self._services[name]
+        return _plain(client.call(**self._fields(client.request_store_type, request)))
+
+    def serve_sums(self, name: str, node: str) -> None:
+        def add(request: Any) -> Any:
+            return server.response_msg_class(sum=request.a + request.b)
+
+        server = self._services[name] = self._sdk.ROS2ServiceServer(
+            name, "example_interfaces/srv/AddTwoInts", add, node_name=node, namespace="/ros",
+            **self._where,
+        )  # fmt: skip
+
     def topics(self) -> Any:
         return self._sdk.get_topic_names_and_types(**self._where)
 
@@ -77,7 +99,7 @@ class Client:
         return [[one.node_namespace, one.node_name, one.type_hash, one.qos] for one in servers]
 
     def close(self) -> None:
-        for end in (*self._publishers.values(), *self._subscribers):
+        for end in (*self._publishers.values(), *self._subscribers, *self._services.values()):
             end.close()
         self._session.close()
 
@@ -95,7 +117,7 @@ class Client:
         element, kind = detail[0][0], detail[0][1]
         if element.name == "NAME":
             return [self._value(detail[0], one) for one in value]
-        return np.array(value, dtype=np.dtype(kind[0]))
+        return value if kind[0] == "string" else np.array(value, dtype=np.dtype(kind[0]))
 
 
 def _plain(value: Any) -> Any:

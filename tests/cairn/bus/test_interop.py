@@ -1,4 +1,4 @@
-"""Messages and the graph are exchanged with zenoh-ros2-sdk, an independent client of rmw_zenoh."""
+"""Topics, services and the graph are exchanged with zenoh-ros2-sdk, independent of rmw_zenoh."""
 
 from collections.abc import Iterator
 from typing import Any, ClassVar
@@ -13,15 +13,19 @@ from cairn.client import connect
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray
 from cairn.schemas.example_interfaces.action import Fibonacci
+from cairn.schemas.example_interfaces.srv import AddTwoInts
 from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance, Twist, Vector3
 from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import Odometry
-from cairn.schemas.rcl_interfaces.srv import GetParameters
+from cairn.schemas.rcl_interfaces.msg import ParameterType
+from cairn.schemas.rcl_interfaces.srv import GetParameters, GetParameterTypes
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header, String
 from cairn.testing.launching import free_port
-from tests.cairn.bus.network import Network, eventually
-from tests.cairn.bus.ros2 import Ros2, ros2_node
+from tests.cairn.bus.network import Network, eventually, node
+from tests.cairn.bus.ros2 import Ros2, ros2_node, write_service_definitions
+from tests.cairn.bus.test_services import Calling
+from tests.cairn.runtime.test_services_and_actions import Adder
 from tests.cairn.runtime.threaded import ThreadedComponent
 
 pytestmark = pytest.mark.processes
@@ -54,6 +58,11 @@ MESSAGES: dict[str, Any] = {
         ),
     ),
 }  # fmt: skip
+
+
+NODES = {"/robot/base"} | {
+    f"/ros/{role}_{topic}" for topic in MESSAGES for role in ("talker", "listener")
+}
 
 
 class Robot(Component):
@@ -114,6 +123,7 @@ def network(port: int) -> Iterator[Network]:
 @pytest.fixture(scope="module")
 def ros2(network: Network, port: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ros2]:
     definitions = tmp_path_factory.mktemp("definitions")
+    write_service_definitions(definitions, (AddTwoInts, GetParameters, GetParameterTypes))
     with ros2_node(port, definitions, map(type, MESSAGES.values())) as ros2:
         for topic, message in MESSAGES.items():
             name = type_name(type(message))
@@ -145,7 +155,7 @@ def known(network: Network, robot: ThreadedComponent, ros2: Ros2) -> Network:
     assert eventually(lambda: all(ros2.request("has_subscribers", topic=name) for name in inputs))
     topics = {f"/robot/{prefix}{topic}" for topic in MESSAGES for prefix in ("", "out_")}
     assert eventually(lambda: topics <= {name for name, _ in ros2.request("topics")})
-    assert eventually(lambda: len(nodes(network)) == 2 * len(MESSAGES) + 1)
+    assert eventually(lambda: nodes(network) >= NODES)
     return network
 
 
@@ -173,6 +183,44 @@ def test_message_of_a_port_reaches_a_ros2_client(
     assert ros2.request("receive", topic=f"/robot/out_{topic}") == to_plain(MESSAGES[topic])
 
 
+def test_ros2_client_calls_services_of_a_component(network: Network, ros2: Ros2) -> None:
+    adder = ThreadedComponent(Adder, network.bus(), name="adder")
+    adder.activate()
+    try:
+        types = "/robot/adder/get_parameter_types"
+        for name, service in (
+            ("/robot/add", AddTwoInts),
+            (types, GetParameterTypes),
+            ("/robot/adder/get_parameters", GetParameters),  # found by the hash of nested types
+        ):
+            caller = f"caller_{service.__name__.lower()}"
+            ros2.request("service_client", name=name, type=type_name(service), node=caller)
+            assert eventually(lambda name=name: ros2.request("has_server", name=name))  # type: ignore[misc]
+
+        def add(a: int) -> Any:
+            return ros2.request("call", name="/robot/add", request={"a": a, "b": 3})
+
+        assert add(2) == {"sum": 5}
+        assert add(-1) is None, "refused, with an error reply that the client logs"
+        assert add(7) == {"sum": 10}
+        answer = ros2.request("call", name=types, request={"names": ["log_level", "other"]})
+        assert answer == {
+            "types": [ParameterType.PARAMETER_STRING, ParameterType.PARAMETER_NOT_SET]
+        }
+    finally:
+        adder.close()
+
+
+def test_service_of_a_ros2_client_is_called(network: Network, ros2: Ros2) -> None:
+    ros2.request("serve_sums", name="/ros/sums", node="sums")
+    calling = Calling(node(network.bus(), "/robot/asker"), "/ros/sums")
+    assert eventually(lambda: calling.client.is_available)
+
+    for number in range(50):
+        calling.call(AddTwoInts.Request(a=number, b=1))
+    assert sorted(calling.next().sum for _ in range(50)) == list(range(1, 51))
+
+
 def test_messages_of_a_ros2_client_are_neither_invalid_nor_dropped(
     known: Network, robot: ThreadedComponent
 ) -> None:
@@ -182,9 +230,7 @@ def test_messages_of_a_ros2_client_are_neither_invalid_nor_dropped(
 
 
 def test_nodes_of_a_ros2_client_are_in_our_graph(known: Network) -> None:
-    assert nodes(known) == {"/robot/base"} | {
-        f"/ros/{role}_{topic}" for topic in MESSAGES for role in ("talker", "listener")
-    }
+    assert nodes(known) >= NODES
     (talker,) = (
         one
         for one in known.graph()
