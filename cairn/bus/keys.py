@@ -185,7 +185,7 @@ def cached_samples_key(key: str) -> str:
 
 
 def is_infrastructure(topic: str) -> bool:
-    """Return whether a topic (full name) is one that every node has, or a part of an action.
+    """Return whether a topic (full name) is one that every node has, or is hidden in ROS 2.
 
     Lists of topics leave these out unless they are asked for.
     """
@@ -193,7 +193,7 @@ def is_infrastructure(topic: str) -> bool:
     return (
         topic in ("/rosout", "/parameter_events")
         or last in ("component_status", "transition_event")
-        or "/_action/" in topic
+        or "/_" in topic  # hidden, as in ROS 2: of an action, or events of a service
     )
 
 

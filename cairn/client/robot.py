@@ -243,7 +243,8 @@ class Robot:
         """
         endpoints = self.connection.endpoints()
         topics = {end.topic for end in endpoints}
-        if topic not in topics:  # an error lists those of the robot's own components
+        name = f"/{topic.removeprefix('/')}"
+        if not any(one.endswith(name) for one in topics):  # an error lists those of own components
             topics = {one for one in topics if not keys.is_infrastructure(one)} or topics
         full = self._resolve(topics, topic)
         ends = [end for end in endpoints if end.topic == full]

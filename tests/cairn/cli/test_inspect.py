@@ -176,6 +176,14 @@ def test_topic_echo_prints_messages(command: Command) -> None:
     assert passing.out.count("---\n") == 2
 
 
+def test_topic_echo_finds_topics_that_lists_leave_out_by_their_short_names(
+    command: Command,
+) -> None:
+    status = command("topic", "echo", "component_status", "--count", "1", "-f", "state")
+
+    assert status.out == "active\n"
+
+
 def test_topic_echo_prints_fields_as_rows(command: Command) -> None:
     one = command("topic", "echo", "beacon", "--count", "1", "-f", "pose.position.x")
     several = ("-f", "pose.position.x", "-f", "header.frame_id")
