@@ -1,5 +1,7 @@
 """The robot's deployment is the simulated robot's, with other drivers."""
 
+import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +39,28 @@ def test_overlay_replaces_all_drivers_by_those_of_ros2_nodes() -> None:
         assert robot.member(name).spec.parameters == {
             "mount": own.member(name).spec.parameters["mount"]
         }
+
+
+def test_examples_of_the_guide_to_ros2_drivers_pass_the_check(tmp_path: Path) -> None:
+    page = (DEPLOY.parent / "docs" / "how-to" / "ros2_robot.md").read_text(encoding="utf-8")
+    mine = tmp_path / "my_ros2.yaml"
+    blocks = re.findall(r"^```yaml(?: title=\S+)?\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    mine.write_text(blocks[0])
+    robot = load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_ros2.yaml", mine])
+    base, scanner = robot.member("base").spec, robot.member("range_scanner").spec
+    assert base.topics == {"base_cmd_vel_stamped": "/cmd_vel", "base_odom": "/odom"}
+    assert scanner.parameters["frame_id"] == "base_scan"
+
+    images = [f"/{side}/image_raw" for side in ("left", "right")]
+    topics = ["/odom", "/scan", *images, *(f"{one}/compressed" for one in images)]
+    topics += [f"/{side}/camera_info" for side in ("left", "right")]
+    supervisors = ("mobile_supervisor", "vision_supervisor")
+    for block, supervisor in zip(blocks[1:], supervisors, strict=True):
+        children = textwrap.indent(block, "      ")
+        mine.write_text(
+            f"external_topics: {topics}\ncomponents:\n  {supervisor}:\n    children:\n{children}"
+        )
+        load_deployment(DEPLOY / "robot.yaml", [DEPLOY / "robot_ros2.yaml", mine])
 
 
 def test_overlay_removes_the_camera() -> None:
