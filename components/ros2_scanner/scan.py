@@ -15,6 +15,8 @@ from cairn.schemas.std_msgs import Header
 
 # A scan is placed by the odometry of its whole sweep, for which its users wait.
 _LONGEST_SWEEP_S: Final = 1.0
+# Each user computes with every beam of every scan; the finest scanners have about 7,000.
+_MOST_BEAMS: Final = 10_000
 _FULL_TURN: Final = math.radians(361)  # some scanners count a last beam that is the first one
 
 
@@ -30,6 +32,11 @@ def why_unusable(scan: LaserScan, topic: str, frame: str) -> str | None:
         )
     if not scan.ranges.size:
         return f"the scan on {topic} has no ranges; correct the node that publishes it"
+    if scan.ranges.size > _MOST_BEAMS:
+        return (
+            f"the scan on {topic} has {scan.ranges.size:,} ranges, more than {_MOST_BEAMS:,}; let "
+            "its node publish fewer"
+        )
     turn = abs(scan.angle_increment) * (scan.ranges.size - 1)
     if turn > _FULL_TURN:
         return (

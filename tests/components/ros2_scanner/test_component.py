@@ -73,10 +73,22 @@ def test_scanner_that_is_upside_down_has_its_first_beam_on_the_left() -> None:
         ({"age_s": -0.5}, "/scan is 0.50 s in the future on arrival"),
         ({"header": Header(frame_id="base_scan")}, "frame 'base_scan', not 'laser'; set frame_id"),
         ({"ranges": np.zeros(0, np.float32)}, "/scan has no ranges; correct the node"),
+        (
+            {"ranges": np.ones(10_001, np.float32), "angle_increment": 2e-4},
+            "/scan has 10,001 ranges, more than 10,000",
+        ),
         ({"angle_min": -4.0, "angle_max": 4.0, "angle_increment": 2.0}, "spans 458 degrees"),
         ({"time_increment": 1.0}, "takes 4.0 s, with 5 beams 1 s apart"),
     ],
-    ids=["old", "of the future", "of another frame", "empty", "more than a turn", "slow"],
+    ids=[
+        "old",
+        "of the future",
+        "of another frame",
+        "empty",
+        "too many beams",
+        "more than a turn",
+        "slow",
+    ],
 )
 def test_unusable_scan_is_rejected_with_topic_value_and_remedy(
     fields: dict[str, Any], reason: str, caplog: pytest.LogCaptureFixture
