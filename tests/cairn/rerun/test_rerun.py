@@ -45,7 +45,7 @@ from cairn.schemas.std_msgs import Header, String
 from cairn.testing.lockstep import DeploymentHarness
 from cairn.testing.rerun import assert_rerun_equal, rerun_messages
 from tests.cairn.rerun.walkers import CHANGE, Fragile, Walker
-from tests.cairn.runtime.test_services_and_actions import Counter, Starter
+from tests.cairn.runtime.test_services_and_actions import Adder, Counter, Starter
 from tests.commands import cairn
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
@@ -128,6 +128,33 @@ def test_servers_and_clients_of_actions_are_re_run(tmp_path: Path) -> None:
     assert all(one.equal for one in results.values()), results
     assert results["counter"].topics["/robot/fibonacci/_action/feedback"].compared == 2
     assert results["starter"].topics["/robot/answer"].compared == 3
+
+
+def test_run_with_events_of_services_is_exact(tmp_path: Path) -> None:
+    adding = f"{Adder.__module__}:"
+    page = {
+        "cairn": 1,
+        "external_topics": ["word"],
+        "components": {
+            "adder": {"plugin": f"{adding}Adder"},
+            "asker": {"plugin": f"{adding}Asker"},
+        },
+    }
+    file, out = tmp_path / "adding.yaml", tmp_path / "recording.mcap"
+    file.write_text(yaml.safe_dump(page))
+    with DeploymentHarness(with_recorder(load_deployment(file), out)) as run:
+        run.run_for(0.5)
+        for name in ("adder", "asker"):
+            run.set_parameters(name, {"service_introspection": "contents"})
+        for word in ("1 2", "-1 2"):
+            run.publish("word", String(data=word))
+            run.run_for(1.0)
+
+    with McapRecording(out) as opened:
+        events = [one for one in opened.messages() if one.channel.topic.endswith("/_service_event")]
+    assert len(events) == 4 + 2, "the second call is refused"
+    for name in ("adder", "asker"):
+        assert_rerun_equal(out, name)
 
 
 def test_first_difference_is_named_by_topic_time_and_field(
