@@ -1,6 +1,7 @@
 """Topics, services and the graph are exchanged with zenoh-ros2-sdk, independent of rmw_zenoh."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any, ClassVar
 
 import pytest
@@ -213,12 +214,13 @@ def test_ros2_client_calls_services_of_a_component(network: Network, ros2: Ros2)
 
 def test_service_of_a_ros2_client_is_called(network: Network, ros2: Ros2) -> None:
     ros2.request("serve_sums", name="/ros/sums", node="sums")
-    calling = Calling(node(network.bus(), "/robot/asker"), "/ros/sums")
-    assert eventually(lambda: calling.client.is_available)
+    with closing(node(network.bus(), "/robot/asker")) as asker:
+        calling = Calling(asker, "/ros/sums")
+        assert eventually(lambda: calling.client.is_available)
 
-    for number in range(50):
-        calling.call(AddTwoInts.Request(a=number, b=1))
-    assert sorted(calling.next().sum for _ in range(50)) == list(range(1, 51))
+        for number in range(50):
+            calling.call(AddTwoInts.Request(a=number, b=1))
+        assert sorted(calling.next().sum for _ in range(50)) == list(range(1, 51))
 
 
 def test_messages_of_a_ros2_client_are_neither_invalid_nor_dropped(
