@@ -11,6 +11,7 @@ from cairn import (
     Out,
     ParameterRejected,
     every,
+    from_ns,
     on,
 )
 from cairn.components.ros2_scanner.config import Ros2ScannerConfig
@@ -19,6 +20,7 @@ from cairn.driver.diagnostics import OK
 from cairn.driver.ros2_source import Ros2Source, SourceLimits
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.sensor_msgs import LaserScan
+from cairn.schemas.std_msgs import Header
 
 
 class Ros2Scanner(Component):
@@ -52,7 +54,7 @@ class Ros2Scanner(Component):
         source, config = self._source, self.config
         stamp = source.stamp_of(message.header.stamp)
         reason = (
-            why_unusable(message, self.source_scan.topic, config.frame_id)
+            why_unusable(message, self.source_scan.topic, config.source_frame)
             or source.why_untimely(stamp)
             or source.why_out_of_order(stamp)
         )
@@ -61,7 +63,8 @@ class Ros2Scanner(Component):
             return
         source.accept(stamp)
         stamp += round(config.time_offset_s * SECOND)
-        self.scan.publish(scan_message(message, stamp, upside_down=config.upside_down))
+        header = Header(stamp=from_ns(stamp), frame_id=config.frame_id)
+        self.scan.publish(scan_message(message, header, upside_down=config.upside_down))
 
     @every(hz=1)
     def publish_health(self) -> None:

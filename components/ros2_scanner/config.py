@@ -10,9 +10,8 @@ from cairn import Config, SensorFrame
 class Ros2ScannerConfig(Config):
     """A range scanner whose node publishes `sensor_msgs/LaserScan`."""
 
-    frame_id: SensorFrame = Field(
-        "laser", description="Frame of the node's scans, and of those published."
-    )
+    source_frame: str = Field("laser", min_length=1, description="Frame of the node's scans.")
+    frame_id: SensorFrame = Field("laser", description="Frame of the scans that are published.")
     upside_down: bool = Field(
         False, description="The scanner is mounted upside down: its beams turn to the right."
     )

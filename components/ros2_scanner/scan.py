@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from cairn import from_ns
 from cairn.planar.scans import sweep_s
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -28,7 +27,7 @@ def why_unusable(scan: LaserScan, topic: str, frame: str) -> str | None:
     if scan.header.frame_id != frame:
         return (
             f"the scan on {topic} is of frame {scan.header.frame_id!r}, not {frame!r}; set "
-            "frame_id, or correct the topic"
+            "source_frame, or correct the topic"
         )
     if not scan.ranges.size:
         return f"the scan on {topic} has no ranges; correct the node that publishes it"
@@ -51,8 +50,8 @@ def why_unusable(scan: LaserScan, topic: str, frame: str) -> str | None:
     return None
 
 
-def scan_message(scan: LaserScan, stamp: int, *, upside_down: bool) -> LaserScan:
-    """Return a scan with a time [ns]; with mirrored angles if the scanner is upside down.
+def scan_message(scan: LaserScan, header: Header, *, upside_down: bool) -> LaserScan:
+    """Return a scan with another header; with mirrored angles if the scanner is upside down.
 
     A range of exactly 0, which drivers older than REP 117 send where they measured nothing, becomes
     NaN: with `range_min` 0 it would be an obstacle on the scanner.
@@ -63,7 +62,7 @@ def scan_message(scan: LaserScan, stamp: int, *, upside_down: bool) -> LaserScan
         ranges = np.where(ranges == 0.0, np.float32(math.nan), ranges)
     return replace(
         scan,
-        header=Header(stamp=from_ns(stamp), frame_id=scan.header.frame_id),
+        header=header,
         angle_min=side * scan.angle_min,
         angle_max=side * scan.angle_max,
         angle_increment=side * scan.angle_increment,

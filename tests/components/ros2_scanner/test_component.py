@@ -46,13 +46,14 @@ class Scanner(ComponentHarness[Ros2Scanner]):
 
 
 def test_scan_is_published_with_its_stamp_and_ranges_as_rep_117_has_them() -> None:
-    scanner = Scanner()
+    scanner = Scanner(source_frame="base_scan")
     sent = scanner.measured(age_s=0.05)
+    sent = replace(sent, header=replace(sent.header, frame_id="base_scan"))
 
     scanner.publish("source_scan", sent)
 
     (scan,) = scanner.take("scan")
-    assert scan.header == sent.header
+    assert (scan.header.stamp, scan.header.frame_id) == (sent.header.stamp, "laser")
     ranges = beams_of(scan, (0.0, 0.0, 0.0)).ranges
     assert ranges.tolist() == pytest.approx([1.0, 2.0, math.inf, math.nan, math.nan], nan_ok=True)
 
@@ -71,7 +72,10 @@ def test_scanner_that_is_upside_down_has_its_first_beam_on_the_left() -> None:
     [
         ({"age_s": 0.8}, "/scan is 0.80 s old on arrival; synchronize both computers' clocks"),
         ({"age_s": -0.5}, "/scan is 0.50 s in the future on arrival"),
-        ({"header": Header(frame_id="base_scan")}, "frame 'base_scan', not 'laser'; set frame_id"),
+        (
+            {"header": Header(frame_id="base_scan")},
+            "frame 'base_scan', not 'laser'; set source_frame",
+        ),
         ({"ranges": np.zeros(0, np.float32)}, "/scan has no ranges; correct the node"),
         (
             {"ranges": np.ones(10_001, np.float32), "angle_increment": 2e-4},
