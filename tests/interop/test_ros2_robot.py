@@ -16,12 +16,13 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from tests.cairn.bus.network import Reader, node
 from tests.interop.dora_process import Dora, dora_node
-from tests.interop.test_dora_navigation import ACTION, goal
+from tests.interop.test_dora_navigation import goal
 from tests.navigation.driving import SIM
 from tests.navigation.processes import ObservedRobot, robot_in
 
 pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
 
+ACTION = "/navigate_to_pose"  # as with Nav2, by `ros_names`
 RELAYS = (
     ("/plant/scan", "/scan", "sensor_msgs/msg/LaserScan", False),
     ("/plant/odom", "/odom", "nav_msgs/msg/Odometry", True),
@@ -48,6 +49,7 @@ def test_robot_reaches_a_goal_although_its_drivers_are_killed(tmp_path: Path, am
         robot_in(
             tmp_path,
             "bus.listen=[]",
+            "ros_names=true",
             "bus.allow_any_local_user=false",
             f"world={SIM.parent / 'worlds' / 'room.yaml'}",
             deployment=SIM.with_name("robot.yaml"),
