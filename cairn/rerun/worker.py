@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
@@ -45,7 +46,7 @@ def rerun_in_processes(
 
     A crash, a hang and an error are in `incomplete`, with the call in which it was, and the stack.
     """
-    running: set[subprocess.Popen[bytes]] = set()
+    running = _Running()
 
     def rerun(start: ComponentStart) -> RerunResult:
         return _rerun(files, start, until_ns, time_limit_s, running)
@@ -55,9 +56,38 @@ def rerun_in_processes(
             return list(pool.map(rerun, starts))
         except BaseException:  # such as Ctrl-C, which must not wait for the time limit
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in tuple(running):
-                process.kill()
+            running.kill()
             raise
+
+
+class _Running:
+    """The processes that run; `kill` ends those that are being started, too."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._killed = False
+
+    def start(self, start: Callable[[], "subprocess.Popen[bytes]"]) -> "subprocess.Popen[bytes]":
+        """Start a process; `CairnError` after `kill`."""
+        with self._lock:
+            if self._killed:
+                raise CairnError("interrupted")
+            process = start()
+            self._processes.add(process)
+            return process
+
+    def ended(self, process: "subprocess.Popen[bytes]") -> None:
+        """Note that a process has ended."""
+        with self._lock:
+            self._processes.discard(process)
+
+    def kill(self) -> None:
+        """Kill all, and start no more."""
+        with self._lock:
+            self._killed = True
+            for process in self._processes:
+                process.kill()
 
 
 def _rerun(
@@ -65,7 +95,7 @@ def _rerun(
     start: ComponentStart,
     until_ns: int | None,
     time_limit_s: float,
-    running: set["subprocess.Popen[bytes]"],
+    running: _Running,
 ) -> RerunResult:
     """Return the result of one; its process is in `running` meanwhile."""
     result = RerunResult(start.component, start.incarnation)
@@ -84,19 +114,20 @@ def _rerun(
             "call": str(call),
         }
         with log.open("wb") as stream:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "cairn.rerun.worker"],  # not from the current folder
-                stdin=subprocess.PIPE, stdout=stream, stderr=stream, start_new_session=True,
-                env={**os.environ, "PYTHONFAULTHANDLER": "1"},
+            command = [sys.executable, "-P", "-m", "cairn.rerun.worker"]  # not from this folder
+            process = running.start(
+                lambda: subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=stream, stderr=stream,
+                    start_new_session=True, env={**os.environ, "PYTHONFAULTHANDLER": "1"},
+                )
             )  # fmt: skip
-            running.add(process)
             try:
                 process.communicate(json.dumps(request).encode(), time_limit_s + _GRACE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
                 log.write_text(_TIMEOUT)
-            running.discard(process)
+            running.ended(process)
         try:
             return _RESULT.validate_json(answer.read_bytes())
         except (OSError, ValidationError):
