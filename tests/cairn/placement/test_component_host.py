@@ -124,8 +124,8 @@ def test_transitions_of_the_life_cycle_are_rejected_from_the_bus(
     for verb in ("activate", "cleanup", "shutdown"):
         with pytest.raises(ControlError, match=words_in_order("thing", verb, "hold", "root")):
             request(bus.session, 0, "/robot/thing", verb, timeout_s=LIMIT_S)
-    [level] = request(bus.session, 0, "/robot/thing", "parameters", timeout_s=LIMIT_S)
-    assert level["name"] == "log_level"
+    parameters = request(bus.session, 0, "/robot/thing", "parameters", timeout_s=LIMIT_S)
+    assert {one["name"] for one in parameters} == {"log_level", "service_introspection"}
 
     assert host.heartbeat().state == "inactive"
     host.request("shutdown", LIMIT_S)

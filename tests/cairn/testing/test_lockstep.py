@@ -170,7 +170,11 @@ def test_deployment_takes_sets_requests_and_parameters(deployment: Path) -> None
     sets = ["components.last.parameters.factor=5.0"]
     with DeploymentHarness(deployment, sets=sets) as harness:
         values = {one["name"]: one["value"] for one in harness.request("last", "parameters")}
-        assert values == {"factor": 5.0, "log_level": "info"}
+        assert values == {
+            "factor": 5.0,
+            "log_level": "info",
+            "service_introspection": "off",
+        }
         harness.set_parameters("last", {"factor": 7.0})
         harness.request("first", "deactivate")
         assert harness.state("first") is LifecycleState.INACTIVE
