@@ -20,7 +20,7 @@ from cairn.bus.session import open_client
 from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.testing.launching import free_port
-from tests.attack.inputs import Topic, components, invalid, topics
+from tests.attack.inputs import Topic, components, deployment, invalid, topics
 from tests.navigation.processes import ObservedRobot, robot_in
 from tests.patience import LIMIT_S
 
@@ -60,7 +60,11 @@ class AttackedRobot:
         client.subscribe("/robot/component_status", ComponentStatus, self._note)
         self.reach_goal()  # loads the components that start on request
         self._wait(lambda: set(components()) <= set(self._statuses), _START_LIMIT_S)
-        self.pids = {name: self.run.pid_of(name) for name in components()}
+        self.pids = {
+            member.name: self.run.pid_of(member.name)
+            for member in deployment().members()
+            if member.spec.placement == "process"
+        }
 
     def attacker(self, credentials: Credentials = NO_CREDENTIALS) -> zenoh.Session:
         """Open the session of a peer that does not know the secret of the run."""
