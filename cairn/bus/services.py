@@ -73,7 +73,7 @@ class ZenohServer:
         self._max_bytes = default_max_bytes(self._request) if max_bytes is None else max_bytes
         self._pending = _PendingQueries()
         self._replies = ReplyThread(f"{name.rpartition('/')[2]} replies")
-        if not is_private:  # those of every node, whose codecs take 2 MiB, are rarely called
+        if not is_private:  # those of every node are rarely called: their codecs would take memory
             for cls in (self._request, self._response):
                 self._codec.register(cls)
         self._announcement = node.announce("SS", name, service, SERVICES)
