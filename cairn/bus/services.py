@@ -313,6 +313,8 @@ class ZenohClient:
         self._post = post
         self._waiter = _Waiter(name, deliver)
         self._cancellation = zenoh.CancellationToken()
+        self._gone: list[zenoh.CancellationToken] = []  # of calls to servers that have just gone
+        self._gone_lock = threading.Lock()
         self._codec = codec
         self._session = session
         bulk = is_bulk(request) or is_bulk(self._response)
@@ -407,13 +409,23 @@ class ZenohClient:
 
         Zenoh 1.10 does not end a query that it sends while it closes the connection to the server.
         """
-        if status.matching or self._closed:
+        if status.matching or self._closed or not self._pending:
             return
-        gone, self._cancellation = self._cancellation, zenoh.CancellationToken()
+        with self._gone_lock:
+            self._gone.append(self._cancellation)
+            self._cancellation = zenoh.CancellationToken()
+            if len(self._gone) > 1:  # a server that comes and goes does not start many timers
+                return
         # The last answers may arrive later than the news that the server has gone.
-        timer = threading.Timer(_LAST_ANSWERS_S, gone.cancel)
+        timer = threading.Timer(_LAST_ANSWERS_S, self._cancel_gone)
         timer.daemon = True
         timer.start()
+
+    def _cancel_gone(self) -> None:
+        with self._gone_lock:
+            gone, self._gone = self._gone, []
+        for token in gone:
+            token.cancel()
 
     def decoded(self, payload: zenoh.ZBytes) -> Any:
         """Return a response; raises `ServiceError` if it is not valid."""
