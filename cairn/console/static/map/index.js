@@ -92,11 +92,12 @@ export function MapView({ robots }) {
   /** Replace the zone `name` by `zone`, remove it (null), or add a zone (no name); return whether that was done. */
   const changeZone = async (zone, name) => {
     const request = zone ? { feature: featureOf(zone), ...(name ? { replace: name } : {}) } : { name };
+    const before = controller.selected.value;
     const answer = await steer("zones", { verb: zone ? "add_zone" : "remove_zone", arguments: request });
     if (answer === undefined) return false;
-    shape.set(null); // it is saved, or its zone is removed
+    if (!name || shape.value?.name === name) shape.set(null); // it is saved, or its zone is removed
     if (!answer.saved) toast("warning", `${answer.file} cannot be saved now; the change is in force.`);
-    controller.selected.set(zone && { kind: "zone", name: zone.name });
+    if (zone && controller.selected.value === before) controller.selected.set({ kind: "zone", name: zone.name });
     controller.redraw();
     return true;
   };
@@ -250,6 +251,7 @@ function Inspector({ controller, change, changeZone, send, mayChange }) {
   const selected = useStore(controller.selected);
   const zones = useTopic("zones");
   const close = () => {
+    if (controller.selected.value !== selected) return; // another thing was selected while an answer was awaited
     controller.selected.set(null);
     controller.redraw();
   };
