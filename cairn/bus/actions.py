@@ -8,7 +8,7 @@ An action `/robot/spin` consists of the services `/robot/spin/_action/send_goal`
 """
 
 import logging
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import Any, Final, Generic, Protocol, TypeVar
 
@@ -52,6 +52,9 @@ While `MOST_ENDED` such results have not been asked for, further goals are rejec
 
 RESULT_TIMEOUT_S: Final = 7 * 24 * 3600.0
 """How long a client waits for a result [s]: a drive may take any time."""
+
+_ENDED_WITH_FEEDBACK: Final = 16
+"""Ended goals of a client whose last feedback, which their result has overtaken, is handed over."""
 
 _NO_ID = bytes(16)
 _TERMINAL = frozenset({GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED,
@@ -388,6 +391,7 @@ class GoalClient(Generic[Goal, Result, Feedback]):
         self._cancel_goal = cancel_goal
         self._get_result = get_result
         self._feedback: dict[bytes, Callable[[Feedback], None]] = {}
+        self._ended: deque[bytes] = deque()
 
     def send(
         self,
@@ -399,7 +403,10 @@ class GoalClient(Generic[Goal, Result, Feedback]):
         on_failure: Callable[[ServiceError], None],
         timeout_s: float,
     ) -> ClientGoal[Goal, Result, Feedback]:
-        """Send a goal. `on_result` or `on_failure` is called once, at its end."""
+        """Send a goal. `on_result` or `on_failure` is called once, at its end.
+
+        The last feedback, which travels on a topic, may arrive after the result.
+        """
         if on_feedback is not None:
             self._feedback[identity] = on_feedback
 
@@ -431,7 +438,7 @@ class GoalClient(Generic[Goal, Result, Feedback]):
         """Wait for the end of a goal, also of one that another client has sent."""
 
         def ended(response: Any) -> None:
-            self._feedback.pop(identity, None)
+            self._end_feedback(identity)
             if response.status == GoalStatus.STATUS_UNKNOWN:
                 on_failure(UnknownGoalError(f"{self._name}: the server does not know this goal"))
             else:
@@ -439,6 +446,12 @@ class GoalClient(Generic[Goal, Result, Feedback]):
 
         request = self._action.GetResult.Request(goal_id=uuid_of(identity))
         self._get_result(request, ended, on_failure, RESULT_TIMEOUT_S)
+
+    def _end_feedback(self, identity: bytes) -> None:
+        """Hand over further feedback of an ended goal until some others have ended."""
+        self._ended.append(identity)
+        if len(self._ended) > _ENDED_WITH_FEEDBACK:
+            self._feedback.pop(self._ended.popleft(), None)
 
     def receive_feedback(self, message: Any) -> None:
         """Hand a feedback message to whom it concerns, if it is for a goal of this client."""
