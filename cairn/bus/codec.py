@@ -7,23 +7,21 @@ A decoded message takes memory in proportion to its bytes: counts are checked ag
 follow, and sequences of messages that are much larger in memory than on the wire have a budget.
 """
 
+import struct
 import threading
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar, cast
+from functools import cached_property
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
-from rosbags.interfaces import CDRDeser, CDRSer, Msgdef, Nodetype
+from rosbags.interfaces import CDRDeser, CDRSer, CDRSerSize, Nodetype
 from rosbags.interfaces import Typestore as TypestoreProtocol
 from rosbags.interfaces.typing import FieldDesc
 from rosbags.serde import SerdeError
-from rosbags.serde.primitives import (
-    pack_uint32_be,
-    pack_uint32_le,
-    unpack_uint32_be,
-    unpack_uint32_le,
-)
-from rosbags.typesys.store import Typestore
+from rosbags.serde.cdr import generate_deserialize_cdr, generate_getsize_cdr, generate_serialize_cdr
+from rosbags.serde.primitives import pack_uint32_le, unpack_uint32_be, unpack_uint32_le
+from rosbags.typesys.base import normalize_fieldname
 
 from cairn.errors import CairnError
 from cairn.schemas.definitions import PLACEHOLDER
@@ -39,6 +37,8 @@ from cairn.schemas.packed import Packed
 M = TypeVar("M")
 
 
+_HEADER: Final = 4  # bytes of the encapsulation
+_MOST_PADDING: Final = 3  # bytes behind a message
 _NUMBER = 8  # bytes, and alignment, of a float64
 
 _MEMORY_PER_BYTE = 48
@@ -59,9 +59,10 @@ class Codec:
     def __init__(self) -> None:
         self._classes: dict[str, type[Any]] = {}
         # Decodes into message classes, packed sequences in one piece.
-        self._wire = Typestore()
+        self._wire = _Store()
+        self._definitions: dict[type[Any], _Definition] = {}
         # Decodes into tuples without validation, to find out which field of a message is invalid.
-        self._plain = Typestore()
+        self._plain = _Store()
         self._budget = _Budget()
         # The types that have dense messages in a sequence, at any depth.
         self._budgeted: set[str] = set()
@@ -71,8 +72,13 @@ class Codec:
 
         Raises `TypeError` if `message` is not of a message class.
         """
-        name = self.register(type(message))
-        return bytes(self._wire.serialize_cdr(message, name, little_endian=True))
+        cls = type(message)
+        code = self._definitions.get(cls) or self._definition(cls)
+        store: Any = self._wire
+        data = bytearray(_HEADER + code.getsize_cdr(0, message, store))
+        data[1] = 1  # little-endian
+        code.serialize_cdr_le(memoryview(data)[_HEADER:], 0, message, store)
+        return bytes(data)
 
     def decode(self, cls: type[M], data: bytes | memoryview) -> M:
         """Return the message in CDR `data` of either byte order.
@@ -81,34 +87,37 @@ class Codec:
         unaligned, which numpy handles but C code may not. Raises `InvalidMessage`, and no other
         error, if `data` is not a valid message of class `cls`.
         """
-        name = self.register(cls)
+        code = self._definitions.get(cls) or self._definition(cls)
         view = memoryview(data if _is_plain(data) else bytes(data))
-        if name in self._budgeted:
+        if self._budgeted and code.name in self._budgeted:
             self._budget.left = _DENSE_MEMORY
         try:
-            return self._wire.deserialize_cdr(view, name)  # type: ignore[return-value]
+            return self._wire.decode(code, view)  # type: ignore[no-any-return]
         except (SerdeError, InvalidMessage) as error:
             failure = str(error)
         raise self._explained(cls, view, failure)
 
-    def register(self, cls: type[Any]) -> str:
-        """Prepare for messages of a class, if that is not done yet; return the type's name.
+    def register(self, cls: type[Any]) -> None:
+        """Prepare for messages of a class, if that is not done yet.
 
         Raises `TypeError` if it is not a message class, `CairnError` if another class has the name.
         """
+        self._definition(cls)
+
+    def _definition(self, cls: type[Any]) -> "_Definition":
         name = type_name(cls)
         known = self._classes.get(name)
         if known is None:
-            self._generate(name, cls)
+            self._add(name, cls)
         elif known is not cls:
             raise CairnError(
                 f"{name} is defined twice: by {_qualified_name(known)} and by "
                 f"{_qualified_name(cls)}; "
                 "import the same class in both places"
             )
-        return name
+        return self._wire.definitions[name]
 
-    def _generate(self, name: str, cls: type[Any]) -> None:
+    def _add(self, name: str, cls: type[Any]) -> None:
         wire: list[tuple[str, FieldDesc]] = []
         plain: list[tuple[str, FieldDesc]] = []
         for field in fields_of(cls):
@@ -117,22 +126,21 @@ class Codec:
                 self.register(element)
             # A byte is unsigned in ROS 2, signed in rosbags.
             as_sent = replace(field, element="uint8") if element == "byte" else field
-            plain.append((field.name, _field_type(as_sent)))
+            plain.append((normalize_fieldname(field.name), _field_type(as_sent)))
             wire.append(plain[-1])
             if field.packed and isinstance(element, type):
                 whole = f"Packed[{type_name(element)}]"
-                self._wire.cache[whole] = _packed_msgdef(whole, element)
-                wire[-1] = (field.name, (Nodetype.NAME, whole))
+                self._wire.definitions[whole] = _packed(whole, element, self._wire)
+                wire[-1] = (wire[-1][0], (Nodetype.NAME, whole))
             elif isinstance(element, type):
                 if field.count == 0 and _memory(element) > _MEMORY_PER_BYTE * _least_size(element):
-                    plain[-1] = wire[-1] = (field.name, self._dense_sequence(element))
+                    plain[-1] = wire[-1] = (wire[-1][0], self._dense_sequence(element))
                     self._budgeted.add(name)
                 if type_name(element) in self._budgeted:
                     self._budgeted.add(name)
-        self._plain.fielddefs[name] = ([], plain)
-        self._plain.types[name] = cast("type", _as_tuple)
-        self._wire.fielddefs[name] = ([], wire)
-        self._wire.types[name] = cast("type", decoding_constructor(cls))
+        self._plain.add(name, plain, _as_tuple)
+        self._wire.add(name, wire, decoding_constructor(cls))
+        self._definitions[cls] = self._wire.definitions[name]
         self._classes[name] = cls  # last, so that a thread that finds it there finds all
 
     def _dense_sequence(self, element: type[Any]) -> FieldDesc:
@@ -140,9 +148,8 @@ class Codec:
         name = type_name(element)
         charged = f"Charged[{name}]"
         for store in (self._wire, self._plain):
-            store.fielddefs[charged] = store.fielddefs[name]
-            make = self._budget.charging(_memory(element), cast("Any", store.types[name]))
-            store.types[charged] = cast("type", make)
+            known = store.definitions[name]
+            store.add(charged, known.fields, self._budget.charging(_memory(element), known.cls))
         return (Nodetype.SEQUENCE, ((Nodetype.NAME, charged), 0))
 
     def _explained(self, cls: type[Any], data: memoryview, failure: str) -> InvalidMessage:
@@ -150,7 +157,7 @@ class Codec:
         name = type_name(cls)
         self._budget.left = _DENSE_MEMORY
         try:
-            self._build(cls, self._plain.deserialize_cdr(data, name))
+            self._build(cls, self._plain.decode(self._plain.definitions[name], data))
         except InvalidMessage as invalid:
             return invalid
         except SerdeError as error:
@@ -178,8 +185,83 @@ class Codec:
                     path = field.name if field.count is None else f"{field.name}[{index}]"
                     raise error.within(type_name(cls), path) from None
             built.append(made[0] if field.count is None else made)
-        made_by = cast("Callable[..., Any]", self._wire.types[type_name(cls)])
-        return made_by(*built)
+        return self._definitions[cls].cls(*built)
+
+
+class _Store:
+    """The types that a codec knows, as code that rosbags generates finds them."""
+
+    max_sequence_length = 2**32 - 1
+
+    def __init__(self) -> None:
+        self.definitions: dict[str, _Definition] = {}
+        self.get_msgdef = self.definitions.__getitem__
+
+    def add(self, name: str, fields: list[tuple[str, FieldDesc]], make: Callable[..., Any]) -> None:
+        """Add a type, whose messages `make` makes of their fields in order."""
+        self.definitions[name] = _Definition(name, fields, make, self)
+
+    def decode(self, code: "_Definition", data: memoryview) -> Any:
+        """Return a message in CDR of either byte order; `SerdeError` for other bytes."""
+        if len(data) < _HEADER or data[0] != 0 or data[1] > 1:
+            raise SerdeError("Invalid or unsupported CDR encapsulation.")
+        deserialize = code.deserialize_cdr_le if data[1] else code.deserialize_cdr_be
+        store: Any = self
+        try:
+            message, end = deserialize(data[_HEADER:], 0, code.cls, store)
+        except (struct.error, UnicodeDecodeError, ValueError) as error:
+            raise SerdeError(str(error)) from error
+        if end + _HEADER + _MOST_PADDING < len(data):
+            raise SerdeError("CDR message size mismatch.")
+        return message
+
+
+class _Definition:
+    """The code for CDR of one type, generated when it is first used.
+
+    Its names are those of `rosbags.interfaces.Msgdef`, which has code for more formats.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        fields: list[tuple[str, FieldDesc]],
+        make: Callable[..., Any],
+        store: _Store,
+    ) -> None:
+        self.name = name
+        self.fields = fields
+        self.cls: Any = make
+        self._store: Any = store
+
+    @cached_property
+    def _size(self) -> tuple[CDRSerSize, int]:
+        return generate_getsize_cdr(self.fields, self._store)
+
+    @cached_property
+    def size_cdr(self) -> int:
+        """Size [bytes] if all messages of the type have the same, otherwise 0."""
+        return self._size[1]
+
+    @cached_property
+    def getsize_cdr(self) -> CDRSerSize:
+        """Function that returns the position behind a message at a position."""
+        return self._size[0]
+
+    @cached_property
+    def serialize_cdr_le(self) -> CDRSer:
+        """Function that writes a message at a position, and returns the one behind it."""
+        return generate_serialize_cdr(self.fields, self._store, "le")
+
+    @cached_property
+    def deserialize_cdr_le(self) -> CDRDeser:
+        """Function that returns the message at a position, and the position behind it."""
+        return generate_deserialize_cdr(self.fields, self._store, "le")
+
+    @cached_property
+    def deserialize_cdr_be(self) -> CDRDeser:
+        """The same for big-endian CDR."""
+        return generate_deserialize_cdr(self.fields, self._store, "be")
 
 
 class _Budget(threading.local):
@@ -298,29 +380,18 @@ def _cut(shown: list[Any], length: int) -> list[Any]:
     return [*shown, f"... {left} more"] if left else shown
 
 
-def _packed_msgdef(name: str, element: type[Any]) -> Msgdef[object]:
-    """Return a definition for a rosbags `Typestore.cache` of a packed sequence of `element`."""
+def _packed(name: str, element: type[Any], store: _Store) -> _Definition:
+    """Return the definition of a packed sequence of `element`."""
+    # So that the code generated around it aligns it as a sequence of float64.
+    numbers: FieldDesc = (Nodetype.SEQUENCE, ((Nodetype.BASE, ("float64", 0)), 0))
     columns = Packed(element).array.shape[1]
-    return Msgdef(
-        name=name,
-        # So that the code generated around it aligns it as a sequence of float64.
-        fields=[("numbers", (Nodetype.SEQUENCE, ((Nodetype.BASE, ("float64", 0)), 0)))],
-        cls=Packed,
-        size_cdr=0,
-        getsize_cdr=_size,
-        serialize_cdr_le=_serializer(pack_uint32_le, "<f8"),
-        serialize_cdr_be=_serializer(pack_uint32_be, ">f8"),
-        deserialize_cdr_le=_deserializer(element, columns, unpack_uint32_le, "<f8"),
-        deserialize_cdr_be=_deserializer(element, columns, unpack_uint32_be, ">f8"),
-        size_ros1=0,
-        getsize_ros1=_no_ros1,
-        serialize_ros1=_no_ros1,
-        deserialize_ros1=_no_ros1,
-        getsize_ros1_to_cdr=_no_ros1,
-        ros1_to_cdr=_no_ros1,
-        getsize_cdr_to_ros1=_no_ros1,
-        cdr_to_ros1=_no_ros1,
-    )
+    packed = _Definition(name, [("numbers", numbers)], Packed, store)
+    packed.size_cdr = 0
+    packed.getsize_cdr = _size
+    packed.serialize_cdr_le = _serialize
+    packed.deserialize_cdr_le = _deserializer(element, columns, unpack_uint32_le, "<f8")
+    packed.deserialize_cdr_be = _deserializer(element, columns, unpack_uint32_be, ">f8")
+    return packed
 
 
 def _size(position: int, packed: Any, _: TypestoreProtocol) -> int:
@@ -334,16 +405,13 @@ def _start(position: int, count: int) -> int:
     return (position + _NUMBER - 1) & -_NUMBER if count else position
 
 
-def _serializer(pack: Callable[[memoryview, int, int], None], dtype: str) -> CDRSer:
-    def serialize(raw: memoryview, position: int, packed: Any, _: TypestoreProtocol) -> int:
-        array = packed.array
-        pack(raw, position, len(array))
-        start = _start(position, len(array))
-        end: int = start + array.nbytes
-        raw[start:end] = array.astype(dtype, copy=False).reshape(-1).view(np.uint8)
-        return end
-
-    return serialize
+def _serialize(raw: memoryview, position: int, packed: Any, _: TypestoreProtocol) -> int:
+    array = packed.array
+    pack_uint32_le(raw, position, len(array))
+    start = _start(position, len(array))
+    end: int = start + array.nbytes
+    raw[start:end] = array.astype("<f8", copy=False).reshape(-1).view(np.uint8)
+    return end
 
 
 def _deserializer(
@@ -364,7 +432,3 @@ def _deserializer(
         return Packed(element, numbers.reshape(count, columns)), end
 
     return deserialize
-
-
-def _no_ros1(*_: Any) -> Any:
-    raise SerdeError("a packed sequence is encoded as CDR only, not in ROS 1's format")
