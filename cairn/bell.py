@@ -1,7 +1,6 @@
 """A bell that wakes a waiting thread."""
 
 import threading
-from contextlib import suppress
 
 
 class Bell:
@@ -19,8 +18,10 @@ class Bell:
 
     def ring(self) -> None:
         """Wake the waiting thread, or have its next wait end at once."""
-        with suppress(RuntimeError):  # it has been rung already
+        try:
             self._silent.release()
+        except RuntimeError:  # it has been rung already
+            return
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for a ring, at most so long [s, not negative]; return whether there was one."""

@@ -88,7 +88,7 @@ class Codec:
         error, if `data` is not a valid message of class `cls`.
         """
         code = self._definitions.get(cls) or self._definition(cls)
-        view = memoryview(data if _is_plain(data) else bytes(data))
+        view = memoryview(data if type(data) is bytes or _is_plain(data) else bytes(data))
         if self._budgeted and code.name in self._budgeted:
             self._budget.left = _DENSE_MEMORY
         try:
@@ -349,9 +349,9 @@ def to_plain(message: Any, longest: int | None = None) -> Any:
 
 def _is_plain(data: bytes | memoryview) -> bool:
     # A buffer that may change later, or is not simply bytes, is copied.
-    return isinstance(data, bytes) or (
-        data.readonly and data.format == "B" and data.ndim == 1 and data.c_contiguous
-    )
+    if isinstance(data, bytes):
+        return True
+    return data.readonly and data.format == "B" and data.ndim == 1 and data.c_contiguous
 
 
 def _field_type(field: Field) -> FieldDesc:

@@ -82,28 +82,24 @@ class Attachment(NamedTuple):
 
     def head(self) -> bytes:
         """Return the 33 bytes that every attachment has."""
-        return _ATTACHMENT.pack(self.sequence, self.sent_ns, 16, self.gid)
+        return plain_attachment(self.sequence, self.sent_ns, self.gid)
 
     @classmethod
     def decode(cls, data: bytes) -> "Attachment":
         """Return an attachment from its bytes; `WireFormatError` if they are not an attachment."""
         size = _ATTACHMENT.size
-        proof = data[size + 1 :]
-        if not (
-            len(data) in (size, LONGEST_ATTACHMENT)
-            and data[16] == 16
-            and data[size : size + 1] == bytes([len(proof)] if proof else [])
-        ):
+        is_signed = len(data) == LONGEST_ATTACHMENT and data[size] == PROOF_BYTES
+        if not (len(data) == size or is_signed) or data[16] != 16:
             raise WireFormatError(
                 f"an attachment has {size} bytes, of which byte 16 is 16, and "
                 f"{1 + PROOF_BYTES} more if it is signed, not {len(data)} bytes {data[:40].hex()}"
             )
         sequence, sent_ns, _, gid = _ATTACHMENT.unpack_from(data)
-        return cls(sequence, sent_ns, gid, proof)
+        return cls(sequence, sent_ns, gid, data[size + 1 :])
 
     @classmethod
-    def of(cls, sample: "zenoh.Sample") -> "Attachment | None":
-        """Return a sample's attachment; None if a foreign publisher sent none of this form."""
+    def of(cls, sample: "zenoh.Sample | zenoh.Query") -> "Attachment | None":
+        """Return a sample's or query's attachment; None if its sender sent none of this form."""
         data = sample.attachment
         if data is None or len(data) > LONGEST_ATTACHMENT:
             return None
@@ -111,6 +107,11 @@ class Attachment(NamedTuple):
             return cls.decode(data.to_bytes())
         except WireFormatError:
             return None
+
+
+def plain_attachment(sequence: int, sent_ns: int, gid: bytes) -> bytes:
+    """Return the bytes of an attachment without proof."""
+    return _ATTACHMENT.pack(sequence, sent_ns, 16, gid)
 
 
 @dataclass(frozen=True)

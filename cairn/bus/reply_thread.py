@@ -24,15 +24,11 @@ class ReplyThread:
         self._lock = threading.Lock()
         self._replies: deque[tuple[Callable[[], None], int]] = deque()
         self._bytes = 0
-        self._unsent = 0
+        self.unsent = 0
+        """Replies that are not sent yet; read by other threads."""
         self._bell = Bell()
         self._thread: threading.Thread | None = None
         self._closed = False
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether all replies are sent."""
-        return not self._unsent
 
     def send(self, reply: Callable[[], None], size: int) -> bool:
         """Have `reply` called, which sends so many bytes; return False if too many wait already.
@@ -45,7 +41,7 @@ class ReplyThread:
             closed = self._closed
             if not closed:
                 self._bytes += size
-                self._unsent += 1
+                self.unsent += 1
                 self._replies.append((reply, size))
                 if self._thread is None:
                     self._thread = threading.Thread(target=self._run, name=self._name, daemon=True)
@@ -75,7 +71,7 @@ class ReplyThread:
                 reply()
                 with self._lock:
                     self._bytes -= size
-                    self._unsent -= 1
+                    self.unsent -= 1
                 del waiting, reply  # a requester learns of this process's end then
             elif closed:
                 return

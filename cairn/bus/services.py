@@ -132,7 +132,8 @@ class ZenohServer:
 
     def _receive(self, query: zenoh.Query) -> None:
         """Keep a query until the component takes it; on the thread of the queryable."""
-        size = 0 if query.payload is None else len(query.payload)
+        payload = query.payload
+        size = 0 if payload is None else len(payload)
         if size > self._max_bytes:  # before it is copied
             self.refused += 1
             _refuse(
@@ -211,6 +212,8 @@ class _PendingQueries:
         self._lock = threading.Lock()
         self._queries: deque[tuple[zenoh.Query, int]] = deque()
         self._bytes = 0
+        self.is_waiting = False
+        """Whether there is a query."""
 
     def put(self, query: zenoh.Query, size: int) -> bool:
         """Add a query with a payload of that size [bytes]; return False if there are too many."""
@@ -219,12 +222,8 @@ class _PendingQueries:
                 return False
             self._queries.append((query, size))
             self._bytes += size
+            self.is_waiting = True
             return True
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether there is a query."""
-        return bool(self._queries)
 
     def take(self) -> zenoh.Query | None:
         """Remove and return the oldest query; None if there is none."""
@@ -233,6 +232,7 @@ class _PendingQueries:
                 return None
             query, size = self._queries.popleft()
             self._bytes -= size
+            self.is_waiting = bool(self._queries)
             return query
 
 
@@ -255,11 +255,7 @@ class ZenohCall:
         self._has_backlog = has_backlog
         self._codec = codec
         self._response = response
-        attachment = None
-        data = query.attachment
-        if data is not None and len(data) <= keys.LONGEST_ATTACHMENT:
-            with suppress(keys.WireFormatError):
-                attachment = keys.Attachment.decode(data.to_bytes())
+        attachment = keys.Attachment.of(query)
         self.client = bytes(16) if attachment is None else attachment.gid
         self.sequence = 0 if attachment is None else attachment.sequence
 
@@ -273,9 +269,9 @@ class ZenohCall:
         query, self._query = self._query, None
         if query is None:
             return
-        attachment = keys.Attachment(self.sequence, time.time_ns(), self.client).encode()
+        attachment = keys.plain_attachment(self.sequence, time.time_ns(), self.client)
         # Calls that come one by one are of clients that read; another thread would slow them down.
-        if not self._has_backlog and self._replies.is_idle and len(payload) <= _SMALL:
+        if not self._has_backlog and not self._replies.unsent and len(payload) <= _SMALL:
             _answer(query, payload, attachment)
         elif not self._replies.send(partial(_answer, query, payload, attachment), len(payload)):
             self._replies.send(partial(_refuse, query, _MANY_REPLIES), 0)
@@ -328,6 +324,7 @@ class ZenohClient:
         }
         self._pending: set[_PendingCall] = set()
         self._closed = False
+        self._is_matched = False  # as the listener knows
         self._querier = session.declare_querier(key, target=zenoh.QueryTarget.ALL_COMPLETE)
         on_change = zenoh.handlers.Callback(self._matching_changed, indirect=False)
         self._listener: Any = self._querier.declare_matching_listener(on_change)
@@ -356,19 +353,23 @@ class ZenohClient:
         call = _PendingCall(self, on_reply, on_failure, timeout_s)
         self._pending.add(call)
         cancellation = self._cancellation  # of the server that there is now
-        if not self.is_available:
+        if not (self._is_matched or self.is_available):
             call.fail(ServiceError(f"{self.name}: there is no server of this type"))
             return
         # Zenoh's thread wakes the waiter without Python, which takes half as long as a call of
         # Python does. One that waits long would keep it from others.
         waits = timeout_s <= _LONGEST_WAIT_S and self._waiter.reserve()
-        handler: Any = zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False)
+        handler: Any = (
+            zenoh.handlers.FifoChannel(_REPLIES)
+            if waits
+            else zenoh.handlers.Callback(call.on_reply, call.on_end, indirect=False)
+        )
         try:
             replies = self._session.get(
                 self._key,
-                zenoh.handlers.FifoChannel(_REPLIES) if waits else handler,
+                handler,
                 payload=self._codec.encode(request),
-                attachment=keys.Attachment(self.sent, time.time_ns(), self.gid).encode(),
+                attachment=keys.plain_attachment(self.sent, time.time_ns(), self.gid),
                 timeout=timeout_s,
                 cancellation_token=cancellation,
                 **self._options,
@@ -399,7 +400,7 @@ class ZenohClient:
             self._pending.remove(call)
         except KeyError:
             return
-        if self._waiter.is_current:
+        if self._waiter.thread_id == threading.get_ident():
             self._waiter.deliver(done)
         else:
             self._post(done)
@@ -409,6 +410,7 @@ class ZenohClient:
 
         Zenoh 1.10 does not end a query that it sends while it closes the connection to the server.
         """
+        self._is_matched = status.matching
         if status.matching or self._closed or not self._pending:
             return
         with self._gone_lock:
@@ -446,17 +448,14 @@ class _Waiter:
     def __init__(self, name: str, deliver: Callable[[Callable[[], None]], None]) -> None:
         self.deliver = deliver
         """Hands the answer to the component; this thread may make the call itself."""
+        self.thread_id = 0
+        """Identifier of its thread, 0 before it has one."""
         self._name = name
         self._bell = Bell()
         self._free = threading.Lock()
         self._job: tuple[_PendingCall, Any] | None = None
         self._thread: threading.Thread | None = None
         self._closed = False
-
-    @property
-    def is_current(self) -> bool:
-        """Whether this is called on its thread."""
-        return threading.current_thread() is self._thread
 
     def reserve(self) -> bool:
         """Return whether it is free, and reserved for the next call now."""
@@ -480,6 +479,7 @@ class _Waiter:
         self._bell.ring()
 
     def _run(self) -> None:
+        self.thread_id = threading.get_ident()
         while True:
             self._bell.wait(_LONGEST_SLEEP_S)
             job, self._job = self._job, None
@@ -559,8 +559,11 @@ class _PendingCall:
 
 
 def _answer(query: zenoh.Query, payload: bytes, attachment: bytes) -> None:
-    with query, suppress(zenoh.ZError):  # the client may have ended
-        query.reply(query.key_expr, payload, attachment=attachment)
+    with query:
+        try:
+            query.reply(query.key_expr, payload, attachment=attachment)
+        except zenoh.ZError:  # the client may have ended
+            return
 
 
 def _refuse(query: zenoh.Query, reason: str) -> None:

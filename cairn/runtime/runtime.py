@@ -261,12 +261,9 @@ class Runtime:
     def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
         """Make one call into the component if it is active; an exception fails the component."""
         if self.call_log is not None and not self.call_log.in_call:
-            name = getattr(call, "__name__", "")
-            self.call_log.call((RecordKind.HOST, name), self._run, where, call, *arguments)
-        else:
-            self._run(where, call, *arguments)
-
-    def _run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
+            record = (RecordKind.HOST, getattr(call, "__name__", ""))
+            self.call_log.call(record, self.run, where, call, *arguments)
+            return
         if self._state is not LifecycleState.ACTIVE:
             return
         if self._in_transition is not None:  # while it deactivates, it handles the pending messages

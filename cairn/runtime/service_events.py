@@ -40,22 +40,24 @@ class ServiceEvents:
         self._service = service
         self._node = node
         self._clock = clock
+        self.are_on = False
+        """Whether they are switched on: read for every call."""
         self._publisher: Publisher | None = None
         self._with_contents = False
 
     @property
-    def are_wanted(self) -> bool:
+    def are_received(self) -> bool:
         """Whether an event would be received."""
         return self._publisher is not None and self._publisher.has_subscribers
 
     def configure(self, introspection: ServiceIntrospection) -> None:
         """Choose what is published: nothing, who called when, or also requests and responses."""
+        self.are_on = introspection != "off"
         self._with_contents = introspection == "contents"
-        if introspection == "off":
-            if self._publisher is not None:
-                self._publisher.close()
-                self._publisher = None
-        elif self._publisher is None:
+        if self._publisher is not None and not self.are_on:
+            self._publisher.close()
+            self._publisher = None
+        elif self._publisher is None and self.are_on:
             self._publisher = self._node.advertise(
                 self._topic, self._service.Event, RELIABLE, shared=True
             )

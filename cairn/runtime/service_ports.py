@@ -116,7 +116,7 @@ class ServerPort:
         if self._call_log is not None:
             self._call_log.called(self._spec.name, call)
             call = _LoggedCall(call, self._spec.name, self._call_log)
-        if self.events.are_wanted:
+        if self.events.are_on:
             self._publish_event(ServiceEventInfo.REQUEST_RECEIVED, call, call.request)
             call = _ObservedCall(call, self._publish_event)
         self._owner.run(self._where, self._make, call)
@@ -265,7 +265,7 @@ class ClientPort:
             content = self._call_log.codec.encode(request)
             self._call_log.add(RecordKind.REQUESTED, self._spec.name, sequence, content)
         on_response = partial(self._on_answer, sequence, on_response)
-        if self.events.are_wanted:
+        if self.events.are_on:
             call = (self._client.gid, self._client.sent + 1)
             on_response = partial(self._on_observed_response, call, on_response)
             self.events.publish(ServiceEventInfo.REQUEST_SENT, *call, request)

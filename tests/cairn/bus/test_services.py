@@ -326,10 +326,10 @@ def test_client_that_never_reads_does_not_stop_the_server() -> None:
                 for call in calls:  # 60 MB, which no buffer holds
                     call.reply(Trigger.Response(message="x" * 40_000))
 
-                assert not serving.server._replies.is_idle  # type: ignore[attr-defined]
+                assert serving.server._replies.unsent  # type: ignore[attr-defined]
             finally:
                 paused.kill()
-        assert eventually(lambda: serving.server._replies.is_idle)  # type: ignore[attr-defined]
+        assert eventually(lambda: not serving.server._replies.unsent)  # type: ignore[attr-defined]
         calling.call(Trigger.Request())
         serving.next().reply(Trigger.Response(message="served"))
         assert calling.next() == Trigger.Response(message="served")

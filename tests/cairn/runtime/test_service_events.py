@@ -100,7 +100,7 @@ def test_events_on_the_wire_are_those_that_ros2_service_echo_subscribes_to(
         word = tool.advertise("/robot/word", String, RELIABLE)
         add = asker.runtime.component.add  # type: ignore[attr-defined]
         ports = asker.runtime._ports._clients[0].events
-        assert eventually(lambda: word.has_subscribers and add.is_available and ports.are_wanted)
+        assert eventually(lambda: word.has_subscribers and add.is_available and ports.are_received)
         word.publish(String(data="1 2"))
 
         found = sorted(events.next_of(4), key=lambda event: event.info.event_type)
