@@ -104,6 +104,14 @@ class Codec:
         """
         self._definition(cls)
 
+    def prepare(self, cls: type[Any]) -> None:
+        """Register a class, and generate the code that its first message would need."""
+        code = self._definition(cls)
+        for field in fields_of(cls):
+            if isinstance(field.element, type):
+                self.prepare(field.element)
+        _ = code.getsize_cdr, code.serialize_cdr_le, code.deserialize_cdr_le
+
     def _definition(self, cls: type[Any]) -> "_Definition":
         name = type_name(cls)
         known = self._classes.get(name)

@@ -59,16 +59,18 @@ class ZenohBus:
         domain: int = 0,
         secret: str = "",
         limits: MessageLimits = DEFAULT_LIMITS,
+        codec: Codec | None = None,
     ) -> None:
         """Take over an open session (`cairn.bus.session`), which `close` closes.
 
-        `secret` and `limits` are those of the run, with which the session was opened.
+        `secret` and `limits` are those of the run, with which the session was opened. `codec` may
+        know types already.
         """
         self.session = session
         self.domain = domain
         self.secret = secret
         self.limits = limits
-        self.codec = Codec()
+        self.codec = codec or Codec()
         self._ids = itertools.count()
         self.graph = GraphWatcher(session, domain)
         self._barrier = DiscoveryBarrier(session, secret)

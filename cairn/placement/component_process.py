@@ -24,6 +24,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.launcher import TRACEBACK_SIGNAL
+from cairn.placement.prepared import CODEC
 from cairn.process_exit import ExitReport, end_process, log_reason
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.log_output import OutputFile, OutputHandler
@@ -62,7 +63,7 @@ def main(argument: dict[str, Any], end: socket.socket) -> None:
         secret = context.session_secret
         limits = context.message_limits
         session = open_peer(context.endpoints, path, context.credentials, limits, secret)
-        with closing(ZenohBus(session, context.domain, secret, limits)) as bus:
+        with closing(ZenohBus(session, context.domain, secret, limits, CODEC)) as bus:
             report = _run(launch, bus, ChildChannel(end))
     except CairnError as error:
         report = ExitReport(False, str(error))

@@ -32,6 +32,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
+from cairn.placement.prepared import CODEC
 from cairn.placement.run_plan import RunPlan, argument_of_check, check_for_root, plan_of
 from cairn.placement.systemd_notify import ServiceManager
 from cairn.process_exit import ExitLog, ExitReport
@@ -205,7 +206,9 @@ def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
             socket = router_socket(deployment)
             listen = settings.listen if settings.allow_any_local_user else ()
             session = open_router(socket, listen, settings.group, limits, secret)
-        bus = stack.enter_context(closing(ZenohBus(session, deployment.domain, secret, limits)))
+        bus = stack.enter_context(
+            closing(ZenohBus(session, deployment.domain, secret, limits, CODEC))
+        )
         if plan.gateway is not None:
             stack.enter_context(closing(plan.gateway.open(router_socket(deployment), folder)))
         yield bus

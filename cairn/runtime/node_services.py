@@ -53,6 +53,17 @@ PARAMETER_EVENTS: Final = "/parameter_events"
 USE_SIM_TIME: Final = "use_sim_time"
 """The parameter by which ROS 2 tools learn whether a node's time is simulated; it is read-only."""
 
+NODE_SERVICES: Final = (
+    DescribeParameters,
+    GetParameters,
+    GetParameterTypes,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+    GetTypeDescription,
+)
+"""The services of every node."""
+
 _EVENTS_QOS: Final = RELIABLE.with_depth(1000)  # as ROS 2 defines it
 _MOST_NAMES: Final = 10_000
 
