@@ -102,7 +102,7 @@ def _run(launch: LaunchRequest, bus: ZenohBus, channel: ChildChannel) -> ExitRep
         loop = MainLoop(host)
 
         def on_turn() -> None:
-            channel.send_heartbeat(host.heartbeat())
+            channel.send_heartbeat(host.heartbeat)
             output.check()
 
         with loop.stop_signals(signal.SIGTERM, signal.SIGINT), _answering(host, channel):
@@ -116,7 +116,7 @@ def _answering(host: ComponentHost, channel: ChildChannel) -> Iterator[None]:
 
     def answer(request: Request, made: "Future[Any]") -> None:
         error = made.exception()
-        channel.send_heartbeat(host.heartbeat())  # with the new state, before the answer
+        channel.send_heartbeat(host.heartbeat)  # with the new state, before the answer
         channel.send_answer(
             TransitionAnswer(request.number, "" if error is None else sendable(str(error)))
         )

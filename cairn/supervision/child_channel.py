@@ -11,6 +11,7 @@ import json
 import select
 import socket
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated, Literal, TypeVar
@@ -164,6 +165,7 @@ class ChildChannel:
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
+        self._lock = threading.Lock()
 
     def receive(self) -> Request | StopAhead | None:
         """Wait for a message and return it; None when one side has closed the channel.
@@ -176,9 +178,10 @@ class ChildChannel:
             return None
         return _parsed(_TO_CHILD, packet) if packet else None
 
-    def send_heartbeat(self, heartbeat: Heartbeat) -> None:
-        """Send a heartbeat; it is dropped if the supervisor does not read now."""
-        _send(self._end, heartbeat, 0.0)
+    def send_heartbeat(self, current: Callable[[], Heartbeat]) -> None:
+        """Send the current heartbeat; it is dropped if the supervisor does not read now."""
+        with self._lock:  # the last one that is sent has the last state
+            _send(self._end, current(), 0.0)
 
     def send_answer(self, answer: TransitionAnswer) -> None:
         """Send an answer; it is dropped if the supervisor has not read for long."""

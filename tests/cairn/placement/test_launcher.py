@@ -94,7 +94,7 @@ class EndingProcess(ChildProcess):
 
     def spawn(self, *_: Any, channel: socket.socket, **__: Any) -> ChildProcess:
         self._channel = ChildChannel(channel.dup())
-        self._channel.send_heartbeat(Heartbeat(LifecycleState.UNCONFIGURED))
+        self._channel.send_heartbeat(lambda: Heartbeat(LifecycleState.UNCONFIGURED))
         self._thread.start()
         return self
 

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import threading
 import time
 from collections.abc import Iterator
 
@@ -38,15 +39,39 @@ def test_request_is_answered_and_the_newest_heartbeat_kept(
     supervisor, child = ends[0], ChildChannel(ends[1])
     assert supervisor.request("configure")
     assert child.receive() == Request(1, "configure")
-    child.send_heartbeat(ACTIVE)
+    child.send_heartbeat(lambda: ACTIVE)
     busy = Heartbeat(LifecycleState.INACTIVE, sendable("on_request \ud800" + "x" * 9000), 2.5)
-    child.send_heartbeat(busy)
+    child.send_heartbeat(lambda: busy)
     child.send_answer(TransitionAnswer(0, "of an earlier request"))
     supervisor.receive(LIMIT_S)
     assert (supervisor.heartbeat, supervisor.heartbeats, supervisor.answer) == (busy, 2, None)
     child.send_answer(TransitionAnswer(1, "no device"))
     supervisor.receive(LIMIT_S)
     assert supervisor.answer == TransitionAnswer(1, "no device")
+
+
+def test_last_heartbeat_has_the_last_state(
+    ends: tuple[SupervisorChannel, socket.socket],
+) -> None:
+    supervisor, child = ends[0], ChildChannel(ends[1])
+    is_read, goes_on = threading.Event(), threading.Event()
+
+    def before_the_transition() -> Heartbeat:
+        is_read.set()
+        assert goes_on.wait(LIMIT_S)
+        return Heartbeat(LifecycleState.UNCONFIGURED)
+
+    early = threading.Thread(target=child.send_heartbeat, args=(before_the_transition,))
+    early.start()
+    assert is_read.wait(LIMIT_S)
+    late = threading.Thread(target=child.send_heartbeat, args=(lambda: ACTIVE,))
+    late.start()
+    late.join(0.1)  # it may wait for the other one
+    goes_on.set()
+    for thread in (early, late):
+        thread.join(LIMIT_S)
+    supervisor.receive(LIMIT_S)
+    assert (supervisor.heartbeat, supervisor.heartbeats) == (ACTIVE, 2)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +100,7 @@ def test_neither_end_waits_for_one_that_does_not_read(
     began = time.monotonic()
     sent = sum(supervisor.request("activate") for _ in range(2000))
     for _ in range(2000):
-        child.send_heartbeat(ACTIVE)
+        child.send_heartbeat(lambda: ACTIVE)
     assert 0 < sent < 2000
     assert time.monotonic() - began < LIMIT_S
     supervisor.receive(0.0)
@@ -85,7 +110,7 @@ def test_neither_end_waits_for_one_that_does_not_read(
 def test_end_of_the_child_closes_the_channel(
     ends: tuple[SupervisorChannel, socket.socket],
 ) -> None:
-    ChildChannel(ends[1]).send_heartbeat(ACTIVE)
+    ChildChannel(ends[1]).send_heartbeat(lambda: ACTIVE)
     ends[1].close()
     ends[0].receive(LIMIT_S)
     assert (ends[0].heartbeat, ends[0].closed) == (ACTIVE, True)
