@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cairn.components.slam.alignment import Alignment, Reference
 from cairn.components.slam.correlation import CorrelationMap, Peak
-from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap
+from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap, placed_together
 from cairn.components.slam.point_cloud import PointCloud, joined
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.submap_view import REACH_M, SubmapView, conflicts, view_of
@@ -188,7 +188,7 @@ class LoopCloser:
             for other in submaps[max(0, task.old - 1) : task.old + 2]
             if other.number < task.new and self._islands[other.middle] == self._islands[old.middle]
         ]
-        cloud = joined([one.cloud.placed(pose) for pose, one in around]).thinned(DENSE_M)
+        cloud = placed_together([(one.surfaces, pose) for pose, one in around]).thinned(DENSE_M)
         if min(query.count, cloud.count) < _LEAST_POINTS:
             self.counts.not_found += 1
             return None
@@ -266,12 +266,12 @@ class LoopCloser:
         new = submaps[task.new]
         at, island = graph.pose(new.middle), graph.islands()
         around = [
-            self._views[other.number].cloud.placed(relative(at, graph.pose(other.middle)))
+            (self._views[other.number].surfaces, relative(at, graph.pose(other.middle)))
             for other in submaps[max(0, task.new - _BESIDE) : task.new + _BESIDE + 1]
             if island[other.middle] == island[new.middle] and other.number < len(self._views)
         ]
         query = self._views[task.new].nearby(REACH_M, _SEARCH_CELL)
-        cloud = joined(around).thinned(DENSE_M)
+        cloud = placed_together(around).thinned(DENSE_M)
         peaks = CorrelationMap(cloud.points).search(
             query.points, _ITSELF, task.reach, task.turn, _LEAST_SCORE, _MOST_PEAKS, 0.0
         )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.point_cloud import PointCloud, cloud_of, joined
+from cairn.components.slam.point_cloud import PointCloud, cloud_of
+from cairn.planar.compiled import compiled
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import Rays
 
@@ -81,14 +84,46 @@ class ScanSurfaces:
 
     def cloud(self) -> PointCloud:
         """Return the points with their normals."""
-        direction = self.values[:, 2].astype(np.float64) * (math.pi / _STEPS)
-        normals = np.column_stack((np.cos(direction), np.sin(direction)))
-        normals[self.values[:, 2] == _NO_SURFACE] = 0.0
-        return PointCloud(self.values[:, :2].astype(np.float64) * self.step, normals)
+        return placed_together([(self, (0.0, 0.0, 0.0))])
 
     def part(self, chosen: NDArray[np.bool_]) -> ScanSurfaces:
         """Return some of the points: those that are `chosen` (n,)."""
         return ScanSurfaces(self.values[chosen], self.step)
+
+
+def placed_together(surfaces: Sequence[tuple[ScanSurfaces, Pose]]) -> PointCloud:
+    """Return the points of several scans, each in the frame in which the scan is at the pose."""
+    count = sum(one.count for one, _ in surfaces)
+    points, normals = np.empty((count, 2)), np.empty((count, 2))
+    start = 0
+    for one, (x, y, turn) in surfaces:
+        end = start + one.count
+        _place(one.values, one.step, x, y, turn, points[start:end], normals[start:end])
+        start = end
+    return PointCloud(points, normals)
+
+
+@compiled(
+    "void(int16[:, ::1], float64, float64, float64, float64, float64[:, ::1], float64[:, ::1])"
+)
+def _place(
+    values: NDArray[np.int16],
+    step: float,
+    x: float,
+    y: float,
+    turn: float,
+    points: Array,
+    normals: Array,
+) -> None:
+    cosine, sine = math.cos(turn), math.sin(turn)
+    for i in range(len(values)):
+        ahead, left = values[i, 0] * step, values[i, 1] * step
+        points[i, 0] = x + cosine * ahead - sine * left
+        points[i, 1] = y + sine * ahead + cosine * left
+        normals[i, 0], normals[i, 1] = 0.0, 0.0
+        if values[i, 2] != _NO_SURFACE:
+            direction = turn + values[i, 2] * (math.pi / _STEPS)
+            normals[i, 0], normals[i, 1] = math.cos(direction), math.sin(direction)
 
 
 def scan_surfaces(cloud: PointCloud) -> ScanSurfaces:
@@ -162,11 +197,12 @@ def cloud_in(
     origin: Pose, members: list[int], keyframes: list[Keyframe], poses: Array
 ) -> PointCloud:
     """Return the points of some keyframes together, in the frame `origin`."""
-    placed = [
-        keyframes[k].cloud.placed(relative(origin, (poses[k, 0], poses[k, 1], poses[k, 2])))
-        for k in members
-    ]
-    return joined(placed)
+    return placed_together(
+        [
+            (keyframes[k].surfaces, relative(origin, (poses[k, 0], poses[k, 1], poses[k, 2])))
+            for k in members
+        ]
+    )
 
 
 class PlaceIndex:
@@ -187,14 +223,11 @@ class PlaceIndex:
 
     def overlaps(self, number: int) -> list[tuple[float, int]]:
         """Return the keyframes that share surfaces with one, and which share of its, best first."""
-        votes: dict[int, int] = defaultdict(int)
         keys = self._keys(number, self._poses[number])
-        for key in keys:
-            for other in self._cells.get(key, ()):
-                votes[other] += 1
-        votes.pop(number, None)
-        found = [(count / len(keys), other) for other, count in votes.items()]
-        return sorted(found, key=lambda one: (-one[0], one[1]))
+        votes = Counter(chain.from_iterable(self._cells.get(key, ()) for key in keys))
+        del votes[number]
+        found = sorted((-count, other) for other, count in votes.items())
+        return [(-count / len(keys), other) for count, other in found]
 
     def _keys(self, number: int, pose: Pose) -> set[tuple[int, int, int]]:
         cloud = self._signatures[number].placed(pose)

@@ -14,9 +14,10 @@ from cairn.components.slam.keyframes import (
     Keyframe,
     ScanSurfaces,
     Submap,
+    placed_together,
     scan_surfaces,
 )
-from cairn.components.slam.point_cloud import PointCloud, joined
+from cairn.components.slam.point_cloud import PointCloud
 from cairn.planar.grid import Frame, Grid
 from cairn.planar.poses import Pose, inverse, relative
 from cairn.planar.scan_grid import NOT_SEEN, SEEN_FREE, ScanGrid
@@ -83,13 +84,13 @@ def view_of(submap: Submap, keyframes: Sequence[Keyframe], poses: Array) -> Subm
     """Return what a submap shows, from the poses (n, 3) of the keyframes."""
     origin = _pose(poses, submap.middle)
     grid = ScanGrid(_CELL, REACH_M)
-    clouds = []
+    placed = []
     for number in range(submap.first, submap.last + 1):
         at, frame = relative(origin, _pose(poses, number)), keyframes[number]
         if frame.rays is not None:
             grid.add(at, frame.rays.rays())
-        clouds.append(frame.cloud.placed(at))
-    cloud = joined(clouds)
+        placed.append((frame.surfaces, at))
+    cloud = placed_together(placed)
     stands = grid.ended_share(cloud.points) >= _STANDING_SHARE
     cloud = PointCloud(cloud.points[stands], cloud.normals[stands])
     space = grid.evidence(_PASSES)
