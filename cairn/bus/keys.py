@@ -77,8 +77,7 @@ class Attachment(NamedTuple):
 
     def encode(self) -> bytes:
         """Return the bytes on the wire: 33, and the proof with its length if there is one."""
-        head = self.head()
-        return head + bytes([len(self.proof)]) + self.proof if self.proof else head
+        return signed_attachment(self.head(), self.proof) if self.proof else self.head()
 
     def head(self) -> bytes:
         """Return the 33 bytes that every attachment has."""
@@ -112,6 +111,11 @@ class Attachment(NamedTuple):
 def plain_attachment(sequence: int, sent_ns: int, gid: bytes) -> bytes:
     """Return the bytes of an attachment without proof."""
     return _ATTACHMENT.pack(sequence, sent_ns, 16, gid)
+
+
+def signed_attachment(head: bytes, proof: bytes) -> bytes:
+    """Return the bytes of an attachment with a proof behind those of one without."""
+    return head + bytes([len(proof)]) + proof
 
 
 @dataclass(frozen=True)

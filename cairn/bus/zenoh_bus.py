@@ -356,11 +356,11 @@ class ZenohPublisher:
             self._too_long.add("this component", lambda _: self._not_sent(len(payload)))
             return 0
         self._sent += 1
-        attachment = keys.Attachment(self._sent, time.time_ns(), self.gid)
+        attachment = keys.plain_attachment(self._sent, time.time_ns(), self.gid)
         if self._signer is not None:
-            proof = self._signer.proof(attachment.head(), payload)
-            attachment = attachment._replace(proof=proof)
-        self._publisher.put(payload, attachment=attachment.encode())
+            proof = self._signer.proof(attachment, payload)
+            attachment = keys.signed_attachment(attachment, proof)
+        self._publisher.put(payload, attachment=attachment)
         return self._sent
 
     def _not_sent(self, size: int) -> str:
