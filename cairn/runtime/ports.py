@@ -2,8 +2,9 @@
 
 import typing
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Generic, Literal, TypeVar, get_args, get_origin
 
 from cairn.bus.actions import (
@@ -464,8 +465,9 @@ def actions_of(cls: type) -> dict[str, ActionSpec]:
     return actions
 
 
-def _annotated(cls: type) -> Iterator[tuple[str, Any, tuple[Any, ...]]]:
-    """Yield the annotations of a class and its bases: name, generic class, type arguments."""
+@cache
+def _annotated(cls: type) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
+    """Return the annotations of a class and its bases: name, generic class, type arguments."""
     try:
         hints = typing.get_type_hints(cls, include_extras=True)
     except (NameError, TypeError) as error:
@@ -473,9 +475,11 @@ def _annotated(cls: type) -> Iterator[tuple[str, Any, tuple[Any, ...]]]:
             f"{_qualified_name(cls)}: its annotations cannot be evaluated ({error}); import at "
             "module level, outside `if TYPE_CHECKING`, every name that the class body annotates"
         ) from error
+    found = []
     for name, hint in hints.items():
         annotation = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-        yield name, get_origin(annotation) or annotation, get_args(annotation)
+        found.append((name, get_origin(annotation) or annotation, get_args(annotation)))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
