@@ -303,6 +303,7 @@ class PeerLinks:
         self._secret = secret
         self._zid = str(session.info.zid())
         self._changed = threading.Condition()
+        self._events = 0
         callback: Any = zenoh.handlers.Callback(self._on_link_event, indirect=False)
         self._listener = session.info.declare_transport_events_listener(callback, history=False)
         self._join()
@@ -344,13 +345,25 @@ class PeerLinks:
 
         Returns False at once if the router no longer knows the process.
         """
-        while zid not in self.linked():
+        while not self._is_linked_within(zid, min(deadline - time.monotonic(), _LINK_POLL_S)):
             remaining = deadline - time.monotonic()
             if remaining <= 0 or is_over() or self.has_left(zid, remaining):
                 return False
-            with self._changed:
-                self._changed.wait_for(lambda: zid in self.linked(), min(remaining, _LINK_POLL_S))
         return True
+
+    def _is_linked_within(self, zid: str, timeout_s: float) -> bool:
+        limit = time.monotonic() + timeout_s
+        while True:
+            events = self._events
+            # Without the lock: Zenoh may answer only after `_on_link_event`, which needs it.
+            if zid in self.linked():
+                return True
+            left_s = limit - time.monotonic()
+            if left_s <= 0:
+                return False
+            with self._changed:
+                if self._events == events:
+                    self._changed.wait(left_s)
 
     def wait_for_change(self, timeout_s: float) -> None:
         """Wait for a link that opens or closes, at most `timeout_s` [s]."""
@@ -392,6 +405,7 @@ class PeerLinks:
 
     def _on_link_event(self, _: Any) -> None:
         with self._changed:
+            self._events += 1
             self._changed.notify_all()
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import pytest
 import zenoh
@@ -26,6 +26,45 @@ from tests.cairn.bus.network import SECRET, Network, Reader, eventually, node, r
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
+
+
+class _AnsweringAfterEvents:
+    """A session that answers which peers it has only after a link event has been handled."""
+
+    def __init__(self) -> None:
+        self.info = self
+        self.asked = 0
+        self.on_link_event: Any = None
+
+    def zid(self) -> str:
+        return "1"
+
+    def declare_transport_events_listener(self, callback: Any, *, history: bool) -> None:
+        del callback, history
+
+    def peers_zid(self) -> list[str]:
+        self.asked += 1
+        if self.on_link_event is None:
+            return []
+        event = threading.Thread(target=self.on_link_event, args=(None,), daemon=True)
+        event.start()
+        event.join(LIMIT_S)
+        assert not event.is_alive(), "the link event waits for the thread that asks"
+        return ["2"] if self.asked > 5 else []
+
+    def routers_zid(self) -> list[str]:
+        return []
+
+
+def test_zenoh_is_not_asked_while_its_link_events_must_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session: Any = _AnsweringAfterEvents()
+    links = PeerLinks(session)
+    session.on_link_event = links._on_link_event
+    monkeypatch.setattr(links, "has_left", lambda zid, timeout_s: False)
+    assert links.wait_for_link("2", time.monotonic() + LIMIT_S, lambda: False)
+    assert not links.wait_for_link("3", time.monotonic() + 0.1, lambda: False)
 
 
 class Participant:
