@@ -51,12 +51,11 @@ def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
 
 
 def await_publisher(bus: Bus, name: str) -> None:
-    """Wait until the bus knows from the graph which node publishes."""
+    """Wait until the bus knows from the graph which node publishes; it knows so from then on."""
     if isinstance(bus, ZenohBus):
         known: list[str] = []
-        stop = bus.graph.watch(TOPIC, lambda endpoint: known.append(endpoint.node.name))
+        bus.graph.watch(TOPIC, lambda endpoint: known.append(endpoint.node.name))
         assert eventually(lambda: name in known)
-        stop()
 
 
 def words(*numbers: int) -> list[String]:
