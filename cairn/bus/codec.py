@@ -92,9 +92,11 @@ class Codec:
         if self._budgeted and code.name in self._budgeted:
             self._budget.left = _DENSE_MEMORY
         try:
-            return self._wire.decode(code, view)  # type: ignore[no-any-return]
+            message: M = self._wire.decode(code, view)
         except (SerdeError, InvalidMessage) as error:
             failure = str(error)
+        else:
+            return message
         raise self._explained(cls, view, failure)
 
     def register(self, cls: type[Any]) -> None:

@@ -12,13 +12,15 @@ from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.lifecycle_msgs.msg import TransitionEvent
 from cairn.schemas.rcl_interfaces.msg import Log, ParameterEvent
 
+_MESSAGES: Final = (ComponentStatus, Log, ParameterEvent, TransitionEvent)
+
 
 def _prepared_codec() -> Codec:
     codec = Codec()
-    for message in (ComponentStatus, Log, ParameterEvent, TransitionEvent):
+    for message in _MESSAGES:
         codec.prepare(message)
-    for interface in (ComponentStatus, Log, ParameterEvent, TransitionEvent, *NODE_SERVICES):
-        type_hash(interface)
+    for interface in (*_MESSAGES, *NODE_SERVICES):
+        type_hash(interface)  # which keeps it
     return codec
 
 

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from cairn.bus.actions import GoalClient, uuid_of
 from cairn.schemas.action_msgs.msg import GoalStatus
 from cairn.schemas.example_interfaces.action import Fibonacci
@@ -26,16 +28,19 @@ def test_feedback_that_its_result_has_overtaken_is_handed_over() -> None:
     goals = 100
 
     def feedback(number: int, value: int) -> Any:
-        content = Fibonacci.Feedback(sequence=[value])  # type: ignore[arg-type]
+        content = Fibonacci.Feedback(sequence=np.array([value], np.int32))
         identity = uuid_of(bytes([number] * 16))
         return Fibonacci.FeedbackMessage(goal_id=identity, feedback=content)
+
+    def noting(number: int) -> Callable[[Any], None]:
+        return lambda one: received.append((number, int(one.sequence[0])))
 
     for number in range(1, goals + 1):
         client.send(
             bytes([number] * 16),
             Fibonacci.Goal(order=3),
             lambda: None,
-            lambda one, number=number: received.append((number, int(one.sequence[0]))),  # type: ignore[misc]
+            noting(number),
             lambda status, result: None,
             lambda error: None,
             5.0,
