@@ -1,7 +1,7 @@
 """Cairn's own messages: observations of objects, the visual map and the status of components."""
 
 from math import isinf, isnan
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -255,11 +255,13 @@ class ComponentStatus:
 
     `parent` is "" for the root; `handler` is the handler that has been running for `handler_s` [s],
     "" when none is; `reason` says why the component is in this state, or why it was restarted;
-    `children` names the components that a supervisor may load.
+    `children` names the components that a supervisor may load. `machine` is "" on a robot with one
+    computer.
     """
 
     header: Header
     component: String
+    machine: String = ""
     plugin: String = ""
     parent: String = ""
     placement: String = ""
@@ -273,6 +275,50 @@ class ComponentStatus:
     reason: String = ""
     children: tuple[String, ...] = ()
     ports: tuple[PortStatus, ...] = ()
+
+
+MACHINE_STATUS: Final = "machine_status"
+"""The topic on which the roots of a robot's machines publish."""
+
+
+@message("cairn_msgs/msg/MachineChild")
+class MachineChild:
+    """A component that the root of a machine starts, as `cairn.supervision.child` describes it."""
+
+    name: String
+    state: String = ""
+    incarnation: UInt32 = 0
+    reason: String = ""
+
+
+@message("cairn_msgs/msg/MachineLink")
+class MachineLink:
+    """How a machine sees another one of its robot.
+
+    It has received nothing from it for `silent_s` [s]. While it counts as lost, `components` names
+    what runs there and `inputs` what is missing here, such as
+    `/robot/localization (localizer) for motion_control`.
+    """
+
+    machine: String
+    is_up: Bool = False
+    silent_s: NotNegative = 0.0
+    components: tuple[String, ...] = ()
+    inputs: tuple[String, ...] = ()
+
+
+@message("cairn_msgs/msg/MachineStatus")
+class MachineStatus:
+    """What the root of one machine of a robot publishes four times a second.
+
+    The header has its system time; `children` are the components that it starts itself, `links` the
+    other machines as it sees them.
+    """
+
+    header: Header
+    machine: String
+    children: tuple[MachineChild, ...] = ()
+    links: tuple[MachineLink, ...] = ()
 
 
 @message("cairn_msgs/msg/CallBatch")

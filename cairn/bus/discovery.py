@@ -9,6 +9,10 @@ Only a process of the same run is waited for: its session id proves that it is o
 (`cairn.bus.session`), and so do its replies. All other sessions together, such as those of ROS 2
 nodes, are waited for shortly, and those that do not answer not even shortly for a while: each
 process hands on which these are.
+
+On a robot of several machines, the processes of the other machines have no direct links to this
+one. The routers of those machines list them; a query to them travels through the routers, again
+behind the declarations.
 """
 
 import json
@@ -71,13 +75,18 @@ _NONCE_BYTES = 16
 class DiscoveryBarrier:
     """Answers the discovery queries of other processes and queries them in turn."""
 
-    def __init__(self, session: zenoh.Session, secret: str = "") -> None:
-        """`secret` is that of the run; without one, all processes of Cairn count as its own."""
+    def __init__(
+        self, session: zenoh.Session, secret: str = "", *, several_machines: bool = False
+    ) -> None:
+        """`secret` is that of the run; without one, all processes of Cairn count as its own.
+
+        With `several_machines`, the processes at the routers of other machines count, too.
+        """
         self._session = session
         self._secret = secret
         self._zid = str(session.info.zid())
         self._silent = _SilentSessions()
-        self._links = PeerLinks(session, secret)
+        self._links = PeerLinks(session, secret, several_machines=several_machines)
         own_key = session_key(self._zid)
         self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
             own_key, zenoh.handlers.RingChannel(256)
@@ -96,11 +105,15 @@ class DiscoveryBarrier:
         deadline = time.monotonic() + timeout_s
         peers = self._links.peers(timeout_s)
         own = sorted(zid for zid in peers if is_member(zid, self._secret))
-        unreached = self._reach_own(own, deadline)
+        remote = self._links.remote_peers(timeout_s)
+        unreached = self._reach_own(
+            [*own, *sorted(zid for zid in remote if is_member(zid, self._secret))], deadline
+        )
         others = sorted(peers.difference(own, self._silent.left_s()))[:_MAX_OTHERS]
         silent = self._reach_others(others, min(deadline, time.monotonic() + _OTHERS_LIMIT_S))
         self._silent.add(dict.fromkeys(silent, _SILENT_S))
-        return [process_of(zid) for zid in unreached] + [
+        elsewhere = " on another machine"
+        return [process_of(zid) + (elsewhere if zid in remote else "") for zid in unreached] + [
             f"session {zid}, which is not of this run" for zid in silent
         ]
 
@@ -120,13 +133,15 @@ class DiscoveryBarrier:
         return [zid for zid, known in zip(peers, reached, strict=True) if not known]
 
     def _reach(self, zid: str, deadline: float) -> bool:
+        is_remote = self._links.is_remote(zid)
         stopped_limit = time.monotonic() + _OTHERS_LIMIT_S
 
         def is_over() -> bool:
             now = time.monotonic()
-            return now >= deadline or (now >= stopped_limit and self._is_stopped(zid))
+            is_stopped = not is_remote and now >= stopped_limit and self._is_stopped(zid)
+            return now >= deadline or is_stopped
 
-        if not self._links.wait_for_link(zid, deadline, is_over):
+        if not is_remote and not self._links.wait_for_link(zid, deadline, is_over):
             return self._has_left(zid, deadline)
         with QueryableWatcher(self._session, session_key(zid)) as watcher:
             while not watcher.wait(min(_ANSWER_POLL_S, _remaining(deadline))):
@@ -298,9 +313,13 @@ class PeerLinks:
     each directly. Until that link is established, neither side knows the other's declarations.
     """
 
-    def __init__(self, session: zenoh.Session, secret: str = "") -> None:
+    def __init__(
+        self, session: zenoh.Session, secret: str = "", *, several_machines: bool = False
+    ) -> None:
         self._session = session
         self._secret = secret
+        self._several_machines = several_machines
+        self._remote: set[str] = set()  # as last asked
         self._zid = str(session.info.zid())
         self._changed = threading.Condition()
         self._events = 0
@@ -314,6 +333,17 @@ class PeerLinks:
         Those are the ones linked already and the peers in the description of a router.
         """
         return (self.linked() | self._ask_routers(timeout_s).peers) - {self._zid}
+
+    def remote_peers(self, timeout_s: float) -> set[str]:
+        """Return the ids of the processes on other machines, as the routers there list them."""
+        if self._several_machines:
+            local = self.peers(timeout_s) | {self._zid}
+            self._remote = self._listed_by_all(timeout_s) - local
+        return self._remote
+
+    def is_remote(self, zid: str) -> bool:
+        """Return whether a process was on another machine when `remote_peers` was called last."""
+        return zid in self._remote
 
     def linked(self) -> set[str]:
         """Return the ids of the sessions to which a direct link exists."""
@@ -337,6 +367,8 @@ class PeerLinks:
 
         False, as it is not certain, if a router does not answer within the timeout.
         """
+        if self.is_remote(zid):  # or its machine cannot be reached any more
+            return zid not in self._listed_by_all(timeout_s)
         answer = self.present(timeout_s)
         return answer.complete and zid not in answer.peers
 
@@ -402,6 +434,13 @@ class PeerLinks:
             described &= any(known is not None for known in lists)
             peers.update(*(known for known in lists if known is not None))
         return _RouterAnswers(peers, complete, described)
+
+    def _listed_by_all(self, timeout_s: float) -> set[str]:
+        """Return the ids of the processes that any router lists, on whatever machine it is."""
+        query = _Query(self._session, router_key("*"), min(timeout_s, _ROUTER_TIMEOUT_S))
+        query.ended.wait(timeout_s)
+        lists = [_peers_of_router(payload) for _, payload in query.take()]
+        return set().union(*(known for known in lists if known is not None))
 
     def _on_link_event(self, _: Any) -> None:
         with self._changed:

@@ -4,7 +4,8 @@ Who is entitled follows from the deployment (`cairn.deployment.exclusive_topics`
 writer proves its identity in each message: a keyed hash of the message and of its time of sending.
 Its readers have the same key. Times are those of the monotonic clock, which all processes of the
 computer share and nothing sets back: a writer that was restarted continues, and a message that was
-recorded earlier in the run is refused.
+recorded earlier in the run is refused. A topic with writer and readers on several machines uses the
+system time, as their monotonic clocks have nothing in common.
 """
 
 import struct
@@ -21,7 +22,11 @@ KEY_BYTES = 32
 """Length of the secret of a topic."""
 
 PROOF_BYTES = 24
-"""Length of the proof in an attachment: time of sending [ns, monotonic] and tag."""
+"""Length of the proof in an attachment: time of sending [ns] and tag."""
+
+_CLOCK_TOLERANCE_NS = 1_000_000_000
+"""The system times of two machines may differ by so much; a message recorded before the reader
+started can be repeated to it for so long."""
 
 _TAG_BYTES = 16
 _PROOF = struct.Struct(f"<q{_TAG_BYTES}s")
@@ -39,6 +44,17 @@ class Exclusive:
 
     writer: str
     key: bytes = field(default=b"", repr=False)
+    several_machines: bool = False
+    """Whether the writer or a reader runs on another machine: times are those of the system."""
+
+    def now_ns(self) -> int:
+        """Return the time by which messages are signed [ns]."""
+        return time.time_ns() if self.several_machines else time.monotonic_ns()
+
+    @property
+    def clock_tolerance_ns(self) -> int:
+        """How much a message may seem to be older than its subscription [ns]."""
+        return _CLOCK_TOLERANCE_NS if self.several_machines else 0
 
 
 class Refused(CairnError):
@@ -51,11 +67,12 @@ class Signer:
     def __init__(self, exclusive: Exclusive, key_expression: str) -> None:
         """Prepare for messages on a key expression."""
         self._tag = _Tag(exclusive, key_expression)
+        self._now_ns = exclusive.now_ns
         self._last_ns = 0
 
     def proof(self, head: bytes, payload: bytes) -> bytes:
         """Return the proof for a message with this attachment (without proof) and payload."""
-        self._last_ns = max(self._last_ns + 1, time.monotonic_ns())
+        self._last_ns = max(self._last_ns + 1, self._now_ns())
         return _PROOF.pack(self._last_ns, self._tag.of(self._last_ns, head, payload))
 
 
@@ -63,7 +80,7 @@ class Verifier:
     """Checks that messages come from an exclusive topic's writer; from one thread at a time."""
 
     def __init__(self, exclusive: Exclusive, key_expression: str, since_ns: int) -> None:
-        """Prepare for messages on a key expression, sent after `since_ns` [ns, monotonic]."""
+        """Prepare for messages on a key expression, sent after `since_ns` [ns]."""
         self._tag = _Tag(exclusive, key_expression) if exclusive.key else None
         self._last_ns = since_ns
 

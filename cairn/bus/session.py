@@ -1,5 +1,7 @@
 """Open the Zenoh session of a process: Unix sockets, no multicast, no implicit shared memory."""
 
+from __future__ import annotations
+
 import json
 import os
 import re
@@ -20,6 +22,7 @@ from cairn.bus.credentials import (
     NO_CREDENTIALS,
     TLS_BUFFERS,
     Credentials,
+    check_authorities,
     check_pair,
     read_password,
     write_dictionary,
@@ -58,6 +61,13 @@ LEASE_MS = 5000
 
 Longer than a busy machine pauses, because requests in progress and their replies are lost with the
 link.
+"""
+
+LINK_LEASE_MS = 2000
+"""A router that links machines closes a silent link after this time.
+
+What waited on the link is discarded with it: measurements that arrive seconds late, after a cut,
+would be worse than none.
 """
 
 _REFUSED = (
@@ -155,20 +165,32 @@ def open_router(
     group: str | None = None,
     limits: MessageLimits = DEFAULT_LIMITS,
     secret: str = "",
+    links: MachineLinks | None = None,
 ) -> zenoh.Session:
     """Open the session that is the deployment's router, at a Unix socket in a private folder.
 
     Only this user can connect to the socket, and the members of `group`. `listen` are further
-    endpoints. Raises `CairnError` if the folder is not private or an endpoint is in use.
+    endpoints, `links` are those to the routers of the robot's other machines. Raises `CairnError`
+    if the folder is not private or an endpoint is in use.
     """
     private_folder(socket.parent, group)
     endpoints = [UNIX + str(check_length(socket)), *listen]
-    session = _open(
-        _config("router", endpoints, (), limits.transport_settings(), secret),
+    connect: tuple[str, ...] = ()
+    settings = limits.transport_settings()
+    failure = (
         f"cannot listen on {', '.join(endpoints)}: probably another deployment or a ROS 2 router "
         "uses it; stop that one, join it (`--set bus.connect=[...]`), or use another domain "
-        "(`--set domain=N`) or socket (`--set bus.socket=PATH`)",
+        "(`--set domain=N`) or socket (`--set bus.socket=PATH`)"
     )
+    if links is not None:
+        endpoints.append(links.listen)
+        connect = links.connect
+        settings |= links.settings()
+        failure = (
+            f"cannot listen on {', '.join(endpoints)}: an address is in use by another deployment, "
+            f"or is not one of this computer; is this the machine {links.machine}?"
+        )
+    session = _open(_config("router", endpoints, connect, settings, secret), failure)
     if group is not None:
         try:
             open_to_group(socket, group)
@@ -176,6 +198,45 @@ def open_router(
             session.close()
             raise
     return session
+
+
+@dataclass(frozen=True)
+class MachineLinks:
+    """The links of a machine's router to those of the robot's other machines, by mutual TLS.
+
+    Every router is linked to every other one. Two that were linked by a third alone would keep
+    what a lost machine has declared: zenoh 1.10 removes that at the routers next to it only.
+    """
+
+    machine: str
+    listen: str
+    """Where the router waits for the machines that come later in the deployment."""
+    connect: tuple[str, ...]
+    """The routers of the machines before it."""
+    ca: str
+    certificate: str
+    key: str
+    access_control: Mapping[str, Any]
+    """What each of the other machines may do: Zenoh's setting of this name."""
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of the router's session; raise `CairnError` for unusable files."""
+        check_authorities(Path(self.ca))
+        check_pair(Path(self.certificate), Path(self.key))
+        return {
+            "access_control": self.access_control,
+            "transport/link/tx/lease": LINK_LEASE_MS,
+            "transport/link/tls": {
+                "root_ca_certificate": self.ca,
+                "listen_certificate": self.certificate,
+                "listen_private_key": self.key,
+                "connect_certificate": self.certificate,
+                "connect_private_key": self.key,
+                "enable_mtls": True,
+                "close_link_on_expiration": True,
+                **TLS_BUFFERS,
+            },
+        }
 
 
 @dataclass(frozen=True)

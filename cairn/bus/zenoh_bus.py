@@ -60,11 +60,13 @@ class ZenohBus:
         secret: str = "",
         limits: MessageLimits = DEFAULT_LIMITS,
         codec: Codec | None = None,
+        *,
+        several_machines: bool = False,
     ) -> None:
         """Take over an open session (`cairn.bus.session`), which `close` closes.
 
         `secret` and `limits` are those of the run, with which the session was opened. `codec` may
-        know types already.
+        know types already. `several_machines`: the run is on several machines.
         """
         self.session = session
         self.domain = domain
@@ -73,7 +75,7 @@ class ZenohBus:
         self.codec = codec or Codec()
         self._ids = itertools.count()
         self.graph = GraphWatcher(session, domain)
-        self._barrier = DiscoveryBarrier(session, secret)
+        self._barrier = DiscoveryBarrier(session, secret, several_machines=several_machines)
         self._closed = False
 
     def node(
@@ -418,7 +420,7 @@ class ZenohSubscription:
         self._announcement = node.announce("MS", topic, message, qos)
         self._gate = None
         if exclusive is not None:
-            since_ns = 0 if qos.latched else time.monotonic_ns()
+            since_ns = 0 if qos.latched else exclusive.now_ns() - exclusive.clock_tolerance_ns
             verifier = Verifier(exclusive, self._announcement.key, since_ns)
             refusals = RefusalLog(topic, exclusive, node.report)
             self._gate = _ExclusiveGate(verifier, refusals, node.bus.graph)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import psutil
@@ -20,13 +21,14 @@ from cairn.client import connect as connect_to
 from cairn.client.connection import check_robot
 from cairn.client.graph import read_nodes
 from cairn.runtime.rosout import render
-from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.cairn_msgs import ComponentStatus, MachineLink, MachineStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header
 
 _COLUMNS = {
-    "robot": "robot", "tree": "component", "state": "state", "pid": "pid", "restarts": "restarts",
+    "robot": "robot", "tree": "component", "machine": "machine", "state": "state", "pid": "pid",
+    "restarts": "restarts",
     "received": "recv", "dropped": "dropped", "invalid": "invalid", "refused": "refused",
     "memory_mib": "MiB", "cpu_s": "CPU s", "note": "note",
 }  # fmt: skip
@@ -51,6 +53,9 @@ def ps(
     with connect_to(connect, domain, robot) as client:
         statuses = client.connection.read_statuses()
         nodes = read_nodes(client.connection, patience_s=_GRAPH_LIMIT_S)
+        several = any(one.machine for one in statuses.answered.values())
+        machines = client.connection.machine_statuses() if several else {}
+        router = client.connection.router_process()
         nothing = "" if statuses.answered or nodes else client.connection.elsewhere()
     answered, silent = statuses.answered, statuses.silent
     names = [*answered, *silent]
@@ -61,10 +66,16 @@ def ps(
         if not robot or full.split("/")[1] == robot
     }
     tree = list(itertools.islice(_as_tree(found), _MAX_ROWS))
+    own = {
+        (full.split("/")[1], one.machine)
+        for full, one in answered.items()
+        if not one.parent and one.pid == router
+    }
+    lost = _components_of_lost(machines)
     rows = [
-        _row(full, answered[full], depth)
+        _row(full, answered[full], depth, own)
         if full in answered
-        else _row_of_absent(full, depth, silent)
+        else _row_of_absent(full, depth, silent, lost)
         for full, depth in tree
     ]
     robots = {row["robot"] for row in rows}
@@ -81,7 +92,14 @@ def ps(
         note(f"{left_out} foreign nodes are left out; `cairn node list` has all")
     if len(tree) == _MAX_ROWS:
         note(f"only the first {_MAX_ROWS} components are listed; choose a robot with --robot")
-    shown = {key: title for key, title in _COLUMNS.items() if key != "robot" or len(robots) > 1}
+    hidden = {"robot"} if len(robots) < 2 else set()
+    if not any(row.get("machine") for row in rows):
+        hidden.add("machine")
+    shown = {key: title for key, title in _COLUMNS.items() if key not in hidden}
+    for status in itertools.chain.from_iterable(machines.values()):
+        for link in status.links:
+            if not link.is_up:
+                note(_described_link(status.machine, link))
     if json:
         rows = [
             {
@@ -182,7 +200,11 @@ def _as_tree(statuses: Mapping[str, ComponentStatus | None]) -> Iterator[tuple[s
         status = left.pop(full, None)
         children = () if status is None or depth == _MAX_DEPTH else status.children
         for child in children:
-            yield from below(f"{full.rpartition('/')[0]}/{child}", depth + 1)
+            below_it = f"{full.rpartition('/')[0]}/{child}"
+            own = statuses.get(below_it)
+            # One that a root started for a parent on another machine stands below that parent.
+            if own is None or status is None or own.parent == status.component:
+                yield from below(below_it, depth + 1)
 
     for full, status in statuses.items():
         if status is not None and not status.parent and full in left:
@@ -192,13 +214,40 @@ def _as_tree(statuses: Mapping[str, ComponentStatus | None]) -> Iterator[tuple[s
             yield from below(full, 0)
 
 
-def _row(full: str, status: ComponentStatus, depth: int) -> dict[str, Any]:
+def _components_of_lost(machines: Mapping[str, Sequence[MachineStatus]]) -> dict[str, str]:
+    """Return the machine of each component (full name) that is on one that another one has lost."""
+    return {
+        f"/{robot}/{name}": link.machine
+        for robot, statuses in machines.items()
+        for status in statuses
+        for link in status.links
+        if not link.is_up
+        for name in link.components
+    }
+
+
+def _described_link(machine: str, link: MachineLink) -> str:
+    missing = "; ".join(link.inputs[:_MAX_NAMES]) or "nothing"
+    return (
+        f"machine {link.machine} cannot be reached from {machine}, for {link.silent_s:.1f} s; "
+        f"missing there: {missing}"
+    )
+
+
+def _row(
+    full: str,
+    status: ComponentStatus,
+    depth: int,
+    own: Collection[tuple[str, str]] = (),
+) -> dict[str, Any]:
+    """Return the row of a component; `own` are the robots and their machines on this computer."""
     handler = f"{status.handler} for {status.handler_s:.1f} s" if status.handler else ""
     inputs = [port for port in status.ports if port.direction == port.IN]
     return {
         "component": full,
         "robot": full.split("/")[1],
         "tree": "  " * depth + status.component,
+        "machine": status.machine,
         "plugin": status.plugin,
         "parent": status.parent,
         "state": status.state,
@@ -212,17 +261,30 @@ def _row(full: str, status: ComponentStatus, depth: int) -> dict[str, Any]:
         "refused": sum(port.refused for port in inputs),
         "reason": status.reason,
         "note": "; ".join(filter(None, (handler, status.reason))),
-        **_load(status.pid),
+        **_load(status.pid if (full.split("/")[1], status.machine) in own else None),
     }
 
 
-def _row_of_absent(full: str, depth: int, silent: Mapping[str, int | None]) -> dict[str, Any]:
+def _row_of_absent(
+    full: str,
+    depth: int,
+    silent: Mapping[str, int | None],
+    lost: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
     robot, _, name = full.removeprefix("/").rpartition("/")
     row = dict.fromkeys(_row(full, ComponentStatus(header=Header(), component=name), depth))
-    state = "no answer" if full in silent else "not loaded"
+    state = "lost" if full in lost else "no answer" if full in silent else "not loaded"
     pid = silent.get(full)
-    return {**row, "component": full, "robot": robot, "tree": "  " * depth + name,
-            "state": state, "pid": pid, "note": _note_on(pid)}  # fmt: skip
+    return {
+        **row,
+        "component": full,
+        "robot": robot,
+        "tree": "  " * depth + name,
+        "machine": lost.get(full, ""),
+        "state": state,
+        "pid": pid,
+        "note": _note_on(pid),
+    }
 
 
 def _row_of_foreign(one: NodeInfo) -> dict[str, Any]:
@@ -239,8 +301,10 @@ def _note_on(pid: int | None) -> str:
     return "its process was stopped by a signal such as SIGSTOP" if stopped else ""
 
 
-def _load(pid: int) -> dict[str, float | None]:
+def _load(pid: int | None) -> dict[str, float | None]:
     try:
+        if pid is None:  # on another computer
+            raise psutil.NoSuchProcess(0)
         process = psutil.Process(pid)
         times = process.cpu_times()
         memory = process.memory_full_info().pss / 2**20

@@ -26,7 +26,7 @@ from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LogWatch, PlainView, View, Watch
 from cairn.clock import from_ns
 from cairn.deployment.load import read_sources
-from cairn.deployment.model import Deployment, LogLevel
+from cairn.deployment.model import Deployment, LogLevel, root_name, view_name
 from cairn.deployment.plugins import plugin_modules
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepRun
@@ -56,6 +56,12 @@ def up(
         ),
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    machine: Annotated[
+        str,
+        typer.Option(
+            help="Which one of the deployment's `machines` this computer is.", metavar="NAME"
+        ),
+    ] = "",
     report: Annotated[
         Path | None,
         typer.Option(help="Folder for report and logs; by default one in the user's state folder."),
@@ -97,6 +103,11 @@ def up(
             "--console: a lockstep run has no bus to connect to; leave out --lockstep, or record "
             "the run (--record) and open the recording: `cairn console recording.mcap`"
         )
+    if machine and lockstep:
+        raise CairnError(
+            "--machine: a lockstep run has the components of all machines in one process; leave "
+            "out --machine"
+        )
     service = service_manager(os.environ)
     folder = (report or _folder_of_run(file)).absolute()
     began = time.monotonic()
@@ -108,16 +119,16 @@ def up(
             modules = [name for document in plugins for name in plugin_modules(document)]
             zygote = stack.enter_context(started_zygote(modules))
         recording = _new_recording(folder) if record else None
-        where = _report_setting(documents, folder)
+        reported = _report_setting(documents, folder)
         level = [f"log_level={log_level}"] if log_level is not None else []
-        sets = [*where, *level, *(set_ or ())]
+        sets = [*reported, *level, *(set_ or ())]
         with _announced_long_import():
             if lockstep:
                 deployment = check_sources(file, sources, sets)
                 if recording is not None:
                     deployment = with_recorder(deployment, recording)
             else:
-                plan = checked_plan(zygote, file, sources, sets, recording)
+                plan = checked_plan(zygote, file, sources, sets, recording, machine)
                 deployment = plan.deployment
         logs = stack.enter_context(used_folder(folder))
         with writing_report(folder, "--report"):
@@ -127,7 +138,8 @@ def up(
                 note(text)
         output = RunOutput()
         stack.callback(output.close)
-        title = f"{file.name}: robot {deployment.robot}" + (", lockstep" if lockstep else "")
+        where = ", lockstep" if lockstep else f", machine {machine}" if machine else ""
+        title = f"{file.name}: robot {deployment.robot}{where}"
         live = sys.stdout.isatty() and not plain
         if not live:
             output.line(f"{title}; logs and report: {folder}")
@@ -214,8 +226,16 @@ def _run_processes(
     with log_file(logs / "root.log", time.time_ns, deployment.storage):
 
         def watch(bus: ZenohBus, hurry: Callable[[], None]) -> LogWatch:
-            simulated = deployment.clock == "simulated"
-            return LogWatch(bus, deployment.robot, view, clock=simulated, hurry=hurry)
+            names = plan.machine, deployment.main_machine
+            return LogWatch(
+                bus,
+                deployment.robot,
+                view,
+                clock=deployment.clock == "simulated",
+                hurry=hurry,
+                root=root_name(*names),
+                node=view_name(*names),
+            )
 
         return run_processes(plan, zygote, logs, seed, watch, service)
 

@@ -81,11 +81,11 @@ def _no_wake() -> None:
 class Watch:
     """Reads statuses and time for a view, as one more node of the deployment."""
 
-    def __init__(self, bus: Bus, robot: str, view: View, *, clock: bool) -> None:
+    def __init__(self, bus: Bus, robot: str, view: View, *, clock: bool, node: str = VIEW) -> None:
         """`clock` says that time is simulated, and published on topic `clock`."""
         self._view = view
         self._robot = robot
-        self._node = bus.node(full_name(robot, VIEW), lambda _: None)
+        self._node = bus.node(full_name(robot, node), lambda _: None)
         self._sources: list[tuple[Subscription, Callable[[Any], None]]] = []
         status = full_name(robot, STATUS_TOPIC)
         self._add(status, ComponentStatus, LATCHED.with_depth(1000), self._status)
@@ -127,11 +127,23 @@ class LogWatch(Watch):
     """Also reads the log messages of a robot, from /rosout."""
 
     def __init__(
-        self, bus: Bus, robot: str, view: View, *, clock: bool, hurry: Callable[[], None]
+        self,
+        bus: Bus,
+        robot: str,
+        view: View,
+        *,
+        clock: bool,
+        hurry: Callable[[], None],
+        root: str = ROOT,
+        node: str = VIEW,
     ) -> None:
-        """`hurry` requests a refresh soon; it is called, on any thread, when messages arrive."""
-        super().__init__(bus, robot, view, clock=clock)
+        """Listen as the node of that name to a robot whose root here has the name `root`.
+
+        `hurry` requests a refresh soon; it is called, on any thread, when messages arrive.
+        """
+        super().__init__(bus, robot, view, clock=clock, node=node)
         self._hurry = hurry
+        self._root = root
         self._news = threading.Event()  # messages have arrived since the last refresh
         self._mark = Log(level=Log.DEBUG, name=f"{robot}.{VIEW}", msg=f"end of view {uuid4()}")
         self._marked = False
@@ -168,7 +180,7 @@ class LogWatch(Watch):
 
     def _status(self, status: ComponentStatus) -> None:
         super()._status(status)
-        if status.component == ROOT and status.state == LifecycleState.FINALIZED:
+        if status.component == self._root and status.state == LifecycleState.FINALIZED:
             self._root_ended = True
 
     def _log(self, entry: Log) -> None:

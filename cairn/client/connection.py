@@ -22,11 +22,17 @@ from cairn.bus import control, keys
 from cairn.bus.caches import query_caches
 from cairn.bus.codec import Codec
 from cairn.bus.credentials import NO_CREDENTIALS, Credentials
-from cairn.bus.endpoints import default_domain, domains_hint, endpoint_for, socket_path
+from cairn.bus.endpoints import (
+    default_domain,
+    domains_hint,
+    endpoint_for,
+    is_loopback,
+    socket_path,
+)
 from cairn.bus.graph import read_graph
 from cairn.bus.session import close_session, is_connected, open_client
 from cairn.errors import CairnError
-from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.cairn_msgs import MACHINE_STATUS, ComponentStatus, MachineStatus
 from cairn.schemas.message import InvalidMessage, type_name
 
 STATUS_TOPIC = "component_status"
@@ -90,6 +96,8 @@ class Connection:
 
     session: zenoh.Session
     domain: int
+    is_local: bool = False
+    """Whether its router is on this computer: at a Unix socket or a loopback address."""
 
     @classmethod
     def open(cls, endpoint: str = "", domain: int | None = None) -> Connection:
@@ -105,7 +113,8 @@ class Connection:
         endpoint = endpoint_for(endpoint, domain)
         local = socket_path(endpoint) is not None  # such a router refuses who presents a password
         credentials = NO_CREDENTIALS if local else Credentials.from_environment()
-        return cls(open_client([endpoint], credentials), domain)
+        is_local = local or is_loopback(endpoint)
+        return cls(open_client([endpoint], credentials), domain, is_local)
 
     def close(self) -> None:
         """Close the session."""
@@ -225,6 +234,24 @@ class Connection:
         listed = dict(itertools.islice(silent.items(), _MAX_SILENT))
         left_out = len(silent) - len(listed) + len(announced) - len(publishers)
         return Statuses(answered, listed, left_out)
+
+    def machine_statuses(self) -> dict[str, list[MachineStatus]]:
+        """Return what each machine that can be reached has published last, by robot."""
+        codec = Codec()
+        found: dict[str, list[MachineStatus]] = {}
+        everywhere = keys.message_key(self.domain, f"/*/{MACHINE_STATUS}", MachineStatus)
+        for sample in self.cached(everywhere)[0]:
+            if len(sample.payload) <= _STATUS_BYTES:
+                with suppress(InvalidMessage):
+                    status = codec.decode(MachineStatus, sample.payload.to_bytes())
+                    found.setdefault(str(sample.key_expr).split("/")[1], []).append(status)
+        return found
+
+    def router_process(self) -> int | None:
+        """Return the process id of the router on this computer; None if it is on another one."""
+        if not self.is_local:
+            return None
+        return next((keys.process_id(str(zid)) for zid in self.session.info.routers_zid()), None)
 
     def request(
         self,

@@ -90,6 +90,35 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     }
 
 
+def machine_access(
+    deployment: Deployment, machine: str, common_names: Mapping[str, tuple[str, ...]]
+) -> dict[str, Any]:
+    """Return the value of Zenoh's `access_control` for the router of a machine.
+
+    `common_names` are those of the certificates in force, by machine. What no rule allows is
+    denied; local links may do everything.
+    """
+    rules = [
+        _rule("everything", "ingress", _EVERY_MESSAGE, _EVERY_KEY),
+        _rule("everything", "egress", _EVERY_MESSAGE, _EVERY_KEY),
+    ]
+    everything = [one["id"] for one in rules]
+    subjects: list[dict[str, Any]] = [{"id": _LOCAL, "link_protocols": ["unixsock-stream"]}]
+    policies = [{"subjects": [_LOCAL], "rules": everything}]
+    for other in deployment.machines:
+        names = common_names.get(other)
+        if other != machine and names:
+            subjects.append({"id": f"machine {other}", "cert_common_names": list(names)})
+            policies.append({"subjects": [f"machine {other}"], "rules": everything})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
 def _members(deployment: Deployment, role: Role) -> dict[str, list[str]]:
     """Return the users, or the common names of certificates, with a role."""
     bus = deployment.bus

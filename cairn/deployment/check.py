@@ -17,6 +17,7 @@ from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.exclusive_topics import ONE_WRITER, only_writer, two_writers
 from cairn.deployment.frames import DESCRIPTION, FRAMES, FrameReferences
+from cairn.deployment.machines import machine_problems
 from cairn.deployment.model import RESERVED, ROBOT_FRAMES, Deployment
 from cairn.deployment.plugins import PluginError, find_plugin, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
@@ -94,6 +95,7 @@ def check_document(
         problems += _unknown_ports(component)
         problems += _conflicting_keys(component)
         problems += _unattainable_stop(root, component)
+    problems += machine_problems(root)
     if not import_plugins:
         return problems
     components += _implicit_components(root)

@@ -18,7 +18,8 @@ class ExclusiveTopic(BaseModel):
 
     `topic` is its full name. `writer` names the entitled component, "" if no component of the
     deployment publishes there. `external`: the topic has no writer in the deployment and is listed
-    under `external_topics`, so messages of every publisher are accepted.
+    under `external_topics`, so messages of every publisher are accepted. `several_machines`: its
+    writer and readers do not all run on one machine.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -27,6 +28,7 @@ class ExclusiveTopic(BaseModel):
     writer: str
     readers: tuple[str, ...]
     external: bool = False
+    several_machines: bool = False
 
 
 def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
@@ -53,12 +55,14 @@ def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
         names = sorted(set(writers[topic]))
         if len(names) > 1:
             raise CairnError(f"{two_writers(topic, names, readers[topic][0])}; {ONE_WRITER}")
+        machines = {deployment.machine_of(name) for name in (*names, *readers[topic])}
         found.append(
             ExclusiveTopic(
                 topic=topic,
                 writer=names[0] if names else "",
                 readers=tuple(readers[topic]),
                 external=not names and topic in external,
+                several_machines=len(machines) > 1,
             )
         )
     return tuple(found)

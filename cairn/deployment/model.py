@@ -22,6 +22,7 @@ Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
 Restart = Literal["permanent", "transient", "temporary"]
 Strategy = Literal["one_for_one", "rest_for_one", "one_for_all"]
 LogLevel = Literal["debug", "info", "warning", "error"]
+OnLoss = Literal["stop", "degrade", "ignore"]
 
 ROOT = "root"
 VIEW = "cairn_up"
@@ -163,6 +164,15 @@ class ChildSpec(_Section):
     children: dict[Name, "ChildSpec"] = Field(
         default_factory=dict, description="Its components in start order; supervisors only."
     )
+    machine: Name | None = Field(
+        None,
+        description="Machine that it runs on, with all below it; by default that of its parent.",
+    )
+    on_loss: OnLoss = Field(
+        "degrade",
+        description="What its parent does when it runs on another machine that is lost: stop as "
+        "after a failure, go on without it, or go on and log nothing.",
+    )
 
     @property
     def ends_supervisor(self) -> bool:
@@ -221,6 +231,23 @@ class Member:
     parent: str | None
     spec: ChildSpec
     key: str
+
+
+class Machine(_Section):
+    """A computer of the robot, as the others reach it."""
+
+    address: str = Field(
+        pattern=r"^[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?$|^[0-9A-Fa-f:]*:[0-9A-Fa-f:.]*$",
+        max_length=253,
+        description="Host name or IP address at which the other machines reach it.",
+    )
+    port: int = Field(7448, ge=1, le=65535, description="Port for the links of other machines.")
+
+    @property
+    def endpoint(self) -> str:
+        """The endpoint of its router for the other machines, as Zenoh writes it."""
+        host = f"[{self.address}]" if ":" in self.address else self.address
+        return f"tls/{host}:{self.port}"
 
 
 class Deployment(_Section):
@@ -286,6 +313,12 @@ class Deployment(_Section):
     supervision: Supervision = Field(
         default_factory=Supervision, description="For the components directly below the root."
     )
+    machines: dict[Name, Machine] = Field(
+        default_factory=dict,
+        max_length=32,
+        description="The robot's computers, if it has several. Components that name none run on "
+        "the first.",
+    )
     components: dict[Name, ChildSpec] = Field(
         min_length=1, description="The components in start order."
     )
@@ -297,14 +330,40 @@ class Deployment(_Section):
             return self.call_log
         return any(_records_all_topics(member.spec) for member in self.members())
 
-    def root(self) -> ChildSpec:
-        """Return the root of the tree: the supervisor of the deployment's components."""
+    @property
+    def main_machine(self) -> str:
+        """The machine of the components that name none; "" if the robot has only one computer."""
+        return next(iter(self.machines), "")
+
+    def root(self, machine: str = "") -> ChildSpec:
+        """Return the root of the tree on a machine: the supervisor of what runs there.
+
+        Without a machine, it is that of all components, as in lockstep. A component whose parent
+        runs on another machine is a child of the root here, which starts it when that parent
+        requests it.
+        """
+        if not machine:
+            children = self._all_components
+        else:
+            placed = _placed(self._all_components, self.main_machine)
+            children = placed if machine == self.main_machine else {}
+            children |= {
+                name: spec.model_copy(update={"load": "on_request"})
+                for name, spec in _loaded_from_elsewhere(placed, machine, self.main_machine)
+            }
         return ChildSpec(
             plugin=_ROOT_PLUGIN,
             placement="in_process",
             supervision=self.supervision,
-            children=self._all_components,
+            children=children,
         )
+
+    def machine_of(self, name: str) -> str:
+        """Return the machine of the component of that name; `KeyError` if there is none."""
+        machine, member = None, self.member(name)
+        while (machine := member.spec.machine) is None and member.parent is not None:
+            member = self.member(member.parent)
+        return machine or self.main_machine
 
     def members(self) -> Iterator[Member]:
         """Yield all components in start order, each one followed by its children."""
@@ -331,6 +390,36 @@ class Deployment(_Section):
             if member.name == name:
                 return member
         raise KeyError(name)
+
+
+def _placed(specs: Mapping[str, ChildSpec], machine: str) -> dict[str, ChildSpec]:
+    """Return components, each with its machine: by default that of its parent, `machine`."""
+    placed = {}
+    for name, spec in specs.items():
+        own = spec.machine or machine
+        update = {"machine": own, "children": _placed(spec.children, own)}
+        placed[name] = spec.model_copy(update=update)
+    return placed
+
+
+def _loaded_from_elsewhere(
+    placed: Mapping[str, ChildSpec], machine: str, above: str
+) -> Iterator[tuple[str, ChildSpec]]:
+    """Yield the components on a machine whose parent, on machine `above`, is on another one."""
+    for name, spec in placed.items():
+        if spec.machine == machine != above:
+            yield name, spec
+        yield from _loaded_from_elsewhere(spec.children, machine, spec.machine or above)
+
+
+def root_name(machine: str, main_machine: str) -> str:
+    """Return the name of the root of the tree on a machine."""
+    return ROOT if machine == main_machine else f"{ROOT}_{machine}"
+
+
+def view_name(machine: str, main_machine: str) -> str:
+    """Return the name of the node with which `cairn up` listens on a machine."""
+    return VIEW if machine == main_machine else f"{VIEW}_{machine}"
 
 
 def expendable(children: dict[str, ChildSpec]) -> ChildSpec:

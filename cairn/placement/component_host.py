@@ -15,6 +15,7 @@ from cairn.clock import SystemClock
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.launcher import ProcessHandle
+from cairn.placement.machines import RobotMachines
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState, Transition
@@ -57,6 +58,7 @@ class ComponentHost:
         self._starts_canceled = False
         self._start_canceled = False  # its own
         self._zygote: ZygoteClient | None = None
+        self._machines: RobotMachines | None = None
         context = launch.context
         self.runtime = Runtime(
             load_plugin(launch.spec.plugin),
@@ -122,6 +124,13 @@ class ComponentHost:
             raise CairnError("a stop was requested")
         handle.launch(self._zygote, on_exit)
         return handle
+
+    def machines(self) -> RobotMachines:
+        """Return what is known of the robot's other machines; see `SupervisorHost`."""
+        if self._machines is None:
+            context = self.runtime.launch.context
+            self._machines = RobotMachines(self._bus, self.runtime.node, context, self._clock.now)
+        return self._machines
 
     def cancel_starts(self) -> None:
         """Have nothing started any more below, and cut short the start in progress; any thread."""

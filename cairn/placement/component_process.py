@@ -63,7 +63,10 @@ def main(argument: dict[str, Any], end: socket.socket) -> None:
         secret = context.session_secret
         limits = context.message_limits
         session = open_peer(context.endpoints, path, context.credentials, limits, secret)
-        with closing(ZenohBus(session, context.domain, secret, limits, CODEC)) as bus:
+        bus = ZenohBus(
+            session, context.domain, secret, limits, CODEC, several_machines=bool(context.machine)
+        )
+        with closing(bus):
             report = _run(launch, bus, ChildChannel(end))
     except CairnError as error:
         report = ExitReport(False, str(error))

@@ -5,6 +5,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
+from typing import NoReturn
 
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SECOND
@@ -301,6 +302,10 @@ class _LockstepHost:
         self._children = [other for other in self._children if other.end is None]
         self._children.append(child)
         return child
+
+    def machines(self) -> NoReturn:
+        """Raise `CairnError`: all components of a lockstep run are here."""
+        raise CairnError("a lockstep run has no machines")
 
     def cancel_starts(self) -> None:
         """Do nothing: a start takes no virtual time."""

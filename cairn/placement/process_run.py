@@ -27,11 +27,14 @@ from cairn.bus.session import (
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.compilation import before_compilation
 from cairn.deployment.load import SourceDocument
-from cairn.deployment.model import ROOT, ChildSpec, Deployment
+from cairn.deployment.machines import parents_elsewhere
+from cairn.deployment.model import ROOT, ChildSpec, Deployment, root_name
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
+from cairn.placement.machine_identity import machine_secrets
+from cairn.placement.machines import MachineMonitor
 from cairn.placement.prepared import CODEC
 from cairn.placement.run_plan import RunPlan, argument_of_check, check_for_root, plan_of
 from cairn.placement.systemd_notify import ServiceManager
@@ -86,13 +89,14 @@ def checked_plan(
     sources: Sequence[SourceDocument],
     sets: Sequence[str],
     recording: Path | None = None,
+    machine: str = "",
 ) -> RunPlan:
     """Return `check_and_plan` of a deployment, made by a fork of the zygote that runs it.
 
     Raises `CairnError` with everything that is wrong, before anything is started.
     """
     entry = f"{check_for_root.__module__}:{check_for_root.__name__}"
-    argument = argument_of_check(file, sources, sets, recording)
+    argument = argument_of_check(file, sources, sets, recording, machine)
     return plan_of(call_in_fork(zygote, "check", entry, argument, timeout_s=_IMPORTS_LIMIT_S))
 
 
@@ -113,17 +117,19 @@ def run_processes(
     `CairnError` if the socket is in use, if the robot runs already on this bus, or on a second
     signal.
     """
-    deployment = plan.deployment
+    deployment, machine = plan.deployment, plan.machine
     bus_settings, folder = deployment.bus, zygote.socket_path.parent
     if bus_settings.connect:
         _check_robot_name_is_free(deployment)
-    secret = secrets.token_hex(16)
-    for spec in _in_parent_process(deployment.root()):
-        load_plugin(spec.plugin)  # before the start: importing may take long
+    common = machine_secrets(deployment.robot) if machine else None
+    secret = secrets.token_hex(16) if common is None else common.of_sessions()
+    spec = deployment.root(machine)
+    for one in _in_parent_process(spec, machine):
+        load_plugin(one.plugin)  # before the start: importing may take long
     topics, limits = plan.exclusive_topics, plan.topic_limits
     launch = LaunchRequest(
-        name=ROOT,
-        spec=deployment.root(),
+        name=root_name(machine, deployment.main_machine),
+        spec=spec,
         context=RunContext(
             robot=deployment.robot,
             domain=deployment.domain,
@@ -141,9 +147,18 @@ def run_processes(
             log_level=deployment.log_level,
             storage=deployment.storage,
             session_secret=secret,
+            machine=machine,
+            main_machine=deployment.main_machine,
+            parents=parents_elsewhere(deployment, machine) if machine else {},
             exclusive_topics=topics,
         ),
-        topic_keys={one.topic: secrets.token_hex(KEY_BYTES) for one in topics if one.writer},
+        topic_keys={
+            one.topic: common.of_topic(one.topic)
+            if common is not None and one.several_machines
+            else secrets.token_hex(KEY_BYTES)
+            for one in topics
+            if one.writer
+        },
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
     with _opened_bus(plan, folder, secret) as bus:
@@ -151,10 +166,13 @@ def run_processes(
         root.start()
         loop = MainLoop(root)
         monitor = _Monitor(make_view(bus, loop.wake_up), zygote, loop)
+        machines = MachineMonitor(root, plan.deployment, plan.remote_inputs) if machine else None
         service = service or ServiceManager()
 
         def on_turn() -> None:
             monitor.check()
+            if machines is not None:
+                machines.check()
             status = root.runtime.status()
             service.notify(
                 active=status.state == LifecycleState.ACTIVE,
@@ -205,21 +223,26 @@ def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
         else:
             socket = router_socket(deployment)
             listen = settings.listen if settings.allow_any_local_user else ()
-            session = open_router(socket, listen, settings.group, limits, secret)
+            session = open_router(socket, listen, settings.group, limits, secret, plan.links)
+        several = plan.links is not None
         bus = stack.enter_context(
-            closing(ZenohBus(session, deployment.domain, secret, limits, CODEC))
+            closing(
+                ZenohBus(
+                    session, deployment.domain, secret, limits, CODEC, several_machines=several
+                )
+            )
         )
         if plan.gateway is not None:
             stack.enter_context(closing(plan.gateway.open(router_socket(deployment), folder)))
         yield bus
 
 
-def _in_parent_process(spec: ChildSpec) -> Iterator[ChildSpec]:
-    """Yield the components that run in the process of their supervisor, at any depth."""
+def _in_parent_process(spec: ChildSpec, machine: str) -> Iterator[ChildSpec]:
+    """Yield the components that run in the process of their supervisor here, at any depth."""
     for child in spec.children.values():
-        if child.placement == "in_process":
+        if child.placement == "in_process" and (not machine or child.machine == machine):
             yield child
-            yield from _in_parent_process(child)
+            yield from _in_parent_process(child, machine)
 
 
 def endpoints(deployment: Deployment) -> tuple[str, ...]:

@@ -12,16 +12,18 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from cairn.bus.message_limits import MessageLimits
-from cairn.bus.session import Gateway
-from cairn.deployment.access_control import access_control
+from cairn.bus.session import Gateway, MachineLinks
+from cairn.deployment.access_control import access_control, machine_access
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
 from cairn.deployment.load import SourceDocument, assemble
+from cairn.deployment.machines import RemoteInput, check_machine, remote_inputs
 from cairn.deployment.model import RECORDER, ChildSpec, Deployment, expendable
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
 from cairn.deployment.topic_limits import topic_limits
 from cairn.errors import CairnError
+from cairn.placement.machine_identity import machine_identity
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
 
 _RECORDING = "recording"
@@ -33,23 +35,36 @@ class RunPlan:
     """A checked deployment, with what follows from its components' ports and requests.
 
     `gateway` is that between the network and the deployment; None if it has no such endpoint.
+    `machine` is the one that the plan is for, `links` those to the others, `remote_inputs` what
+    crosses them; "", None and none for a robot with one computer.
     """
 
     deployment: Deployment
     exclusive_topics: tuple[ExclusiveTopic, ...]
     topic_limits: MessageLimits
     gateway: Gateway | None
+    machine: str = ""
+    links: MachineLinks | None = None
+    remote_inputs: tuple[RemoteInput, ...] = ()
 
 
 _PLAN = TypeAdapter(RunPlan)
 _SOURCES = TypeAdapter(list[SourceDocument])
 
 
-def plan_run(deployment: Deployment) -> RunPlan:
-    """Return the plan of a deployment that `cairn check` accepts."""
+def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:
+    """Return the plan of a deployment that `cairn check` accepts, for one of its machines.
+
+    Raises `CairnError` if the machine has no identity that the others accept.
+    """
     limits = topic_limits(deployment)
-    gateway = _gateway_of(deployment, limits)
-    return RunPlan(deployment, exclusive_topics(deployment), limits, gateway)
+    gateway = _gateway_of(deployment, limits) if machine == deployment.main_machine else None
+    exclusive = exclusive_topics(deployment)
+    if not machine:
+        return RunPlan(deployment, exclusive, limits, gateway)
+    links = _links_of(deployment, machine)
+    inputs = remote_inputs(deployment)
+    return RunPlan(deployment, exclusive, limits, gateway, machine, links, inputs)
 
 
 def check_and_plan(
@@ -57,21 +72,26 @@ def check_and_plan(
     sources: Sequence[SourceDocument],
     sets: Sequence[str],
     recording: Path | None = None,
+    machine: str = "",
 ) -> RunPlan:
     """Return the plan of the deployment in a file that was read, with its overlays and `--set`s.
 
-    With `recording`, it is recorded to that file. Raises `CairnError` with everything that is wrong
-    with it.
+    With `recording`, it is recorded to that file, on `machine`. Raises `CairnError` with everything
+    that is wrong with it.
     """
     deployment = check_sources(file, sources, sets)
-    return plan_run(deployment if recording is None else with_recorder(deployment, recording))
+    check_machine(deployment, machine, file.name)
+    if recording is not None:
+        deployment = with_recorder(deployment, recording, machine)
+    return plan_run(deployment, machine)
 
 
 def check_for_root(argument: Mapping[str, Any]) -> Any:
     """Return `check_and_plan` of file, sources and sets as JSON: the root calls it in a fork."""
     sources = _SOURCES.validate_python(argument["sources"])
     recording = argument["recording"] and Path(argument["recording"])
-    plan = check_and_plan(Path(argument["file"]), sources, argument["sets"], recording)
+    file, sets, machine = Path(argument["file"]), argument["sets"], argument["machine"]
+    plan = check_and_plan(file, sources, sets, recording, machine)
     return _PLAN.dump_python(plan, mode="json")
 
 
@@ -80,6 +100,7 @@ def argument_of_check(
     sources: Sequence[SourceDocument],
     sets: Sequence[str],
     recording: Path | None = None,
+    machine: str = "",
 ) -> dict[str, Any]:
     """Return the argument of `check_for_root`, as JSON."""
     documents = _SOURCES.dump_python(list(sources), mode="json")
@@ -88,11 +109,14 @@ def argument_of_check(
         "sources": documents,
         "sets": list(sets),
         "recording": recording and str(recording),
+        "machine": machine,
     }
 
 
-def with_recorder(deployment: Deployment, file: Path) -> Deployment:
+def with_recorder(deployment: Deployment, file: Path, machine: str = "") -> Deployment:
     """Return a deployment with a recorder, which starts before its components and stops after them.
+
+    It runs on `machine`, by default the first one.
 
     It has a supervisor of its own that nothing depends on: however often the recorder fails, the
     robot continues. Raises `CairnError` if the deployment has a component of such a name.
@@ -104,7 +128,10 @@ def with_recorder(deployment: Deployment, file: Path) -> Deployment:
             "start it without --record, or rename that component"
         )
     recorder = ChildSpec(plugin=RECORDER, parameters={"file": str(file)})
-    components = {_RECORDING: expendable({RECORDER: recorder}), **deployment.components}
+    recording = expendable({RECORDER: recorder})
+    if machine and machine != deployment.main_machine:
+        recording = recording.model_copy(update={"machine": machine, "placement": "process"})
+    components = {_RECORDING: recording, **deployment.components}
     return deployment.model_copy(update={"components": components})
 
 
@@ -136,6 +163,23 @@ def _gateway_of(deployment: Deployment, limits: MessageLimits) -> Gateway | None
         ca=tls.ca,
         client_certificates=tls.client_certificates,
         limits=limits,
+    )
+
+
+def _links_of(deployment: Deployment, machine: str) -> MachineLinks:
+    """Return the links of a machine's router to those of the other machines."""
+    names = list(deployment.machines)
+    identity = machine_identity(deployment.robot, machine)
+    return MachineLinks(
+        machine=machine,
+        listen=deployment.machines[machine].endpoint,
+        connect=tuple(
+            deployment.machines[other].endpoint for other in names[: names.index(machine)]
+        ),
+        ca=str(identity.ca),
+        certificate=str(identity.certificate),
+        key=str(identity.key),
+        access_control=machine_access(deployment, machine, identity.common_names),
     )
 
 

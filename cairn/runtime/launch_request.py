@@ -35,6 +35,11 @@ class RunContext(BaseModel):
     session_secret: str = Field("", repr=False)  # proves which sessions are of this run
     deployment: str = Field("", repr=False)
     """The deployment as it runs, with all overlays and settings, as JSON."""
+    machine: str = ""
+    """The machine of the robot on which the component runs; "" if it has only one."""
+    main_machine: str = ""
+    parents: Mapping[str, str] = {}
+    """The parent of each component that the root starts here for a parent on another machine."""
     exclusive_topics: tuple[ExclusiveTopic, ...] | None = None
     """None for a component that runs without a deployment, in a test: it accepts every writer."""
 
@@ -80,7 +85,13 @@ class LaunchRequest(BaseModel):
         if found is not None and found.external:
             return None
         writer = full_name(self.context.robot, found.writer) if found and found.writer else ""
-        return Exclusive(writer, bytes.fromhex(self.topic_keys.get(topic, "")))
+        key = bytes.fromhex(self.topic_keys.get(topic, ""))
+        return Exclusive(writer, key, several_machines=bool(found and found.several_machines))
+
+    def is_elsewhere(self, child: ChildSpec) -> bool:
+        """Return whether a child of this component runs on another machine."""
+        own = self.context.machine
+        return bool(own) and child.machine is not None and child.machine != own
 
     def keys_for(self, name: str) -> dict[str, str]:
         """Return those of the secrets that the child of that name, or one below it, needs."""

@@ -294,6 +294,7 @@ class Runtime:
         return ComponentStatus(
             header=Header(stamp=from_ns(self._system_clock.now()), frame_id=""),
             component=self.name,
+            machine=self.launch.context.machine,
             plugin=self.launch.spec.plugin,
             parent=self.launch.parent,
             placement=self.launch.placement,

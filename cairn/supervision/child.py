@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
@@ -17,7 +17,10 @@ from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.supervision.child_channel import Heartbeat, Verb
 
-State = Literal["unloaded", "starting", "active", "held", "stopping", "ended"]
+if TYPE_CHECKING:
+    from cairn.supervision.remote_child import Machines
+
+State = Literal["unloaded", "starting", "active", "held", "stopping", "ended", "lost"]
 StartResult = Literal[
     "active",  # or in the state in which it is held
     "canceled",  # a stop was requested; the child may still run
@@ -140,6 +143,10 @@ class SupervisorHost(Protocol):
         """
         ...
 
+    def machines(self) -> "Machines":
+        """Return what is known of the robot's other machines."""
+        ...
+
     def cancel_starts(self) -> None:
         """Reject further starts and cancel the start in progress; thread-safe."""
         ...
@@ -212,9 +219,20 @@ class Child:
         return ChildStatus(self.name, self.state, self.incarnation, self.reason, held_in)
 
     @property
+    def runs(self) -> bool:
+        """Whether it has been started and has not ended."""
+        return self.handle is not None
+
+    @property
     def components(self) -> int:
         """How many components stop with it, itself included; 0 if it does not run."""
-        return 0 if self.handle is None else self.spec.components
+        return self.spec.components if self.runs else 0
+
+    def expect_stop(self, limit_s: float) -> None:
+        """Have the child start nothing any more; see `ChildHandle`. From any thread."""
+        handle = self.handle
+        if handle is not None:
+            handle.expect_stop(limit_s)
 
     def start(self, canceled: Callable[[], bool]) -> StartResult:
         """Launch the child and bring it to its target; if that fails, `reason` has the cause.
@@ -425,7 +443,7 @@ class Child:
         return LaunchRequest(
             name=self.name,
             spec=self.spec,
-            parent=self._parent.name,
+            parent=self._parent.context.parents.get(self.name, self._parent.name),
             # A restarted supervisor counts from zero, but the child has run before.
             incarnation=self.incarnation + self._parent.restarts,
             previous_exit=self.reason,

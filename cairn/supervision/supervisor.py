@@ -19,7 +19,8 @@ Log lines begin with an event in stable words, then the child's name, then the r
 | `child stop failed: NAME: REASON` | WARNING | a step of stopping failed; a harder one follows |
 | `restarting child NAME: REASON (2 of 3 restarts in 10 s)` | INFO | follows a failure or an end |
 
-Level DEBUG adds `child starting` and `child stopping`.
+Level DEBUG adds `child starting` and `child stopping`. Children on other machines are in
+`cairn.supervision.remote_child`.
 """
 
 import logging
@@ -43,6 +44,7 @@ from cairn.supervision.child import (
     stop_share,
     without_reserve,
 )
+from cairn.supervision.remote_child import RemoteChild
 from cairn.supervision.restart_policy import Decision, RestartPolicy
 from cairn.supervision.ros_services import ChildLifecycle, Container
 
@@ -87,9 +89,12 @@ class Supervisor(Component):
         self._serve_children(launch)
 
     def _serve_children(self, launch: LaunchRequest) -> None:
-        """Serve what ROS 2 tools use to see and change the life cycle of the children."""
+        """Serve what ROS 2 tools use to see and change the life cycle of the children.
+
+        Those that were loaded by a parent on another machine are served by that parent.
+        """
         robot, request = launch.context.robot, self._context.request
-        for name in launch.spec.children:
+        for name in launch.spec.children.keys() - launch.context.parents.keys():
             child = ChildLifecycle(name, partial(self._lifecycle_of, name), request)
             self._context.serve_node(full_name(robot, name), child.services())
         plugins = {name: spec.plugin for name, spec in launch.spec.children.items()}
@@ -205,8 +210,11 @@ class ChildGroup:
         self._host = host
         self._log = log
         self._policy = RestartPolicy(launch.spec.children, launch.spec.supervision)
-        self._children = {
-            name: Child(name, launch, host, log, on_exit) for name in launch.spec.children
+        self._children: dict[str, Child | RemoteChild] = {
+            name: RemoteChild(name, launch, host, log)
+            if launch.is_elsewhere(spec)
+            else Child(name, launch, host, log, on_exit)
+            for name, spec in launch.spec.children.items()
         }
 
     def status(self) -> list[ChildStatus]:
@@ -224,9 +232,7 @@ class ChildGroup:
         self.stop_requested = True
         self._host.cancel_starts()
         for child in self._children.values():
-            handle = child.handle
-            if handle is not None:
-                handle.expect_stop(own_s)
+            child.expect_stop(own_s)
 
     @property
     def stop_overdue(self) -> bool:
@@ -259,7 +265,7 @@ class ChildGroup:
                 if report is not None:
                     self._on_exit(running, report)
             required = (self._children[name] for name in self._policy.required)
-            child = next((one for one in required if one.handle is None), None)
+            child = next((one for one in required if not one.runs), None)
             if child is None:
                 return
             result = self._start(child)
@@ -283,6 +289,8 @@ class ChildGroup:
         """
         for child in self._children.values():
             report = None if self.stop_requested else child.check(lambda: self.stop_requested)
+            if report is not None and isinstance(child, RemoteChild):
+                self._give_up(f"{child.name} is lost: {report.reason}")
             if report is not None:
                 self._on_exit(child, report)
 
@@ -367,19 +375,19 @@ class ChildGroup:
         if reasons:
             raise CairnError(f"not all children stopped cleanly: {reasons}")
 
-    def _stop(self, child: Child) -> None:
+    def _stop(self, child: Child | RemoteChild) -> None:
         """Stop a child in the time that it may take if all must stop, otherwise in its own."""
         left_s = min(self._requested_by, self._stopping_by) - self._host.now()
         remaining = sum(one.components for one in self._children.values())
         child.stop(stop_share(left_s, child.components, remaining))
 
-    def _start(self, child: Child) -> StartResult:
+    def _start(self, child: Child | RemoteChild) -> StartResult:
         result = child.start(lambda: self.stop_requested)
         if result == "active":
             self._policy.started(child.name)
         return result
 
-    def _on_exit(self, child: Child, report: ExitReport) -> None:
+    def _on_exit(self, child: Child | RemoteChild, report: ExitReport) -> None:
         decision = self._policy.ended(
             child.name, normal=report.normal, at_s=self._host.now(), reason=report.reason
         )
@@ -389,7 +397,7 @@ class ChildGroup:
         else:
             self._apply(decision, child)
 
-    def _apply(self, decision: Decision, child: Child) -> None:
+    def _apply(self, decision: Decision, child: Child | RemoteChild) -> None:
         if decision.give_up:
             self._give_up(decision.give_up)
         if child.name in decision.start:
@@ -402,7 +410,7 @@ class ChildGroup:
         self.stop_all()
         raise Escalate(reason)
 
-    def _child(self, name: str) -> Child:
+    def _child(self, name: str) -> Child | RemoteChild:
         if name not in self._children:
             known = ", ".join(self._children) or "(none)"
             raise UnknownChild(f"{self._name}: no child is named {name}; choose one of: {known}")

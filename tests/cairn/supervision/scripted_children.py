@@ -11,6 +11,7 @@ from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.supervision.child import ChildUnavailable
 from cairn.supervision.child_channel import Heartbeat, Verb
+from cairn.supervision.remote_child import Machines
 from cairn.supervision.supervisor import ChildGroup
 
 _READY = Heartbeat(LifecycleState.UNCONFIGURED)
@@ -138,6 +139,7 @@ class World:
     progress: list[str] = field(default_factory=list)
     stop_requests: int = 0
     on_step: Callable[[str], None] = lambda text: None
+    robot_machines: Machines | None = None
 
     def script(self, name: str, *incarnations: dict[str, Step]) -> None:
         """Set what a child does at each step, by incarnation; later ones are correct."""
@@ -153,6 +155,10 @@ class World:
             script["launch"](child, launch.spec.start_limit_s)
         self.children[name] = child
         return child
+
+    def machines(self) -> Machines:
+        assert self.robot_machines is not None
+        return self.robot_machines
 
     def cancel_starts(self) -> None:
         self.stop_requests += 1

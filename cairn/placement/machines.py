@@ -1,0 +1,187 @@
+"""The machines of a robot: what each root reports of itself, and which of them are lost.
+
+The root of each machine publishes a `MachineStatus` four times a second, whatever its components
+do. A machine that is silent counts as lost here, until it is heard again.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any, Final
+
+from cairn.bus import control
+from cairn.bus.bus import Node, full_name
+from cairn.bus.qos import LATCHED, RELIABLE
+from cairn.bus.zenoh_bus import ZenohBus
+from cairn.clock import from_ns
+from cairn.deployment.machines import RemoteInput, components_by_machine
+from cairn.deployment.model import Deployment, root_name
+from cairn.errors import CairnError
+from cairn.runtime.launch_request import RunContext
+from cairn.schemas.cairn_msgs import MACHINE_STATUS, MachineChild, MachineLink, MachineStatus
+from cairn.schemas.message import InvalidMessage
+from cairn.schemas.std_msgs import Header
+from cairn.supervision.supervisor import Supervisor
+
+if TYPE_CHECKING:
+    from cairn.placement.component_host import ComponentHost
+
+LOST_AFTER_S: Final = 1.25
+"""A machine counts as lost when nothing of it has arrived for so long: five of its messages."""
+
+_MOST_NAMED = 20  # inputs in one line of the log
+_LONGEST_REASON = 1000
+
+
+class RobotMachines:
+    """What the roots of a robot's other machines report; from any thread."""
+
+    def __init__(
+        self, bus: ZenohBus, node: Node, context: RunContext, now: Callable[[], float]
+    ) -> None:
+        """Listen as `node`; `now` is the time [s] in which this process could run."""
+        self._bus = bus
+        self._context = context
+        self._now = now
+        self._began = now()
+        self._news = threading.Condition()
+        self._heard: dict[str, tuple[float, MachineStatus]] = {}
+        self._subscription = node.subscribe(
+            full_name(context.robot, MACHINE_STATUS), MachineStatus, RELIABLE, self._receive
+        )
+
+    def silent_s(self, machine: str) -> float:
+        """Return for how long nothing of a machine has arrived [s]."""
+        heard = self._heard.get(machine)
+        return self._now() - (self._began if heard is None else heard[0])
+
+    def was_heard(self, machine: str) -> bool:
+        """Return whether anything of a machine has ever arrived."""
+        return machine in self._heard
+
+    def is_up(self, machine: str) -> bool:
+        """Return whether a machine is heard."""
+        return machine in self._heard and self.silent_s(machine) < LOST_AFTER_S
+
+    def silence(self, machine: str) -> str:
+        """Return why a machine counts as lost, "" if it is up."""
+        if self.is_up(machine):
+            return ""
+        if machine not in self._heard:
+            return f"machine {machine} cannot be reached"
+        return f"machine {machine} has been silent for {self.silent_s(machine):.1f} s"
+
+    def child(self, machine: str, name: str) -> MachineChild | None:
+        """Return what the root of a machine has last reported of its child of that name."""
+        heard = self._heard.get(machine)
+        children = () if heard is None else heard[1].children
+        return next((one for one in children if one.name == name), None)
+
+    def request(
+        self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
+    ) -> "Future[Any]":
+        """Make a request of the root of a machine; its errors are those of `control.request`."""
+        context = self._context
+        component = full_name(context.robot, root_name(machine, context.main_machine))
+        answer: Future[Any] = Future()
+
+        def call() -> None:
+            try:
+                reply = control.request(
+                    self._bus.session, context.domain, component, verb, arguments,
+                    timeout_s=timeout_s,
+                )  # fmt: skip
+            except CairnError as error:
+                answer.set_exception(error)
+            else:
+                answer.set_result(reply)
+            with self._news:
+                self._news.notify_all()
+
+        threading.Thread(target=call, name=f"cairn {verb} {machine}", daemon=True).start()
+        return answer
+
+    def wait_for_news(self, timeout_s: float) -> None:
+        """Wait until a root reports something, or answers, at most `timeout_s` [s]."""
+        with self._news:
+            self._news.wait(timeout_s)
+
+    def _receive(self) -> None:
+        while True:
+            try:
+                status = self._subscription.take()
+            except InvalidMessage:
+                continue  # of a foreign publisher
+            if status is None:
+                return
+            with self._news:
+                self._heard[status.machine] = (self._now(), status)
+                self._news.notify_all()
+
+
+class MachineMonitor:
+    """A root's view of the other machines: publishes its status, and logs which are lost."""
+
+    def __init__(
+        self, root: "ComponentHost", deployment: Deployment, inputs: Sequence[RemoteInput]
+    ) -> None:
+        """`inputs` are all that cross between the machines."""
+        runtime, context = root.runtime, root.runtime.launch.context
+        assert isinstance(runtime.component, Supervisor)
+        self._children = runtime.component.children
+        self._machine = context.machine
+        self._machines = root.machines()
+        self._lost = {one: False for one in deployment.machines if one != context.machine}
+        self._components = components_by_machine(deployment)
+        self._inputs = [one for one in inputs if one.reader_machine == context.machine]
+        self._log = runtime.log
+        topic = full_name(context.robot, MACHINE_STATUS)
+        self._publisher = runtime.node.advertise(topic, MachineStatus, LATCHED)
+
+    def check(self) -> None:
+        """Log the machines that are lost or found since the last call, and publish the status."""
+        for machine, was_lost in self._lost.items():
+            # One that was never heard counts as lost only then: it may just be starting.
+            is_lost = self._machines.silent_s(machine) >= LOST_AFTER_S
+            self._lost[machine] = is_lost
+            if is_lost and not was_lost:
+                level = logging.WARNING if self._machines.was_heard(machine) else logging.INFO
+                self._log.log(level, "%s", self._described(machine))
+            elif was_lost and not is_lost:
+                self._log.info("machine found: %s", machine)
+        self._publish()
+
+    def _described(self, machine: str) -> str:
+        missing = self._missing(machine)
+        named = "; ".join(missing[:_MOST_NAMED]) or "nothing"
+        more = f"; {len(missing) - _MOST_NAMED} more" if len(missing) > _MOST_NAMED else ""
+        event = "machine lost" if self._machines.was_heard(machine) else "waiting for machine"
+        silence = self._machines.silence(machine)
+        return f"{event}: {machine}: {silence}; missing here: {named}{more}"
+
+    def _publish(self) -> None:
+        self._publisher.publish(
+            MachineStatus(
+                header=Header(stamp=from_ns(time.time_ns())),
+                machine=self._machine,
+                children=tuple(
+                    MachineChild(one.name, one.state, one.incarnation, one.reason[:_LONGEST_REASON])
+                    for one in self._children.status()
+                ),
+                links=tuple(
+                    MachineLink(
+                        machine=machine,
+                        is_up=not is_lost,
+                        silent_s=max(0.0, self._machines.silent_s(machine)),
+                        components=self._components[machine] if is_lost else (),
+                        inputs=tuple(self._missing(machine)) if is_lost else (),
+                    )
+                    for machine, is_lost in self._lost.items()
+                ),
+            )
+        )
+
+    def _missing(self, machine: str) -> list[str]:
+        return [str(one) for one in self._inputs if one.writer_machine == machine]
