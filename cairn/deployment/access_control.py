@@ -6,18 +6,22 @@ a user to the robot (ingress) and from the robot to a user (egress). The link to
 the only one over a Unix socket; it may do everything.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final, Literal, get_args
 
 from cairn.bus import keys
 from cairn.bus.bus import full_name
+from cairn.bus.keys import ROS_NAMES
 from cairn.bus.roles import Role
-from cairn.deployment.model import ROOT, Deployment
+from cairn.deployment.machines import components_by_machine
+from cairn.deployment.model import ROOT, Deployment, root_name, view_name
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.ros_names import ros_services, ros_topics
 from cairn.runtime.call_log import call_log_topic
-from cairn.runtime.ports import actions_of, ports_of
+from cairn.runtime.ports import actions_of, ports_of, services_of
+from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.service_events import SERVICE_EVENT_TOPIC
+from cairn.schemas.cairn_msgs import MACHINE_STATUS
 from cairn.schemas.message import type_name
 
 _EVERY_MESSAGE: Final = (
@@ -37,6 +41,8 @@ _EVERY_KEY: Final = ("**", "**/@adv/**", "@ros2_lv/**", "@cairn/**", "@/*/router
 The last one is the gateway's description of its links, by which the processes of a deployment that
 joins find each other.
 """
+
+_ROUTERS: Final = ("@/*/router/**",)
 
 _LOCAL: Final = "the local router"
 _VIEWED_BY_ALL: Final = "parameters"
@@ -95,21 +101,26 @@ def machine_access(
 ) -> dict[str, Any]:
     """Return the value of Zenoh's `access_control` for the router of a machine.
 
-    `common_names` are those of the certificates in force, by machine. What no rule allows is
-    denied; local links may do everything.
+    `common_names` are those of the certificates in force, by machine. Another machine publishes
+    what its components publish and what operators may, announces and answers for its own
+    components, and reads what its commands show. It may make every request, as the users of each
+    machine administer the robot. What no rule allows is denied; local links may do everything.
     """
-    rules = [
+    everything = [
         _rule("everything", "ingress", _EVERY_MESSAGE, _EVERY_KEY),
         _rule("everything", "egress", _EVERY_MESSAGE, _EVERY_KEY),
     ]
-    everything = [one["id"] for one in rules]
+    rules = list(everything)
     subjects: list[dict[str, Any]] = [{"id": _LOCAL, "link_protocols": ["unixsock-stream"]}]
-    policies = [{"subjects": [_LOCAL], "rules": everything}]
+    policies = [{"subjects": [_LOCAL], "rules": [one["id"] for one in everything]}]
     for other in deployment.machines:
         names = common_names.get(other)
         if other != machine and names:
-            subjects.append({"id": f"machine {other}", "cert_common_names": list(names)})
-            policies.append({"subjects": [f"machine {other}"], "rules": everything})
+            allowed = _machine_rules(deployment, other)
+            rules += allowed
+            subject = f"machine {other}"
+            subjects.append({"id": subject, "cert_common_names": list(names)})
+            policies.append({"subjects": [subject], "rules": [one["id"] for one in allowed]})
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -117,6 +128,99 @@ def machine_access(
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def _machine_rules(deployment: Deployment, machine: str) -> list[dict[str, Any]]:
+    """Return what a machine may do at the router of another one."""
+    domain, robot = deployment.domain, deployment.robot
+    names = _nodes_on(deployment, machine)
+    topics, services = _published_by(deployment, names)
+    own = tuple(f"{domain}/{robot}/{name}/**" for name in names)
+    data = (
+        *topics,
+        *own,
+        *(f"{domain}{topic}/*/*" for topic in ("/rosout", "/parameter_events")),
+        *(f"{domain}/{robot}/{topic}/*/*" for topic in (STATUS_TOPIC, MACHINE_STATUS)),
+    )
+    cached = tuple(f"{key}/@adv/**" for key in data)
+    controls = tuple(f"{keys.control_key(domain, f'/{robot}/{name}')}" for name in names)
+    answers = (*services, *own, *controls, *cached, keys.session_key("*"))
+    tokens = tuple(f"{keys.TOKENS}/{domain}/*/*/*/*/*/%{robot}/{name}/**" for name in names)
+    all_data = (f"{domain}/**", f"{domain}/**/@adv/**")
+    of_robots = (*all_data, f"@cairn/{domain}/**", keys.session_key("*"), keys.router_key("*"))
+    graph = (keys.tokens_pattern(domain), all_data[1])
+    confidential = _confidential_for(deployment, names)
+    prefix = f"machine {machine}"
+    rules = [
+        _rule(f"{prefix}: publish", "ingress", ("put", "delete"), (*data, *cached)),
+        _rule(f"{prefix}: answer", "ingress", ("declare_queryable",), answers),
+        _rule(f"{prefix}: reply", "ingress", ("reply",), (*data, *answers, *_ROUTERS)),
+        _rule(f"{prefix}: announce", "ingress", ("liveliness_token",), (*tokens, *cached)),
+        _rule(f"{prefix}: subscribe", "ingress", ("declare_subscriber",), all_data),
+        _rule(f"{prefix}: request", "ingress", ("query",), of_robots),
+        _rule(
+            f"{prefix}: read the graph",
+            "ingress",
+            ("liveliness_query", "declare_liveliness_subscriber"),
+            graph,
+        ),
+        _rule(f"{prefix}: all", "egress", _EVERY_MESSAGE, (*of_robots, *graph, *_ROUTERS)),
+    ]
+    if confidential:
+        rules.append(
+            _rule(f"{prefix}: confidential", "egress", ("put", "reply"), confidential, "deny")
+        )
+    return rules
+
+
+def _nodes_on(deployment: Deployment, machine: str) -> list[str]:
+    """Return the names of the nodes of a machine: components, root, and `cairn up`."""
+    main = deployment.main_machine
+    components = components_by_machine(deployment)[machine]
+    return [*components, root_name(machine, main), view_name(machine, main)]
+
+
+def _published_by(
+    deployment: Deployment, names: Collection[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the keys of the topics that components may publish on, and of their services.
+
+    What operators may publish is among them: consoles run on every machine.
+    """
+    topics = [key for one in _operator_topics(deployment).values() for key in one]
+    services = []
+    for member in deployment.members():
+        if member.name not in names:
+            continue
+        cls = load_plugin(member.spec.plugin)
+        for port in ports_of(cls).values():
+            if port.direction == "out":
+                topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
+                kind = keys.dds_type(type_name(port.message))
+                topics.append(f"{deployment.domain}{topic}/{kind}/*")
+        actions = actions_of(cls)
+        for name in (*services_of(cls), *actions):
+            full = full_name(deployment.robot, member.spec.topics.get(name, name))
+            services.append(f"{deployment.domain}{full}/**")
+            if name in actions:  # feedback and status
+                topics.append(f"{deployment.domain}{full}/_action/**")
+    if deployment.ros_names and ROS_NAMES in names:
+        for one in ros_topics(deployment):
+            topics += [f"{deployment.domain}{topic}/*/*" for topic in (one.source, one.target)]
+        services += [f"{deployment.domain}{one.name}/**" for one in ros_services(deployment)]
+    return tuple(dict.fromkeys(topics)), tuple(dict.fromkeys(services))
+
+
+def _confidential_for(deployment: Deployment, names: Collection[str]) -> tuple[str, ...]:
+    """Return the keys of confidential topics that no component of these names uses."""
+    used = {
+        full_name(deployment.robot, member.spec.topics.get(port, port))
+        for member in deployment.members()
+        if member.name in names
+        for port in ports_of(load_plugin(member.spec.plugin))
+    }
+    topics = _input_topics(deployment, "confidential_inputs")
+    return tuple(key for topic, found in topics.items() if topic not in used for key in found)
 
 
 def _members(deployment: Deployment, role: Role) -> dict[str, list[str]]:
