@@ -36,6 +36,8 @@ COMMANDS = (
                 "Check this computer, and what a deployment needs of it.", _RUN),
     LazyCommand("ps", "cairn.cli.inspect:ps",
                 "List the components: state, process, load, losses.", _INSPECT),
+    LazyCommand("machines", "cairn.cli.machines:machines",
+                "List the machines of robots, and how their clocks differ.", _INSPECT),
     LazyCommand("view", "cairn.tools.terminal_map:view",
                 "Show map, scan, pose and path of a robot, live.", _INSPECT),
     LazyCommand("console", "cairn.console.cli:console",

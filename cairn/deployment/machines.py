@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from pydantic import BaseModel, ConfigDict
 
@@ -25,6 +25,8 @@ class RemoteInput(BaseModel):
     writer_machine: str
     readers: tuple[str, ...]
     reader_machine: str
+    has_other_writers: bool = False
+    """Whether components of another machine than the writer's publish it, too."""
 
     def __str__(self) -> str:
         return f"{self.topic} ({self.writer}) for {', '.join(self.readers)}"
@@ -82,11 +84,21 @@ def remote_inputs(deployment: Deployment) -> tuple[RemoteInput, ...]:
             writer_machine=deployment.machine_of(writer),
             readers=tuple(names),
             reader_machine=machine,
+            has_other_writers=len({deployment.machine_of(one) for one in writers[topic]}) > 1,
         )
         for (topic, machine), names in sorted(readers.items())
         for writer in writers[topic]
         if deployment.machine_of(writer) != machine
     )
+
+
+def published_elsewhere(inputs: Iterable[RemoteInput], machine: str) -> dict[str, str]:
+    """Return each topic that a machine reads and only one other machine publishes, with that."""
+    return {
+        one.topic: one.writer_machine
+        for one in inputs
+        if one.reader_machine == machine and not one.has_other_writers
+    }
 
 
 def machine_problems(root: DocumentNode) -> Iterator[Problem]:

@@ -319,6 +319,14 @@ class Deployment(_Section):
         description="The robot's computers, if it has several. Components that name none run on "
         "the first.",
     )
+    clock_tolerance_s: float = Field(
+        0.1,
+        gt=0,
+        le=10,
+        allow_inf_nan=False,
+        description="Largest difference between the clocks of two machines [s]: with more, inputs "
+        "refuse what the other one publishes with a stamp.",
+    )
     components: dict[Name, ChildSpec] = Field(
         min_length=1, description="The components in start order."
     )

@@ -68,6 +68,7 @@ class ComponentHost:
             SystemClock(),
             self._note_exit,
             self._clock.now,
+            self._clock_problem,
         )
         if isinstance(self.runtime.component, Supervisor):
             self.runtime.component.adopt(launch, self)
@@ -243,6 +244,16 @@ class ComponentHost:
             child.close()
         if self._zygote is not None:
             self._zygote.close()
+
+    def _clock_problem(self, machine: str) -> str:
+        tolerance_s = self.runtime.launch.context.clock_tolerance_s
+        offset = self.machines().clock_offset(machine)
+        if offset is None or not offset.exceeds(tolerance_s):
+            return ""
+        return (
+            f"it comes from machine {machine}: {offset}, more than clock_tolerance_s, "
+            f"{tolerance_s:g} s; synchronize the clocks, see `cairn doctor`"
+        )
 
     def _answer_control(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer a request from the bus; its supervisor alone may change the life cycle."""

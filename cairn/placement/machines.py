@@ -5,6 +5,7 @@ do. A machine that is silent counts as lost here, until it is heard again.
 """
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,10 +16,11 @@ from cairn.bus import control
 from cairn.bus.bus import Node, full_name
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.clock import from_ns
+from cairn.clock import from_ns, to_ns
 from cairn.deployment.machines import RemoteInput, components_by_machine
 from cairn.deployment.model import Deployment, root_name
 from cairn.errors import CairnError
+from cairn.placement.clock_offset import ClockOffset, ClockOffsetFilter
 from cairn.runtime.launch_request import RunContext
 from cairn.schemas.cairn_msgs import MACHINE_STATUS, MachineChild, MachineLink, MachineStatus
 from cairn.schemas.message import InvalidMessage
@@ -47,7 +49,8 @@ class RobotMachines:
         self._now = now
         self._began = now()
         self._news = threading.Condition()
-        self._heard: dict[str, tuple[float, MachineStatus]] = {}
+        self._heard: dict[str, tuple[float, int, MachineStatus]] = {}
+        self._clocks: dict[str, ClockOffsetFilter] = {}
         self._subscription = node.subscribe(
             full_name(context.robot, MACHINE_STATUS), MachineStatus, RELIABLE, self._receive
         )
@@ -76,8 +79,18 @@ class RobotMachines:
     def child(self, machine: str, name: str) -> MachineChild | None:
         """Return what the root of a machine has last reported of its child of that name."""
         heard = self._heard.get(machine)
-        children = () if heard is None else heard[1].children
+        children = () if heard is None else heard[2].children
         return next((one for one in children if one.name == name), None)
+
+    def last_status(self, machine: str) -> tuple[int, int] | None:
+        """Return when a machine has sent its last status [ns, its clock], and its receipt here."""
+        heard = self._heard.get(machine)
+        return None if heard is None else (to_ns(heard[2].header.stamp), heard[1])
+
+    def clock_offset(self, machine: str) -> ClockOffset | None:
+        """Return how far a machine's clock is ahead of the one here; None if it is not known."""
+        clock = self._clocks.get(machine)
+        return None if clock is None else clock.estimate(time.monotonic())
 
     def request(
         self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
@@ -116,9 +129,19 @@ class RobotMachines:
                 continue  # of a foreign publisher
             if status is None:
                 return
+            received_ns = time.time_ns()
+            self._measure_clock(status, received_ns)
             with self._news:
-                self._heard[status.machine] = (self._now(), status)
+                self._heard[status.machine] = (self._now(), received_ns, status)
                 self._news.notify_all()
+
+    def _measure_clock(self, status: MachineStatus, received_ns: int) -> None:
+        own = next((one for one in status.links if one.machine == self._context.machine), None)
+        if own is None or not (t1_ns := to_ns(own.last_sent)):
+            return
+        t2_ns, t3_ns = to_ns(own.last_received), to_ns(status.header.stamp)
+        clock = self._clocks.setdefault(status.machine, ClockOffsetFilter())
+        clock.add(t1_ns, t2_ns, t3_ns, received_ns, time.monotonic())
 
 
 class MachineMonitor:
@@ -135,6 +158,8 @@ class MachineMonitor:
         self._machines = root.machines()
         self._lost = {one: False for one in deployment.machines if one != context.machine}
         self._components = components_by_machine(deployment)
+        self._tolerance_s = deployment.clock_tolerance_s
+        self._clocks_off: set[str] = set()
         self._inputs = [one for one in inputs if one.reader_machine == context.machine]
         self._log = runtime.log
         topic = full_name(context.robot, MACHINE_STATUS)
@@ -151,7 +176,23 @@ class MachineMonitor:
                 self._log.log(level, "%s", self._described(machine))
             elif was_lost and not is_lost:
                 self._log.info("machine found: %s", machine)
+            self._check_clock(machine)
         self._publish()
+
+    def _check_clock(self, machine: str) -> None:
+        clock = self._machines.clock_offset(machine)
+        is_off = clock is not None and clock.exceeds(self._tolerance_s)
+        if is_off and machine not in self._clocks_off:
+            assert clock is not None
+            self._log.error(
+                "clock differs: %s: %s, more than clock_tolerance_s, %g s: what it publishes with "
+                "a stamp is refused here; synchronize the clocks, see `cairn doctor`",
+                machine, clock, self._tolerance_s,
+            )  # fmt: skip
+            self._clocks_off.add(machine)
+        elif not is_off and clock is not None and machine in self._clocks_off:
+            self._log.info("clock agrees: %s: %s", machine, clock)
+            self._clocks_off.remove(machine)
 
     def _described(self, machine: str) -> str:
         missing = self._missing(machine)
@@ -170,17 +211,23 @@ class MachineMonitor:
                     MachineChild(one.name, one.state, one.incarnation, one.reason[:_LONGEST_REASON])
                     for one in self._children.status()
                 ),
-                links=tuple(
-                    MachineLink(
-                        machine=machine,
-                        is_up=not is_lost,
-                        silent_s=max(0.0, self._machines.silent_s(machine)),
-                        components=self._components[machine] if is_lost else (),
-                        inputs=tuple(self._missing(machine)) if is_lost else (),
-                    )
-                    for machine, is_lost in self._lost.items()
-                ),
+                links=tuple(self._link(machine, lost) for machine, lost in self._lost.items()),
             )
+        )
+
+    def _link(self, machine: str, is_lost: bool) -> MachineLink:
+        sent_ns, received_ns = self._machines.last_status(machine) or (0, 0)
+        clock = self._machines.clock_offset(machine)
+        return MachineLink(
+            machine=machine,
+            is_up=not is_lost,
+            silent_s=max(0.0, self._machines.silent_s(machine)),
+            last_sent=from_ns(sent_ns),
+            last_received=from_ns(received_ns),
+            clock_offset=math.nan if clock is None else clock.offset_s,
+            clock_error=math.nan if clock is None else clock.error_s,
+            components=self._components[machine] if is_lost else (),
+            inputs=tuple(self._missing(machine)) if is_lost else (),
         )
 
     def _missing(self, machine: str) -> list[str]:

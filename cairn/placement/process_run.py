@@ -27,7 +27,7 @@ from cairn.bus.session import (
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.compilation import before_compilation
 from cairn.deployment.load import SourceDocument
-from cairn.deployment.machines import parents_elsewhere
+from cairn.deployment.machines import parents_elsewhere, published_elsewhere
 from cairn.deployment.model import ROOT, ChildSpec, Deployment, root_name
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -150,6 +150,8 @@ def run_processes(
             machine=machine,
             main_machine=deployment.main_machine,
             parents=parents_elsewhere(deployment, machine) if machine else {},
+            clock_tolerance_s=deployment.clock_tolerance_s,
+            remote_topics=published_elsewhere(plan.remote_inputs, machine),
             exclusive_topics=topics,
         ),
         topic_keys={

@@ -40,6 +40,9 @@ class RunContext(BaseModel):
     main_machine: str = ""
     parents: Mapping[str, str] = {}
     """The parent of each component that the root starts here for a parent on another machine."""
+    clock_tolerance_s: float = 0.1
+    remote_topics: Mapping[str, str] = {}
+    """The machine of the publishers of each topic (full name) that is published elsewhere only."""
     exclusive_topics: tuple[ExclusiveTopic, ...] | None = None
     """None for a component that runs without a deployment, in a test: it accepts every writer."""
 

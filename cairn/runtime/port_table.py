@@ -1,6 +1,7 @@
 """The ports of one running component: publishes, subscribes, delivers messages, counts them."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 from cairn.bus.bus import Node, full_name
@@ -39,9 +40,14 @@ class PortTable:
         scheduler: Scheduler,
         launch: LaunchRequest,
         call_log: CallLog | None = None,
+        clock_problem: Callable[[str], str] = lambda _: "",
     ) -> None:
-        """Bind the ports; `launch` gives their topics, and the writers of exclusive ones."""
+        """Bind the ports; `launch` gives their topics, and the writers of exclusive ones.
+
+        `clock_problem` returns why stamps of a machine of the robot cannot be used, "" if they can.
+        """
         self._component = component
+        elsewhere = {} if launch.context.simulated_time else launch.context.remote_topics
         handlers = handlers_of(type(component))
         self._timers = [
             (name, handler.period_ns, getattr(component, name))
@@ -68,7 +74,11 @@ class PortTable:
                         "topic is listed under external_topics, and no component publishes it",
                         spec.name, topic,
                     )  # fmt: skip
-                port = InputPort(spec, topic, owner, node, scheduler, calls, exclusive, call_log)
+                machine = elsewhere.get(topic)
+                problem = None if machine is None else partial(clock_problem, machine)
+                port = InputPort(
+                    spec, topic, owner, node, scheduler, calls, exclusive, call_log, problem
+                )
                 setattr(component, spec.name, port.bound)
                 self._inputs.append(port)
             else:

@@ -82,6 +82,7 @@ class Runtime:
         system_clock: Clock,
         on_end: Callable[[ExitReport], None],
         handler_clock: Callable[[], float] = time.monotonic,
+        clock_problem: Callable[[str], str] = lambda _: "",
     ) -> None:
         """Construct the component.
 
@@ -94,6 +95,8 @@ class Runtime:
             on_end: called once, when the component has ended.
             handler_clock: time [s] in which the duration of handlers is measured, without pauses
                 of the machine (`cairn.placement`).
+            clock_problem: why stamps of the robot's machine of that name cannot be used, "" if they
+                can.
 
         Raises `CairnError`, with component, plugin and cause, if it cannot be constructed.
         """
@@ -113,6 +116,7 @@ class Runtime:
         self._system_clock = system_clock
         self._on_end = on_end
         self._handler_clock = handler_clock
+        self._clock_problem = clock_problem
         self._state = LifecycleState.UNCONFIGURED
         self._in_transition: Transition | None = None
         self._current_call: tuple[str, float] | None = None
@@ -324,8 +328,9 @@ class Runtime:
         self.component.config = self.config
         robot, topics = self.launch.context.robot, self.launch.spec.topics
         self._ports = PortTable(
-            self.component, self, self.node, self._scheduler, self.launch, self.call_log
-        )
+            self.component, self, self.node, self._scheduler, self.launch, self.call_log,
+            self._clock_problem,
+        )  # fmt: skip
         self._clock_input: ClockInput | None = None
         if simulated_clock is not None:
             topic = full_name(robot, topics.get(CLOCK_TOPIC, CLOCK_TOPIC))

@@ -1,6 +1,7 @@
 """The inputs and outputs of one running component: they deliver and publish, and count."""
 
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -24,6 +25,11 @@ class _Counts(NamedTuple):
     refused: int = 0
 
 
+def has_stamp(message: type[Any]) -> bool:
+    """Return whether messages of a class carry the time of what they describe."""
+    return any(one.name == "header" for one in fields(message))
+
+
 class InputPort:
     """An input of the component."""
 
@@ -37,7 +43,9 @@ class InputPort:
         calls: list[tuple[str, Callable[..., None]]],
         exclusive: Exclusive | None,
         call_log: CallLog | None,
+        clock_problem: Callable[[], str] | None = None,
     ) -> None:
+        """`clock_problem` returns why messages with a stamp are refused now, "" if they are not."""
         self.bound: BoundIn[Any] = BoundIn(spec, topic)
         self._spec = spec
         self._topic = topic
@@ -45,6 +53,8 @@ class InputPort:
         self._node = node
         self._exclusive = exclusive
         self._call_log = call_log
+        self._clock_problem = clock_problem if has_stamp(spec.message) else None
+        self._refused = 0  # because of the clock of their publisher's machine
         self._wake = partial(scheduler.deliver, self._on_wake_up)
         self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
@@ -89,7 +99,7 @@ class InputPort:
             messages=counts.received,
             dropped=counts.dropped,
             invalid=counts.invalid,
-            refused=counts.refused,
+            refused=counts.refused + self._refused,
         )
 
     def _counts(self) -> _Counts:
@@ -117,12 +127,23 @@ class InputPort:
             return True
         if message is None:
             return False
+        if self._clock_problem is not None and (problem := self._clock_problem()):
+            self._refuse(problem)
+            return True
         if self._call_log is not None:
             self._call_log.took(self._spec.name, self._subscription.taken)
         self.bound.set_latest(message)
         for where, call in self._calls:
             self._owner.run(where, call, message)
         return True
+
+    def _refuse(self, problem: str) -> None:
+        self._refused += 1
+        if self._refused & (self._refused - 1) == 0:  # the 1st, 2nd, 4th, 8th ...
+            self._owner.log.error(
+                "port %s: refused message on %s (%d so far): %s",
+                self._spec.name, self._topic, self._refused, problem,
+            )  # fmt: skip
 
     def _log_invalid(self, error: InvalidMessage) -> None:
         count = self._counts().invalid
