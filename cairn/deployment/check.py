@@ -93,6 +93,7 @@ def check_document(
         components.append(component)
         problems += plugin_problems
         problems += _unknown_ports(component)
+        problems += _unwatchable_ages(component)
         problems += _conflicting_keys(component)
         problems += _unattainable_stop(root, component)
     problems += machine_problems(root)
@@ -210,6 +211,21 @@ def _unknown_ports(component: CheckedComponent) -> Iterator[Problem]:
             at = node.key_at or node.at
             path = dotted((*component.path, "topics", port))
             yield Problem(at, path, f"there is no port {port}", suggestion(port, known))
+
+
+def _unwatchable_ages(component: CheckedComponent) -> Iterator[Problem]:
+    """Yield ages that are given for something else than inputs whose messages become old."""
+    ages = component.node.find("max_age_s")
+    if ages is None or component.ports is None:
+        return
+    inputs = {name for name, one in component.ports.items() if one.direction == "in"}
+    for port, node in ages.entries.items():
+        at, path = node.key_at or node.at, dotted((*component.path, "max_age_s", port))
+        if port not in inputs:
+            yield Problem(at, path, f"there is no input {port}", suggestion(port, inputs))
+        elif component.ports[port].qos.latched:
+            found = "its topic is latched: the last message stays valid, however old it is"
+            yield Problem(at, path, found, "remove it")
 
 
 def _conflicting_keys(component: CheckedComponent) -> Iterator[Problem]:

@@ -128,6 +128,10 @@ class ChildSpec(_Section):
         default_factory=dict,
         description="Topic of a port, below /<robot>/ unless it begins with /.",
     )
+    max_age_s: dict[str, Seconds] = Field(
+        default_factory=dict,
+        description="Age from which an input is stale, by port [s]; by default that of its class.",
+    )
     placement: Literal["process", "in_process"] = Field(
         "process", description="In a process of its own, or in that of its parent."
     )

@@ -277,6 +277,7 @@ class Rerun:
                 plugin=info.plugin,
                 parameters=info.parameters,
                 topics=info.topics,
+                max_age_s=info.max_age_s,
                 children=children,
             ),
             incarnation=info.incarnation,

@@ -81,6 +81,7 @@ class StartInfo(BaseModel):
     plugin: str
     parameters: dict[str, Any]
     topics: dict[str, str]
+    max_age_s: dict[str, float] = {}
     children: tuple[str, ...] = ()
     incarnation: int
     robot: str

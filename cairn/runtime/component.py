@@ -219,6 +219,15 @@ class Component:
         """
         return False
 
+    def on_stale(self, port: str, age_s: float) -> None:
+        """React to an input whose newest message is older than its `max_age_s`, or missing.
+
+        It is called once, when the input becomes stale; `age_s` is its age then [s].
+        """
+
+    def on_fresh(self, port: str) -> None:
+        """React to an input that was stale and has a current message again."""
+
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:  # noqa: ARG002
         """Return the reply to a control request of the component's own, a value that is JSON.
 

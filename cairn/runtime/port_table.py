@@ -8,11 +8,13 @@ from cairn.bus.bus import Node, full_name
 from cairn.runtime.action_ports import ActionClientPort, ActionServerPort
 from cairn.runtime.call_log import CallLog
 from cairn.runtime.component import Component
+from cairn.runtime.input_ages import InputAges
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.loop import Scheduler
 from cairn.runtime.parameters import ServiceIntrospection
 from cairn.runtime.port_owner import PortOwner
 from cairn.runtime.ports import (
+    BoundIn,
     CancelHandler,
     GoalHandler,
     PortHandler,
@@ -56,6 +58,8 @@ class PortTable:
         ]
         self._inputs: list[InputPort] = []
         self._outputs: list[OutputPort] = []
+        bound: dict[str, BoundIn[Any]] = {}
+        ages: dict[str, float] = {}
         for spec in ports_of(type(component)).values():
             name = launch.spec.topics.get(spec.name, spec.name)
             topic = full_name(launch.context.robot, name)
@@ -81,11 +85,15 @@ class PortTable:
                 )
                 setattr(component, spec.name, port.bound)
                 self._inputs.append(port)
+                bound[spec.name] = port.bound
+                if spec.max_age_s is not None:
+                    ages[spec.name] = spec.max_age_s
             else:
                 output = OutputPort(component.name, spec, topic, owner, node, exclusive, call_log)
                 setattr(component, spec.name, output.bound)
                 self._outputs.append(output)
 
+        self._ages = InputAges(component, bound, ages | launch.spec.max_age_s)
         self._servers: list[ServerPort] = []
         self._clients: list[ClientPort] = []
         self._bind_services(owner, node, scheduler, launch, call_log)
@@ -187,9 +195,15 @@ class PortTable:
         for port in self._inputs:
             port.bound.set_latest(None)
 
+    def watch_ages(self) -> None:
+        """Count the ages of the inputs from now on."""
+        self._ages.start()
+
     def timers(self) -> Iterator[tuple[str, int, Callable[[], None]]]:
         """Yield the periodic handlers: name, period [ns], method."""
         yield from self._timers
+        if self._ages.period_ns:
+            yield "ages of inputs", self._ages.period_ns, self._ages.check
 
     def outputs_with(self, message: str) -> list[str]:
         """Return the outputs whose messages have the type of that name, or a field of it."""

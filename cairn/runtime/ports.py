@@ -38,6 +38,9 @@ ServiceMethod = TypeVar("ServiceMethod", bound=Callable[..., Any])
 Marked = TypeVar("Marked", bound=Callable[..., Any])
 
 
+_LONGEST_AGE_S = 3600.0
+
+
 class In(Generic[T]):
     """An input port, declared in the body of a component: `odom: In[Odometry] = In(qos=SENSOR)`.
 
@@ -47,7 +50,8 @@ class In(Generic[T]):
     deployment; it refuses, counts and reports those of any other publisher. A message longer than
     `max_bytes` is rejected, counted and reported before it is decoded; by default the limit follows
     from the message type: 4 KiB for one of fixed length, 64 KiB with texts, 1 MiB with sequences,
-    32 MiB with bytes, such as images and maps.
+    32 MiB with bytes, such as images and maps. An input without a message younger than `max_age_s`
+    [s] is stale: the component logs and shows it, and `Component.on_stale` is called.
     """
 
     def __init__(
@@ -57,8 +61,15 @@ class In(Generic[T]):
         optional: bool = False,
         exclusive: bool = False,
         max_bytes: int | None = None,
+        max_age_s: float | None = None,
     ) -> None:
         _check_max_bytes("In", max_bytes)
+        if max_age_s is not None and (qos.latched or not 0 < max_age_s <= _LONGEST_AGE_S):
+            raise CairnError(
+                f"In(max_age_s={max_age_s}): an age is above 0 and at most {_LONGEST_AGE_S:g} s, "
+                "and not for a latched input, whose last message stays valid"
+            )
+        self.max_age_s = max_age_s
         self.qos = qos
         self.optional = optional
         self.exclusive = exclusive
@@ -239,7 +250,11 @@ class BoundIn(In[T]):
 
     def __init__(self, spec: "PortSpec", topic: str) -> None:
         super().__init__(
-            spec.qos, optional=spec.optional, exclusive=spec.exclusive, max_bytes=spec.max_bytes
+            spec.qos,
+            optional=spec.optional,
+            exclusive=spec.exclusive,
+            max_bytes=spec.max_bytes,
+            max_age_s=spec.max_age_s,
         )
         self._topic = topic
         self._latest: T | None = None
@@ -415,6 +430,8 @@ class PortSpec:
     exclusive: bool = False
     max_bytes: int | None = None
     """Longest message [bytes] that an input accepts; None: as long as its type has by default."""
+    max_age_s: float | None = None
+    """Age [s] from which an input is stale; None: its age is not watched."""
 
 
 def ports_of(cls: type) -> dict[str, PortSpec]:
@@ -674,6 +691,7 @@ def _port(cls: type, name: str, kind: type, arguments: tuple[Any, ...]) -> PortS
             declared.optional,
             declared.exclusive,
             declared.max_bytes,
+            declared.max_age_s,
         )
     if isinstance(declared, Out) and kind is Out:
         return PortSpec(name, "out", message, declared.qos, exclusive=declared.exclusive)

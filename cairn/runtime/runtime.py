@@ -365,6 +365,7 @@ class Runtime:
                 if self.call_log is not None:
                     self.call_log.connected()
                 self.component.on_activate()
+                self._ports.watch_ages()
                 self._timers.start(
                     (period, partial(self.run, name, call))
                     for name, period, call in self._ports.timers()
@@ -541,6 +542,7 @@ def _start_record(launch: LaunchRequest, config: Config) -> Record:
         plugin=spec.plugin,
         parameters=spec.parameters,
         topics=spec.topics,
+        max_age_s=spec.max_age_s,
         children=tuple(spec.children),
         incarnation=launch.incarnation,
         robot=context.robot,

@@ -149,7 +149,7 @@ class RemoteChild:
             self.reason = self._without_name(error)
             self._log_event(logging.ERROR, "start failed", self.reason)
         if reported is None or reported.state in _GONE:
-            if self.target is LifecycleState.ACTIVE:  # its machine has started anew, for example
+            if self.target is LifecycleState.ACTIVE:  # its root has been restarted, for example
                 self._request_load()
             return None
         was_lost = self.state == "lost"

@@ -250,6 +250,7 @@ class ComponentHarness(Lockstep, Generic[C]):
         simulated_time: bool = False,
         seed: int = 0,
         restarts: int = 0,
+        max_age_s: Mapping[str, float] | None = None,
     ) -> None:
         """Construct the component with its parameters; configure and activate it.
 
@@ -265,6 +266,7 @@ class ComponentHarness(Lockstep, Generic[C]):
             simulated_time: whether it takes its time from the topic `clock`.
             seed: seed of its random numbers.
             restarts: how many times it has been restarted before.
+            max_age_s: ages [s] from which its inputs are stale, where they differ from its class.
 
         Raises `CairnError` if the component cannot be constructed, configured or activated.
         """
@@ -274,6 +276,7 @@ class ComponentHarness(Lockstep, Generic[C]):
                 plugin=f"{component.__module__}:{component.__qualname__}",
                 parameters=dict(parameters or {}),
                 topics=dict(topics or {}),
+                max_age_s=dict(max_age_s or {}),
             ),
             incarnation=1 + restarts,
             context=RunContext(robot=robot, simulated_time=simulated_time, seed=seed),

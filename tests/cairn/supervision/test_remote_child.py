@@ -170,7 +170,7 @@ def test_loss_of_a_required_child_stops_its_siblings_and_fails_the_supervisor() 
     assert "it may continue to run there" in one.world.log.lines[-1]
 
 
-def test_child_is_loaded_again_by_a_machine_that_has_started_anew() -> None:
+def test_child_is_loaded_again_by_a_machine_that_was_restarted() -> None:
     one = robot()
     one.children.start_all()
     one.lose()
