@@ -18,7 +18,7 @@ from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.exclusive_topics import ONE_WRITER, only_writer, two_writers
 from cairn.deployment.frames import DESCRIPTION, FRAMES, FrameReferences
 from cairn.deployment.machines import machine_problems
-from cairn.deployment.model import RESERVED, ROBOT_FRAMES, Deployment
+from cairn.deployment.model import RESERVED, ROBOT_FRAMES, Deployment, fallback_name
 from cairn.deployment.plugins import PluginError, find_plugin, load_plugin
 from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import validation_problems
@@ -100,6 +100,9 @@ def check_document(
     if not import_plugins:
         return problems
     components += _implicit_components(root)
+    for fallback, fallback_problems in _fallbacks(components, unresolved):
+        components.append(fallback)
+        problems += fallback_problems
     problems += _file_problems(root)
     problems += _frame_problems(root, components)
     return problems + list(_wiring_problems(root, components))
@@ -113,6 +116,45 @@ def _implicit_components(root: DocumentNode) -> Iterator[CheckedComponent]:
             node = DocumentNode({"plugin": DocumentNode(plugin, section.where)}, section.where)
             own = CheckedComponent(plugin, ("components", plugin), node)
             yield _resolve_plugin(own, frozenset(), import_plugins=True)[0]
+
+
+def _fallbacks(
+    components: list[CheckedComponent], unresolved: frozenset[KeyPath]
+) -> list[tuple[CheckedComponent, list[Problem]]]:
+    """Return the fallbacks of components with their problems.
+
+    Their services are left out: a fallback serves only while its component does not.
+    """
+    names = {component.name for component in components}
+    found = []
+    for component in components:
+        section = component.node.find("fallback")
+        if section is None or not section.entries:
+            continue
+        name, path = fallback_name(component.name), (*component.path, "fallback")
+        plugin = section.find("plugin") or component.node.find("plugin")
+        keys = {
+            "plugin": plugin,
+            "parameters": _merged(component.node.find("parameters"), section.find("parameters")),
+            "topics": component.node.find("topics"),
+        }
+        entries = {key: node for key, node in keys.items() if node is not None}
+        node = DocumentNode(entries, section.at, section.key_at)
+        resolved, problems = _resolve_plugin(
+            CheckedComponent(name, path, node), unresolved, import_plugins=True
+        )
+        if name in names:
+            text = f"the name {name} is used twice: it is also that of a component"
+            problems.append(Problem(section.where, dotted(path), text, "rename that component"))
+        found.append((replace(resolved, services={}), problems))
+    return found
+
+
+def _merged(own: DocumentNode | None, other: DocumentNode | None) -> DocumentNode | None:
+    """Return the parameters of a component with those of its fallback in their place."""
+    if own is None or other is None:
+        return own or other
+    return DocumentNode({**own.entries, **other.entries}, other.at, other.key_at)
 
 
 def _frame_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:

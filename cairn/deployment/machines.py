@@ -137,7 +137,11 @@ def _placement_problems(
 ) -> Iterator[Problem]:
     """Yield which keys of a component do not fit its machine."""
     placement, loss = node.find("placement"), node.find("on_loss")
-    significant = node.find("significant")
+    significant, fallback = node.find("significant"), node.find("fallback")
+    if fallback is not None and fallback.value is not None and not moved:
+        found = "it runs on its parent's machine, to which there is no link"
+        remedy = "remove it, or add `machine`"
+        yield Problem(fallback.where, dotted((*path, "fallback")), found, remedy)
     if moved and placement is not None and placement.value == "in_process":
         found = "a component in its parent's process runs on its parent's machine"
         remedy = "use placement: process, or remove `machine`"

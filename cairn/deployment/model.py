@@ -115,6 +115,24 @@ class Frame(_Section):
         return Joint(f"{name}_mount", "fixed", self.parent, name, pose)
 
 
+class Fallback(_Section):
+    """What runs on the parent's machine instead of a component, while its link is slow or down."""
+
+    plugin: str | None = Field(
+        None, description="Plugin of the fallback; by default that of the component."
+    )
+    parameters: dict[str, Any] = Field(
+        default_factory=dict, description="Parameters in which it differs from the component."
+    )
+    max_round_trip_s: float = Field(
+        0.5,
+        gt=0,
+        le=60,
+        allow_inf_nan=False,
+        description="The link is slow if there and back takes longer [s].",
+    )
+
+
 class ChildSpec(_Section):
     """One component of the tree, as its supervisor starts, watches and restarts it."""
 
@@ -176,6 +194,11 @@ class ChildSpec(_Section):
         "degrade",
         description="What its parent does when it runs on another machine that is lost: stop as "
         "after a failure, go on without it, or go on and log nothing.",
+    )
+    fallback: Fallback | None = Field(
+        None,
+        description="What runs on its parent's machine instead, while the link to its own is slow "
+        "or down.",
     )
 
     @property
@@ -394,7 +417,7 @@ class Deployment(_Section):
             found = {ROBOT_FRAMES: publisher, **found}
         if self.ros_names:  # last, so that the services exist before their ROS names
             found[_ROS] = expendable({ROS_NAMES: ChildSpec(plugin=ROS_NAMES)})
-        return found
+        return _with_fallbacks(found, self.main_machine)
 
     def member(self, name: str) -> Member:
         """Return the component of that name at any depth; `KeyError` if there is none."""
@@ -402,6 +425,32 @@ class Deployment(_Section):
             if member.name == name:
                 return member
         raise KeyError(name)
+
+
+def fallback_name(component: str) -> str:
+    """Return the name of a component's fallback."""
+    return f"{component}_fallback"
+
+
+def _with_fallbacks(specs: Mapping[str, ChildSpec], machine: str) -> dict[str, ChildSpec]:
+    """Return components, those on other machines than their parent's with their fallbacks.
+
+    `machine` is that of the parent. A fallback is a sibling that is loaded on request.
+    """
+    found = {}
+    for name, spec in specs.items():
+        own = spec.machine or machine
+        found[name] = spec.model_copy(update={"children": _with_fallbacks(spec.children, own)})
+        if spec.fallback is not None and own != machine:
+            found[fallback_name(name)] = ChildSpec(
+                plugin=spec.fallback.plugin or spec.plugin,
+                parameters={**spec.parameters, **spec.fallback.parameters},
+                topics=spec.topics,
+                max_age_s=spec.max_age_s,
+                log_level=spec.log_level,
+                load="on_request",
+            )
+    return found
 
 
 def _placed(specs: Mapping[str, ChildSpec], machine: str) -> dict[str, ChildSpec]:

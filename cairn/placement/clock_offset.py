@@ -52,6 +52,8 @@ class ClockOffsetFilter:
     def __init__(self) -> None:
         self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
         self._best: _Sample | None = None
+        self.round_trip_s: float | None = None
+        """How long the last exchange took, without the time at the other machine [s]."""
 
     def add(self, t1_ns: int, t2_ns: int, t3_ns: int, t4_ns: int, at_s: float) -> None:
         """Add an exchange [ns], which ended at the monotonic time `at_s` [s].
@@ -60,6 +62,7 @@ class ClockOffsetFilter:
         """
         round_trip_ns = (t4_ns - t1_ns) - (t3_ns - t2_ns)
         offset_s = ((t2_ns - t1_ns) + (t3_ns - t4_ns)) / 2 / _NS
+        self.round_trip_s = max(0.0, round_trip_ns / _NS)
         if round_trip_ns < 0:  # a clock was set between the two messages
             self._samples.clear()
             self._best = None

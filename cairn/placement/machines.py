@@ -92,6 +92,11 @@ class RobotMachines:
         clock = self._clocks.get(machine)
         return None if clock is None else clock.estimate(time.monotonic())
 
+    def round_trip_s(self, machine: str) -> float | None:
+        """Return how long the last exchange with a machine took [s]; None before the first."""
+        clock = self._clocks.get(machine)
+        return None if clock is None else clock.round_trip_s
+
     def request(
         self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
     ) -> "Future[Any]":

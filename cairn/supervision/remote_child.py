@@ -4,12 +4,14 @@ The root of that machine starts it, watches it and restarts it; a supervisor her
 it is loaded, held or unloaded. It never counts as failed because its machine cannot be reached: it
 is *lost*, and what follows is its `on_loss` in the deployment. Nothing is killed over a link.
 
-Log lines have the form of `cairn.supervision.supervisor`, with two more events:
+Log lines have the form of `cairn.supervision.supervisor`, with these events more:
 
 | event | level | meaning |
 |---|---|---|
 | `child lost: NAME: REASON` | WARNING, DEBUG with `on_loss: ignore` | it cannot be reached |
 | `child found: NAME` | INFO | its machine is reached again, and it is active |
+| `child resting: NAME: REASON` | WARNING | its link is slow; its fallback works instead |
+| `child resumed: NAME: REASON` | INFO | its link is no longer slow |
 """
 
 import logging
@@ -27,6 +29,8 @@ from cairn.schemas.cairn_msgs import MachineChild
 from cairn.supervision.child import ChildStatus, StartResult, State, SupervisorHost
 
 _STEP_S = 0.05
+_SLOW_CHECKS = 3  # in a row, of two in a second: then the link is slow
+_QUICK_CHECKS = 6  # in a row: then it is not any more
 _TRANSFER_S = 1.0  # longer than the other root may take, for the request and its answer
 _GONE = ("unloaded", "ended")
 
@@ -46,6 +50,10 @@ class Machines(Protocol):
         self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
     ) -> "Future[Any]":
         """Make a request of the root of a machine; its errors are those of `control.request`."""
+        ...
+
+    def round_trip_s(self, machine: str) -> float | None:
+        """Return how long the last exchange with a machine took [s]; None before the first."""
         ...
 
     def wait_for_news(self, timeout_s: float) -> None:
@@ -74,6 +82,8 @@ class RemoteChild:
         self._host = host
         self._log = log
         self._loading: Future[Any] | None = None
+        self._is_slow = False
+        self._contrary_checks = 0
 
     def status(self) -> ChildStatus:
         """Return the state of the child, as last reported by its machine."""
@@ -122,6 +132,11 @@ class RemoteChild:
         self._log_event(logging.INFO, "active")
         return "active"
 
+    @property
+    def needs_fallback(self) -> bool:
+        """Whether something here has to do its work: it runs, but cannot be used."""
+        return self.runs and (self.state == "lost" or self._is_slow)
+
     def poll(self) -> ExitReport | None:
         """Return None: its own machine judges how it has ended."""
         return None
@@ -154,6 +169,7 @@ class RemoteChild:
             return None
         was_lost = self.state == "lost"
         self._note_reported(reported)
+        self._check_speed(machines)
         if was_lost and self.state in ("active", "held"):
             self._log_event(logging.INFO, "found")
         return None
@@ -202,6 +218,27 @@ class RemoteChild:
         self.state = "ended"
         failure = self.stop_failure or (self.reason if silence else "")
         self._log_event(logging.WARNING if failure else logging.INFO, "stopped", failure)
+
+    def _check_speed(self, machines: Machines) -> None:
+        """Have a component with a fallback rest while its link is slow."""
+        round_trip_s = machines.round_trip_s(self._machine)
+        if self.spec.fallback is None or round_trip_s is None:
+            return
+        limit_s = self.spec.fallback.max_round_trip_s
+        is_contrary = (round_trip_s > limit_s) != self._is_slow
+        self._contrary_checks = self._contrary_checks + 1 if is_contrary else 0
+        if self._contrary_checks < (_QUICK_CHECKS if self._is_slow else _SLOW_CHECKS):
+            return
+        self._is_slow, self._contrary_checks = not self._is_slow, 0
+        took = f"round trip {round_trip_s:.2f} s, limit {limit_s:g} s"
+        state = "inactive" if self._is_slow else "active"
+        machines.request(
+            self._machine, "hold", {"name": self.name, "state": state}, self.spec.stop_limit_s
+        )
+        if self._is_slow:
+            self._log_event(logging.WARNING, "resting", f"link to {self._machine} is slow: {took}")
+        else:
+            self._log_event(logging.INFO, "resumed", took)
 
     def _request_load(self) -> "Future[Any]":
         self.incarnation += 1

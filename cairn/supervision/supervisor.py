@@ -30,6 +30,7 @@ from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
 
 from cairn.bus.bus import full_name
+from cairn.deployment.model import fallback_name
 from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
@@ -293,6 +294,20 @@ class ChildGroup:
                 self._give_up(f"{child.name} is lost: {report.reason}")
             if report is not None:
                 self._on_exit(child, report)
+        for name, child in self._children.items():
+            if isinstance(child, RemoteChild) and fallback_name(name) in self._children:
+                self._switch_fallback(child, fallback_name(name))
+
+    def _switch_fallback(self, child: RemoteChild, fallback: str) -> None:
+        """Load the fallback of a remote child while it is needed."""
+        loaded = fallback in self._policy.required
+        if child.needs_fallback and not loaded and not self.stop_requested:
+            try:
+                self.load(fallback)
+            except StartFailed as error:  # its start has been logged; the next check tries it again
+                child.reason = f"{child.reason}; its fallback failed: {error}"
+        elif loaded and not child.needs_fallback:
+            self.unload(fallback)
 
     def hold(self, name: str, state: str) -> str:
         """Bring a child to a state of its life cycle and keep it there; "active" releases it.

@@ -9,7 +9,7 @@ import pytest
 
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import ChildSpec, Deployment, Storage, Supervision
+from cairn.deployment.model import ChildSpec, Deployment, Fallback, Storage, Supervision
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]
@@ -69,7 +69,8 @@ def test_problems_match_those_on_the_page() -> None:
         (Deployment.model_fields.keys() - {"bus", "storage"}, ""),
         (BusSettings.model_fields.keys(), "bus."),
         (Storage.model_fields.keys(), "storage."),
-        (ChildSpec.model_fields.keys() - {"supervision"}, ""),
+        (ChildSpec.model_fields.keys() - {"fallback", "supervision"}, ""),
+        (Fallback.model_fields.keys(), "fallback."),
         (Supervision.model_fields.keys(), "supervision."),
     ],
 )

@@ -81,6 +81,27 @@ def test_component_whose_parent_is_elsewhere_is_started_by_its_own_root(overlay:
     assert list(deployment.root("brain").children) == ["automove"]
 
 
+def test_fallback_is_a_sibling_on_the_machine_of_the_parent(overlay: Path) -> None:
+    fallback = "fallback: {parameters: {particles: 300}}"
+    localizer = f"{{machine: brain, {fallback}}}"
+    overlay.write_text(
+        f"{MACHINES}components: {{mobile_supervisor: {{children: {{automove: {{children: "
+        f"{{localizer: {localizer}}}}}}}}}}}\n"
+    )
+    deployment = load_deployment(SIM, [overlay])
+    spec = deployment.member("localizer_fallback").spec
+    own = deployment.member("localizer").spec
+    assert (spec.plugin, spec.topics, spec.load) == (own.plugin, own.topics, "on_request")
+    assert spec.parameters == {**own.parameters, "particles": 300}
+    assert deployment.machine_of("localizer_fallback") == "base"
+    overlay.write_text(
+        f"{MACHINES}components: {{mobile_supervisor: {{children: {{automove: {{children: "
+        "{localizer: {machine: brain, fallback: {parameters: {particels: 300}}}}}}}}\n"
+    )
+    with pytest.raises(CairnError, match="did you mean particles"):
+        load_deployment(SIM, [overlay])
+
+
 def test_what_crosses_names_topic_writer_and_readers(deployment: Deployment) -> None:
     inputs = {str(one): one.reader_machine for one in remote_inputs(deployment)}
     assert inputs["/robot/scan (range_scanner) for localizer"] == "brain"
@@ -112,6 +133,7 @@ def test_machine_must_be_named_when_there_are_several(deployment: Deployment) ->
             "a component in its parent's process runs on its parent's machine",
         ),
         (MACHINES + "components: {world: {on_loss: stop}}", "which cannot be lost"),
+        (MACHINES + "components: {world: {fallback: {}}}", "to which there is no link"),
         (
             MACHINES + "components: {mobile_supervisor: {machine: brain}}",
             "only a component of the first machine can end the deployment",

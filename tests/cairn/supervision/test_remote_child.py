@@ -9,14 +9,15 @@ import pytest
 
 from cairn import CairnError
 from cairn.bus.control import ControlError, NoReplyError
-from cairn.deployment.model import ChildSpec, OnLoss
+from cairn.deployment.model import ChildSpec, Fallback, OnLoss
 from cairn.errors import Escalate
+from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.schemas.cairn_msgs import MachineChild
 from cairn.supervision.supervisor import ChildGroup, StartFailed
 
-from .scripted_children import World
+from .scripted_children import World, fails
 
 
 @dataclass
@@ -29,6 +30,10 @@ class ScriptedMachines:
     state: str = "unloaded"
     requests: list[str] = field(default_factory=list)
     errors: dict[str, CairnError] = field(default_factory=dict)
+    took_s: float | None = None
+
+    def round_trip_s(self, machine: str) -> float | None:
+        return self.took_s
 
     def silence(self, machine: str) -> str:
         is_up = self.up and self.world.now_s >= self.up_at_s
@@ -73,16 +78,19 @@ class Robot:
         self.children.check()
 
 
-def robot(on_loss: OnLoss = "degrade", world: World | None = None) -> Robot:
+def robot(on_loss: OnLoss = "degrade", fallback: Fallback | None = None) -> Robot:
     """Return a supervisor on machine `base` with a localizer on `brain` and a planner here."""
-    world = world or World()
+    world = World()
     machines = ScriptedMachines(world)
     world.robot_machines = machines
-    remote = ChildSpec(plugin="test", machine="brain", on_loss=on_loss, start_timeout_s=20)
-    spec = ChildSpec(
-        plugin="supervisor",
-        children={"localizer": remote, "planner": ChildSpec(plugin="test", machine="base")},
+    remote = ChildSpec(
+        plugin="test", machine="brain", on_loss=on_loss, start_timeout_s=20, fallback=fallback
     )
+    here = ChildSpec(plugin="test", machine="base")
+    specs = {"localizer": remote, "planner": here}
+    if fallback is not None:
+        specs["localizer_fallback"] = here.model_copy(update={"load": "on_request"})
+    spec = ChildSpec(plugin="supervisor", children=specs)
     context = RunContext(machine="base", main_machine="base")
     launch = LaunchRequest(name="automove", spec=spec, context=context)
     children = ChildGroup(launch, world, world.log.logger, on_exit=lambda: None)
@@ -261,3 +269,61 @@ def test_stop_request_ends_the_wait_for_a_machine() -> None:
     one.children.start_all()
     assert one.world.now_s - before_s < 1
     assert one.states()["planner"] == "unloaded"
+
+
+def test_fallback_works_while_the_machine_is_lost() -> None:
+    one = robot(fallback=Fallback())
+    one.children.start_all()
+    assert one.states()["localizer_fallback"] == "unloaded"
+    one.lose()
+    assert one.states()["localizer_fallback"] == "active"
+    one.find()
+    assert one.states() == {
+        "localizer": "active",
+        "planner": "active",
+        "localizer_fallback": "unloaded",
+    }
+
+
+def test_fallback_that_crashes_is_restarted_and_one_that_fails_is_tried_again() -> None:
+    one = robot(fallback=Fallback())
+    one.world.script("localizer_fallback", {"activate": fails("no map")})
+    one.children.start_all()
+    one.lose()
+    assert one.states()["localizer_fallback"] == "ended"
+    one.children.check()
+    assert one.states()["localizer_fallback"] == "active"
+    one.world.children["localizer_fallback"].end = ExitReport(False, "killed")
+    one.children.reconcile()
+    assert one.states()["localizer_fallback"] == "active"
+
+
+def test_component_rests_while_its_link_is_slow() -> None:
+    one = robot(fallback=Fallback(max_round_trip_s=0.3))
+    one.children.start_all()
+    one.machines.requests.clear()
+
+    def checks(took_s: float, count: int) -> list[str]:
+        one.machines.took_s = took_s
+        for _ in range(count):
+            one.children.check()
+        return [one.machines.state, one.states()["localizer_fallback"]]
+
+    assert checks(0.4, 2) == ["active", "unloaded"]
+    assert checks(0.2, 1) == ["active", "unloaded"]
+    assert checks(0.4, 3) == ["held", "active"]
+    assert checks(0.2, 5) == ["held", "active"]
+    assert checks(0.2, 1) == ["active", "unloaded"]
+    assert one.machines.requests == [
+        "hold localizer inactive on brain",
+        "hold localizer active on brain",
+    ]
+
+
+def test_fallback_ends_with_the_component_that_it_stands_in_for() -> None:
+    one = robot(fallback=Fallback())
+    one.children.start_all()
+    one.lose()
+    one.children.unload("localizer")
+    one.children.check()
+    assert one.states()["localizer_fallback"] == "unloaded"
