@@ -47,28 +47,31 @@ def runtime_folder() -> Path:
     return Path(f"/tmp/cairn-{uid}")
 
 
-def private_folder(path: Path, group: str | None = None) -> Path:
+def private_folder(
+    path: Path, group: str | None = None, *, content: str = "sockets", variable: str = VARIABLE
+) -> Path:
     """Create a folder that only its owner may use, or check that it is one; return its path.
 
-    With `group`, the members of that group may reach what is in it, but change nothing. Raises
+    With `group`, the members of that group may reach what is in it, but change nothing. `content`
+    and the environment variable by which users name another folder are for messages. Raises
     `CairnError` if it cannot be created, is a link, belongs to another user, or is open to others.
     """
     gid = None if group is None else group_id(group)
     try:
         path.mkdir(mode=PRIVATE_MODE, parents=True, exist_ok=True)
-        check_private(path)
+        check_private(path, content=content, variable=variable)
         if gid is not None:
             os.chown(path, -1, gid)
             path.chmod(GROUP_MODE)
     except OSError as error:
         raise CairnError(
-            f"{path}: the folder for sockets cannot be created, or opened to a group: "
-            f"{error.strerror}; set {VARIABLE} to a folder of yours"
+            f"{path}: the folder for {content} cannot be created, or opened to a group: "
+            f"{error.strerror}; set {variable} to a folder of yours"
         ) from error
     return path
 
 
-def check_private(path: Path) -> None:
+def check_private(path: Path, *, content: str = "sockets", variable: str = VARIABLE) -> None:
     """Raise `CairnError` unless an existing folder belongs to this user, and only it may write.
 
     The folder's group may read it: only its owner can have allowed that. Raises `OSError` if the
@@ -79,23 +82,23 @@ def check_private(path: Path) -> None:
         kind = "a link" if stat.S_ISLNK(status.st_mode) else "not a folder"
         raise CairnError(
             f"{path}: it is {kind}, which another user may have put there; remove it, or set "
-            f"{VARIABLE} to a folder of yours"
+            f"{variable} to a folder of yours"
         )
     if status.st_uid != os.geteuid():
         raise CairnError(
             f"{path}: it belongs to user {status.st_uid}, but this is user {os.geteuid()}; set "
-            f"{VARIABLE} to a folder of yours"
+            f"{variable} to a folder of yours"
         )
     if status.st_mode & (stat.S_IRWXO | stat.S_IWGRP):
         raise CairnError(
             f"{path}: its mode {stat.S_IMODE(status.st_mode):04o} lets other users in, who could "
-            "then drive the robot; use a folder with nothing but sockets that only you may open "
-            f"(chmod 700), or set {VARIABLE} to one"
+            f"then drive the robot; use a folder with nothing but {content} that only you may "
+            f"open (chmod 700), or set {variable} to one"
         )
     if parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX:
         raise CairnError(
             f"{path}: any user may replace it, because {path.parent} has the mode "
-            f"{stat.S_IMODE(parent.st_mode):04o}; set {VARIABLE} to a folder of yours"
+            f"{stat.S_IMODE(parent.st_mode):04o}; set {variable} to a folder of yours"
         )
 
 

@@ -27,7 +27,6 @@ from starlette.routing import Mount, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
-from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame
 
@@ -36,6 +35,7 @@ from cairn.console.hub import Hub, TooManyBrowsers
 from cairn.console.protocol import LONGEST_FRAME, SUBPROTOCOLS
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
+from cairn.http_server import Http, Server
 
 TOKEN_REFUSED: Final = 4401
 """Close code: the token is missing or wrong."""
@@ -44,8 +44,6 @@ TRY_LATER: Final = 1013
 
 _SHORTEST_TOKEN: Final = 16  # characters
 _STATIC: Final = Path(__file__).with_name("static")
-_MAX_CONNECTIONS: Final = 128  # of TCP
-_REQUEST_LIMIT_S: Final = 10.0  # for the headers of a request to arrive
 _CLOSE_LIMIT_S: Final = 2
 _LONGEST_HEADERS: Final = 32 << 10
 _UNSENT_BYTES: Final = 128 << 10
@@ -153,7 +151,7 @@ class Console:
         self._address = address
         self._token = token
         self._socket = _listening(address)
-        self._server = _Server(self._config())
+        self._server = Server(self._config())
 
     @property
     def is_serving(self) -> bool:
@@ -215,7 +213,7 @@ class Console:
             names = _LOOPBACK_NAMES | {self._address.host}
         return uvicorn.Config(
             _Guard(app, self._address.scheme, names, self._address.origins),
-            http=_Http,
+            http=Http,
             ws=_WebSocket,
             ws_max_size=_FRAME_FACTOR * LONGEST_FRAME,
             ws_ping_interval=10.0,
@@ -267,45 +265,6 @@ class Console:
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(_CLOSE_LIMIT_S):
                         await websocket.close(code, _short(reason))
-
-
-class _Server(uvicorn.Server):
-    """Leaves the handling of signals to its caller."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        yield
-
-
-class _Http(H11Protocol):
-    """HTTP that closes connections on which no request arrives, and refuses too many."""
-
-    _deadline: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: Any) -> None:
-        super().connection_made(transport)
-        if len(self.connections) > _MAX_CONNECTIONS:
-            transport.abort()
-        self._await_request()
-
-    def on_response_complete(self) -> None:
-        super().on_response_complete()
-        self._await_request()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-        super().connection_lost(exc)
-
-    def _await_request(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-        self._deadline = self.loop.call_later(_REQUEST_LIMIT_S, self._end_idle)
-
-    def _end_idle(self) -> None:
-        is_mine = self.transport.get_protocol() is self  # not a WebSocket meanwhile
-        if is_mine and (self.cycle is None or self.cycle.response_complete):
-            self.transport.close()
 
 
 class _WebSocket(WebSocketsSansIOProtocol):

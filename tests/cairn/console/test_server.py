@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from cairn import CairnError
+from cairn import CairnError, http_server
 from cairn.console import hub, server
 from cairn.console.protocol import CONSOLE, LONGEST_FRAME
 from cairn.console.server import Address, token_in
@@ -177,7 +177,7 @@ def test_too_many_browsers_are_refused_with_the_reason(
 def test_connection_that_sends_no_request_is_closed(
     console: Running, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "_REQUEST_LIMIT_S", 0.1)
+    monkeypatch.setattr(http_server, "_REQUEST_LIMIT_S", 0.1)
     with socket.create_connection(("127.0.0.1", console.console.port), LIMIT_S) as slow:
         slow.sendall(b"GET / HTTP/1.1\r\nHost: ")
 
