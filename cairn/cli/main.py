@@ -34,6 +34,8 @@ COMMANDS = (
                 "List the deployments that Cairn ships.", _RUN),
     LazyCommand("doctor", "cairn.cli.doctor.command:doctor",
                 "Check this computer, and what a deployment needs of it.", _RUN),
+    LazyCommand("security", "cairn.security.cli:app",
+                "Make, renew and revoke certificates of machines and users.", _RUN),
     LazyCommand("ps", "cairn.cli.inspect:ps",
                 "List the components: state, process, load, losses.", _INSPECT),
     LazyCommand("machines", "cairn.cli.machines:machines",
