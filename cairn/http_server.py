@@ -19,6 +19,7 @@ class Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
+        """Change no handler."""
         yield
 
 
@@ -28,16 +29,19 @@ class Http(H11Protocol):
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
+        """Close a connection beyond the limit; wait for a request on others."""
         super().connection_made(transport)
         if len(self.connections) > _MAX_CONNECTIONS:
             transport.abort()
         self._await_request()
 
     def on_response_complete(self) -> None:
+        """Wait for the next request."""
         super().on_response_complete()
         self._await_request()
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no longer."""
         if self._deadline is not None:
             self._deadline.cancel()
         super().connection_lost(exc)
