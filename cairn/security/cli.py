@@ -169,16 +169,27 @@ def renew(
     all_of_them: Annotated[
         bool, typer.Option("--all", help="Renew all whose keys are on this computer.")
     ] = False,
-    days: Days = _DAYS,
-    grace: Grace = _GRACE,  # type: ignore[assignment] # typer parses it
+    days: Annotated[
+        int | None,
+        typer.Option(min=1, max=3650, help="Days for which it is valid.", show_default="90"),
+    ] = None,
+    grace: Annotated[
+        float | None,
+        typer.Option(
+            parser=_duration,
+            metavar="DURATION",
+            help="How long the earlier certificate remains in force.",
+            show_default="24h",
+        ),
+    ] = None,
     robot: Robot = "",
 ) -> None:
     """Replace key and certificate of an identity whose key is on this computer.
 
-    On the authority's computer this needs no service; elsewhere the authority is asked, and its
-    service decides about the days.
+    Elsewhere than on the authority's computer, its service is asked and decides about --days and
+    --grace.
     """
-    from cairn.security.authority import Authority
+    from cairn.security.authority import GRACE_S, VALID_DAYS, Authority
     from cairn.security.enrollment import read_url, renew_own
     from cairn.security.identity import own_names
 
@@ -188,14 +199,20 @@ def renew(
     names = own_names(folder) if all_of_them else [name]
     if not names:
         raise CairnError(f"{folder.identities}: there are no keys on this computer; nothing to do")
+    authority = Authority(folder) if folder.ca_key.exists() else None
+    if authority is None and (days, grace) != (None, None):
+        raise CairnError(
+            "--days and --grace: the authority's service decides about them; give them to `cairn "
+            "security serve`"
+        )
     for one in names:
-        if folder.ca_key.exists():
-            entry = Authority(folder).renew(one, days, grace)
+        if authority is not None:
+            entry = authority.renew(one, days or VALID_DAYS, GRACE_S if grace is None else grace)
         else:
             url = read_url(folder, f"enroll {one} again (cairn security enroll)")
             entry = renew_own(folder, one, url).entry
         line(f"renewed {_described(entry)}")
-    if folder.ca_key.exists():
+    if authority is not None:
         note("a renewed identity that is used on another computer has to be exported again")
 
 

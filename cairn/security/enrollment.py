@@ -35,6 +35,22 @@ _REASON_BYTES: Final = 1_000
 _URL_BYTES: Final = 4_096
 
 
+class AuthorityUnreachable(CairnError):
+    """The authority's service does not answer: the roster that a machine has remains in force."""
+
+
+class AuthorityRefused(CairnError):
+    """The authority refuses a request, as from an identity that it has revoked.
+
+    Attributes:
+        status: of HTTP; 401 and 403: the identity or token is not accepted.
+    """
+
+    def __init__(self, message: str, status: int) -> None:
+        super().__init__(message)
+        self.status = status
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -91,8 +107,8 @@ def enroll(text: str) -> Identity:
 def fetch_roster(folder: RobotFolder, name: str, url: str) -> Roster:
     """Fetch the newest roster with an identity of this computer, keep it, and return it.
 
-    Raises `CairnError` if the identity is not in force, the service does not answer or refuses it,
-    or the roster is not accepted; the one in the folder then remains.
+    Raises `AuthorityUnreachable`, `AuthorityRefused`, and `CairnError` if the identity is not in
+    force or the roster is not accepted. The roster in the folder then remains.
     """
     data = _exchange(url, "/roster", _proving_context(folder, name))
     return accept_roster(folder, data, f"roster from {url}")
@@ -101,7 +117,7 @@ def fetch_roster(folder: RobotFolder, name: str, url: str) -> Roster:
 def renew_own(folder: RobotFolder, name: str, url: str) -> Identity:
     """Replace key and certificate of an identity of this computer, and return the new one.
 
-    The earlier certificate remains in force for a while. Raises `CairnError` as `fetch_roster`.
+    The earlier certificate remains in force for a while. Raises as `fetch_roster`.
     """
     context = _proving_context(folder, name)
     key = certificates.new_key()
@@ -190,7 +206,8 @@ def _exchange(
 ) -> bytes:
     """Return the answer to a request: a GET, or a POST with a body of JSON.
 
-    Raises `CairnError` with the reason if there is no answer or it is a refusal.
+    Raises `AuthorityUnreachable`, `AuthorityRefused`, or `CairnError` if the connection cannot be
+    made secure or the answer is not valid.
     """
     parts = urlsplit(url)
     assert parts.hostname is not None  # as `ServiceUrl` ensures
@@ -216,7 +233,7 @@ def _exchange(
                 "this certificate, or be another program"
             ) from error
         except OSError as error:
-            raise CairnError(
+            raise AuthorityUnreachable(
                 f"{url}: the authority does not answer: {error.strerror or error}; does `cairn "
                 "security serve` run there, and is the address right?"
             ) from error
@@ -224,7 +241,9 @@ def _exchange(
             raise CairnError(f"{url}: another program answers there: {error!r}") from error
     if answer.status != 200:
         reason = data[:_REASON_BYTES].decode("utf-8", errors="replace")
-        raise CairnError(f"{url}: the authority refuses ({answer.status}): {reason}")
+        raise AuthorityRefused(
+            f"{url}: the authority refuses ({answer.status}): {reason}", answer.status
+        )
     if len(data) > limit:
         raise CairnError(f"{url}: the answer has more than {limit:,} bytes")
     return data

@@ -148,16 +148,12 @@ class Service:
         self._context = _server_context(authority.ca_pem)
         self._renew_certificate()
         self._socket = _listening(host, port)
+        name, opened = self._names[0], self._socket.getsockname()[1]
+        self.url = f"https://[{name}]:{opened}" if ":" in name else f"https://{name}:{opened}"
+        """The address for machines."""
         with authority.folder.locked():
             write_url(authority.folder, self.url)
         self._server = Server(self._config())
-
-    @property
-    def url(self) -> str:
-        """The address for machines."""
-        name = self._names[0]
-        port = self._socket.getsockname()[1]
-        return f"https://[{name}]:{port}" if ":" in name else f"https://{name}:{port}"
 
     @property
     def is_serving(self) -> bool:

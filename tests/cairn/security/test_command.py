@@ -76,6 +76,7 @@ def test_robot_is_set_up_enrolled_renewed_and_revoked(tmp_path: Path) -> None:
                 assert_words(done("fetch").out, "roster of rover: version")
                 assert set(states()["alice"]) == {"revoked"}
                 assert_words(refused("renew"), "--all")
+                assert_words(refused("renew", "brain", "--days", "9"), "security serve")
             done("revoke", "brain")
             with computer(tmp_path / "brain"):
                 assert_words(refused("fetch"), "403", "revoked")

@@ -15,8 +15,16 @@ from hypothesis import strategies as st
 from cairn import CairnError
 from cairn.security import certificates, service
 from cairn.security.authority import Authority
-from cairn.security.enrollment import enroll, fetch_roster, read_url, renew_own
+from cairn.security.enrollment import (
+    AuthorityRefused,
+    AuthorityUnreachable,
+    enroll,
+    fetch_roster,
+    read_url,
+    renew_own,
+)
 from cairn.security.identity import own_identity
+from cairn.security.roster import read_roster
 from cairn.security.service import Service, WrongAttempts
 from cairn.security.tokens import Token, decode_token
 from tests.cairn.security.computers import (
@@ -172,7 +180,7 @@ def test_revoked_identity_gets_no_roster_and_the_others_get_the_new_one(
 
     assert lost not in fetch_roster(base, "base", running.url).common_names()
     for ask in (fetch_roster, renew_own):
-        with pytest.raises(CairnError, match=words_in_order("403", lost, "revoked")):
+        with pytest.raises(AuthorityRefused, match=words_in_order("403", lost, "revoked")):
             ask(brain, "brain", running.url)
 
 
@@ -192,6 +200,19 @@ def test_machine_renews_its_certificate_while_the_earlier_one_counts(
         renew_own(folder, "brain", running.url)
     with pytest.raises(CairnError, match=words_in_order("409", "4 certificates in force")):
         renew_own(folder, "brain", running.url)
+
+
+def test_roster_remains_while_the_authority_does_not_answer(
+    authority: Authority, tmp_path: Path
+) -> None:
+    with computer(tmp_path / "brain") as folder, serving(authority) as running:
+        enroll(token_for(authority, running, "brain").encode())
+    known = read_roster(folder)
+
+    with pytest.raises(AuthorityUnreachable, match="cairn security serve"):
+        fetch_roster(folder, "brain", running.url)
+
+    assert read_roster(folder) == known
 
 
 @pytest.mark.parametrize("path", ["/roster", "/renew"])
