@@ -297,10 +297,10 @@ class MachineLink:
 
     It has received nothing from it for `silent_s` [s]. While it counts as lost, `components` names
     what runs there and `inputs` what is missing here, such as
-    `/robot/localization (localizer) for motion_control`. `last_sent` is the stamp of the last status
-    received from it, on its clock, and `last_received` when that was, on the clock here: from them the
-    other one measures how far its clock is off. The clock there is `clock_offset` [s] ahead of the
-    one here, within `clock_error` [s]; NaN: not known yet.
+    `/robot/localization (localizer) for motion_control`. `last_sent` is the stamp of the last
+    status received from it, on its clock, and `last_received` when that was, on the clock here:
+    from them the other one measures how far its clock is off. The clock there is `clock_offset` [s]
+    ahead of the one here, within `clock_error` [s]; NaN: not known yet.
     """
 
     machine: String

@@ -96,38 +96,51 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     }
 
 
-def machine_access(
-    deployment: Deployment, machine: str, common_names: Mapping[str, tuple[str, ...]]
-) -> dict[str, Any]:
+def machine_access(deployment: Deployment, machine: str) -> dict[str, Any]:
     """Return the value of Zenoh's `access_control` for the router of a machine.
 
-    `common_names` are those of the certificates in force, by machine. Another machine publishes
-    what its components publish and what operators may, announces and answers for its own
-    components, and reads what its commands show. It may make every request, as the users of each
-    machine administer the robot. What no rule allows is denied; local links may do everything.
+    Another machine publishes what its components publish and what operators may, announces and
+    answers for its own components, and reads what its commands show. It may make every request, as
+    the users of each machine administer the robot. What no rule allows is denied; local links may
+    do everything. `admitted` adds the certificates.
     """
     everything = [
         _rule("everything", "ingress", _EVERY_MESSAGE, _EVERY_KEY),
         _rule("everything", "egress", _EVERY_MESSAGE, _EVERY_KEY),
     ]
     rules = list(everything)
-    subjects: list[dict[str, Any]] = [{"id": _LOCAL, "link_protocols": ["unixsock-stream"]}]
     policies = [{"subjects": [_LOCAL], "rules": [one["id"] for one in everything]}]
     for other in deployment.machines:
-        names = common_names.get(other)
-        if other != machine and names:
+        if other != machine:
             allowed = _machine_rules(deployment, other)
             rules += allowed
-            subject = f"machine {other}"
-            subjects.append({"id": subject, "cert_common_names": list(names)})
-            policies.append({"subjects": [subject], "rules": [one["id"] for one in allowed]})
+            policies.append({"subjects": [other], "rules": [one["id"] for one in allowed]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": subjects,
+        "subjects": [{"id": _LOCAL, "link_protocols": ["unixsock-stream"]}],
         "policies": policies,
     }
+
+
+def admitted(
+    access: Mapping[str, Any], common_names: Mapping[str, tuple[str, ...]]
+) -> dict[str, Any]:
+    """Return the `machine_access` for certificates with these common names, by machine.
+
+    A machine without any may do nothing.
+    """
+    subjects = list(access["subjects"])
+    policies = []
+    for policy in access["policies"]:
+        (name,) = policy["subjects"]
+        names = common_names.get(name, ())
+        if names:
+            subjects.append({"id": name, "cert_common_names": list(names)})
+        if names or name == _LOCAL:
+            policies.append(policy)
+    return {**access, "subjects": subjects, "policies": policies}
 
 
 def _machine_rules(deployment: Deployment, machine: str) -> list[dict[str, Any]]:

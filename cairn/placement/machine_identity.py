@@ -1,20 +1,28 @@
-"""What proves that a computer is one of a robot's machines: its certificate, and a common secret."""
+"""What proves that a computer is a machine of a robot: its certificate, and a common secret."""
 
 from __future__ import annotations
 
-import json
-import os
+import time
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
+from typing import Final
 
 from cairn.bus.exclusive import KEY_BYTES
+from cairn.errors import CairnError
+from cairn.security.folder import RobotFolder, read_machines_key
+
+_SECRET_DIGITS: Final = 32  # as many as `cairn up` draws for a run on one machine
 
 
 @dataclass(frozen=True)
 class MachineIdentity:
-    """The files of one machine, and the common names by which it knows the others."""
+    """The files of one machine, and the certificates of the others that are in force.
+
+    `common_names` has those of each machine.
+    """
 
     ca: Path
     certificate: Path
@@ -24,13 +32,13 @@ class MachineIdentity:
 
 @dataclass(frozen=True)
 class MachineSecrets:
-    """The secret that all machines of a robot have, and no operator."""
+    """Secrets that follow from the one that all machines of a robot have, and no operator."""
 
     key: bytes = field(repr=False)
 
     def of_sessions(self) -> str:
         """Return the secret that proves which sessions are of the robot."""
-        return self._derived("sessions")[:32]
+        return self._derived("sessions")[:_SECRET_DIGITS]
 
     def of_topic(self, topic: str) -> str:
         """Return the secret of an exclusive topic that crosses between machines."""
@@ -41,18 +49,26 @@ class MachineSecrets:
 
 
 def machine_identity(robot: str, machine: str) -> MachineIdentity:
-    folder = Path(os.environ["CAIRN_SECURITY_DIR"]) / robot
-    names = json.loads((folder / "names.json").read_text())
-    own = folder / "identities"
-    return MachineIdentity(
-        folder / "ca.pem",
-        own / f"{machine}.pem",
-        own / f"{machine}.key",
-        {k: tuple(v) for k, v in names.items()},
-    )
+    """Return the identity of this machine; `CairnError` with the reason if it is not in force."""
+    # They need `cryptography`, which no component of a robot with one computer should load.
+    from cairn.security.identity import own_identity
+    from cairn.security.roster import read_roster
+
+    folder = RobotFolder.of(robot)
+    own = own_identity(folder, machine)
+    if own.entry.kind != "machine":
+        raise CairnError(
+            f"{own.certificate}: {machine} is an operator, not a machine of {robot}; give the "
+            "machine an identity (cairn security add), or use another name for one of them"
+        )
+    common_names: defaultdict[str, list[str]] = defaultdict(list)
+    for entry in read_roster(folder).entries:
+        if entry.kind == "machine" and entry.is_in_force(time.time()):
+            common_names[entry.name].append(entry.common_name)
+    names = {name: tuple(found) for name, found in common_names.items()}
+    return MachineIdentity(own.ca, own.certificate, own.key, names)
 
 
 def machine_secrets(robot: str) -> MachineSecrets:
-    return MachineSecrets(
-        (Path(os.environ["CAIRN_SECURITY_DIR"]) / robot / "link.key").read_bytes()
-    )
+    """Return the secrets of this robot's machines; `CairnError` if this computer has none."""
+    return MachineSecrets(read_machines_key(RobotFolder.of(robot)))

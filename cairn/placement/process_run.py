@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -34,6 +35,7 @@ from cairn.errors import CairnError
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
 from cairn.placement.machine_identity import machine_secrets
+from cairn.placement.machine_router import MachineRouter
 from cairn.placement.machines import MachineMonitor
 from cairn.placement.prepared import CODEC
 from cairn.placement.run_plan import RunPlan, argument_of_check, check_for_root, plan_of
@@ -225,8 +227,19 @@ def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
         else:
             socket = router_socket(deployment)
             listen = settings.listen if settings.allow_any_local_user else ()
-            session = open_router(socket, listen, settings.group, limits, secret, plan.links)
-        several = plan.links is not None
+            open_own = partial(open_router, socket, listen, settings.group, limits, secret)
+            if plan.machine:
+                # A session of its own, which can be replaced while the root goes on.
+                access = plan.machine_access
+                router = MachineRouter(deployment, plan.machine, access, open_own, secret)
+                stack.enter_context(closing(router))
+                name = root_name(plan.machine, deployment.main_machine)
+                session = open_peer(
+                    endpoints(deployment), peer_socket(folder, name), limits=limits, secret=secret
+                )
+            else:
+                session = open_own()
+        several = bool(plan.machine)
         bus = stack.enter_context(
             closing(
                 ZenohBus(

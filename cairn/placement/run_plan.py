@@ -5,14 +5,14 @@ time. The plan is made in a process forked from the zygote, which has imported t
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
 from cairn.bus.message_limits import MessageLimits
-from cairn.bus.session import Gateway, MachineLinks
+from cairn.bus.session import Gateway
 from cairn.deployment.access_control import access_control, machine_access
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
@@ -23,7 +23,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
 from cairn.deployment.topic_limits import topic_limits
 from cairn.errors import CairnError
-from cairn.placement.machine_identity import machine_identity
+from cairn.placement.machine_router import machine_links
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
 
 _RECORDING = "recording"
@@ -35,8 +35,8 @@ class RunPlan:
     """A checked deployment, with what follows from its components' ports and requests.
 
     `gateway` is that between the network and the deployment; None if it has no such endpoint.
-    `machine` is the one that the plan is for, `links` those to the others, `remote_inputs` what
-    crosses them; "", None and none for a robot with one computer.
+    `machine` is the one that the plan is for, `machine_access` what the others may do here, and
+    `remote_inputs` what crosses; all empty for a robot with one computer.
     """
 
     deployment: Deployment
@@ -44,7 +44,7 @@ class RunPlan:
     topic_limits: MessageLimits
     gateway: Gateway | None
     machine: str = ""
-    links: MachineLinks | None = None
+    machine_access: Mapping[str, Any] = field(default_factory=dict)
     remote_inputs: tuple[RemoteInput, ...] = ()
 
 
@@ -62,9 +62,9 @@ def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:
     exclusive = exclusive_topics(deployment)
     if not machine:
         return RunPlan(deployment, exclusive, limits, gateway)
-    links = _links_of(deployment, machine)
+    machine_links(deployment, machine, access := machine_access(deployment, machine))
     inputs = remote_inputs(deployment)
-    return RunPlan(deployment, exclusive, limits, gateway, machine, links, inputs)
+    return RunPlan(deployment, exclusive, limits, gateway, machine, access, inputs)
 
 
 def check_and_plan(
@@ -163,23 +163,6 @@ def _gateway_of(deployment: Deployment, limits: MessageLimits) -> Gateway | None
         ca=tls.ca,
         client_certificates=tls.client_certificates,
         limits=limits,
-    )
-
-
-def _links_of(deployment: Deployment, machine: str) -> MachineLinks:
-    """Return the links of a machine's router to those of the other machines."""
-    names = list(deployment.machines)
-    identity = machine_identity(deployment.robot, machine)
-    return MachineLinks(
-        machine=machine,
-        listen=deployment.machines[machine].endpoint,
-        connect=tuple(
-            deployment.machines[other].endpoint for other in names[: names.index(machine)]
-        ),
-        ca=str(identity.ca),
-        certificate=str(identity.certificate),
-        key=str(identity.key),
-        access_control=machine_access(deployment, machine, identity.common_names),
     )
 
 

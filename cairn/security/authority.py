@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import secrets
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,16 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cairn.bus.roles import Role
 from cairn.errors import CairnError
 from cairn.security import certificates
-from cairn.security.folder import PEM_BYTES, Kind, RobotFolder, check_name, write_secret
+from cairn.security.folder import (
+    MACHINES_KEY_BYTES,
+    PEM_BYTES,
+    Kind,
+    RobotFolder,
+    check_name,
+    read_machines_key,
+    write_machines_key,
+    write_secret,
+)
 from cairn.security.identity import remove_identity, write_identity
 from cairn.security.roster import (
     MOST_ENTRIES,
@@ -150,6 +160,7 @@ class Authority:
             write_secret(folder.ca_key, certificates.key_pem(ca_key))
             write_secret(folder.ca, certificates.certificate_pem(ca))
             write_secret(folder.roster, signed)
+            write_machines_key(folder, secrets.token_bytes(MACHINES_KEY_BYTES))
             for entry, certificate, key in made:
                 write_identity(folder, entry.name, certificate, certificates.key_pem(key))
         return cls(folder)
@@ -166,6 +177,15 @@ class Authority:
     def roster_file(self) -> bytes:
         """Return the current roster with its signature."""
         return self.folder.read(self.folder.roster, ROSTER_BYTES, "restore it from a machine")
+
+    def machines_key(self, name: str) -> str | None:
+        """Return the secret that the machines share [hexadecimal]; None if `name` is an operator.
+
+        A machine that was revoked knows it, but reaches no other one any more.
+        """
+        entry = self.roster().current(name)
+        is_machine = entry is not None and entry.kind == "machine"
+        return read_machines_key(self.folder).hex() if is_machine else None
 
     def add(self, member: Member, days: int = VALID_DAYS) -> Entry:
         """Make one more identity, with its key in this folder; `CairnError` if the name is used."""

@@ -11,8 +11,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
 from cairn.security import certificates
-from cairn.security.enrollment import read_url, write_url
-from cairn.security.folder import PEM_BYTES, Name, RobotFolder, read_secret, write_secret
+from cairn.security.enrollment import MachinesKey, read_url, write_url
+from cairn.security.folder import (
+    PEM_BYTES,
+    Name,
+    RobotFolder,
+    read_machines_key,
+    read_secret,
+    write_machines_key,
+    write_secret,
+)
 from cairn.security.identity import (
     Identity,
     check_in_force,
@@ -45,6 +53,7 @@ class _Bundle(BaseModel):
     key: Pem
     roster: Annotated[str, Field(max_length=ROSTER_BYTES)]
     authority: ServiceUrl | None = None
+    machines_key: MachinesKey | None = None
 
 
 def export_identity(folder: RobotFolder, name: str, path: Path) -> Identity:
@@ -54,6 +63,7 @@ def export_identity(folder: RobotFolder, name: str, path: Path) -> Identity:
     """
     identity = own_identity(folder, name)
     roster = folder.read(folder.roster, ROSTER_BYTES, "run: cairn security fetch")
+    is_machine = identity.entry.kind == "machine"
     bundle = _Bundle(
         robot=folder.robot,
         name=name,
@@ -62,6 +72,7 @@ def export_identity(folder: RobotFolder, name: str, path: Path) -> Identity:
         key=identity.key.read_text("ascii"),
         roster=roster.decode("ascii"),
         authority=read_url(folder, "remove it") if folder.authority.exists() else None,
+        machines_key=read_machines_key(folder).hex() if is_machine else None,
     )
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     try:
@@ -119,4 +130,6 @@ def import_identity(path: Path) -> Identity:
         )
         if bundle.authority is not None:
             write_url(folder, bundle.authority)
+        if bundle.machines_key is not None:
+            write_machines_key(folder, bytes.fromhex(bundle.machines_key))
     return own_identity(folder, bundle.name)

@@ -17,7 +17,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cairn.errors import CairnError
 from cairn.security import certificates
-from cairn.security.folder import PEM_BYTES, RobotFolder, write_secret
+from cairn.security.folder import (
+    MACHINES_KEY_BYTES,
+    PEM_BYTES,
+    RobotFolder,
+    write_machines_key,
+    write_secret,
+)
 from cairn.security.identity import Identity, entry_of, own_identity, write_identity
 from cairn.security.roster import (
     ROSTER_BYTES,
@@ -51,6 +57,10 @@ class AuthorityRefused(CairnError):
         self.status = status
 
 
+MachinesKey = Annotated[str, Field(pattern=rf"^[0-9a-f]{{{2 * MACHINES_KEY_BYTES}}}$")]
+"""The secret that the robot's machines share [hexadecimal]."""
+
+
 class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -62,6 +72,7 @@ class _AuthorityFile(_Model):
 class _Issued(_Model):
     certificate: Annotated[str, Field(max_length=PEM_BYTES)]
     roster: Annotated[str, Field(max_length=ROSTER_BYTES)]
+    machines_key: MachinesKey | None = None
 
 
 def write_url(folder: RobotFolder, url: str) -> None:
@@ -156,6 +167,8 @@ def _keep(
         write_identity(
             folder, name, certificates.certificate_pem(certificate), certificates.key_pem(key)
         )
+        if issued.machines_key is not None:
+            write_machines_key(folder, bytes.fromhex(issued.machines_key))
         write_url(folder, url)
 
 

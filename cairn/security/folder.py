@@ -26,6 +26,7 @@ Kind = Literal["machine", "operator"]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 """Name of a robot, machine or operator."""
 
+MACHINES_KEY_BYTES: Final = 32
 PEM_BYTES: Final = 64 << 10
 """Largest file with a certificate or key that is read."""
 
@@ -105,6 +106,11 @@ class RobotFolder:
         return self.path / "authority.json"
 
     @property
+    def machines_key(self) -> Path:
+        """The secret that the robot's machines share, on their computers only."""
+        return self.path / "machines.key"
+
+    @property
     def identities(self) -> Path:
         """The folder with the certificates and keys of this computer."""
         return self.path / "identities"
@@ -153,6 +159,24 @@ class RobotFolder:
         if not path.exists():
             raise CairnError(f"{path}: no such file; {remedy}")
         return read_secret(path, limit)
+
+
+def read_machines_key(folder: RobotFolder) -> bytes:
+    """Return the secret that the machines of a robot share; `CairnError` if it is not valid."""
+    remedy = "enroll this computer as a machine: cairn security enroll TOKEN"
+    data = folder.read(folder.machines_key, 2 * MACHINES_KEY_BYTES + 1, remedy)
+    try:
+        key = bytes.fromhex(data.decode("ascii"))
+    except ValueError:
+        key = b""
+    if len(key) != MACHINES_KEY_BYTES:
+        raise CairnError(f"{folder.machines_key}: it is damaged; {remedy}")
+    return key
+
+
+def write_machines_key(folder: RobotFolder, key: bytes) -> None:
+    """Keep the secret that the machines of a robot share; the caller holds the folder's lock."""
+    write_secret(folder.machines_key, key.hex().encode() + b"\n")
 
 
 def read_secret(path: Path, limit: int) -> bytes:

@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
 from cairn.security import certificates
-from cairn.security.folder import PEM_BYTES, RobotFolder, check_name, write_secret
+from cairn.security.folder import PEM_BYTES, RobotFolder, check_name, read_secret, write_secret
 from cairn.security.roster import Entry, Roster, read_ca, read_roster
 
 _NEXT: Final = ".next"
@@ -59,6 +59,15 @@ def own_identity(folder: RobotFolder, name: str) -> Identity:
     check_pair(certificate, key, ca, str(path))
     entry = check_in_force(roster, name, certificate, str(path))
     return Identity(entry, path, key_path, folder.ca)
+
+
+def is_renewal_due(identity: Identity, at: float) -> bool:
+    """Return whether less than a third of a certificate's validity is left at a time [s]."""
+    data = read_secret(identity.certificate, PEM_BYTES)
+    certificate = certificates.read_certificate(data, str(identity.certificate))
+    begin = certificate.not_valid_before_utc.timestamp()
+    end = certificate.not_valid_after_utc.timestamp()
+    return end - at < (end - begin) / 3
 
 
 def check_in_force(roster: Roster, name: str, certificate: x509.Certificate, path: str) -> Entry:

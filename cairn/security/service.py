@@ -258,7 +258,7 @@ class Service:
             self._wrong.add(address)
             raise _Refused(403, str(error)) from error
         self._report(f"enrolled {sent.name}")
-        return _issued(*made)
+        return await self._issued(sent.name, *made)
 
     async def _renew(self, request: Request) -> Response:
         holder = await self._holder(request)
@@ -270,7 +270,12 @@ class Service:
         except RenewalRefused as error:
             raise _Refused(409, str(error)) from error
         self._report(f"renewed {holder.name}")
-        return _issued(*made)
+        return await self._issued(holder.name, *made)
+
+    async def _issued(self, name: str, certificate: bytes, roster: bytes) -> Response:
+        answer = {"certificate": certificate.decode(), "roster": roster.decode()}
+        key = await asyncio.to_thread(self._authority.machines_key, name)
+        return JSONResponse(answer if key is None else {**answer, "machines_key": key})
 
     async def _holder(self, request: Request) -> Entry:
         """Return the identity that the sender has proven; refuse one that is not in force."""
@@ -316,10 +321,6 @@ def _public_key(request: str) -> Any:
         return certificates.requested_key(request.encode())
     except ValueError as error:
         raise _Refused(400, f"request for a certificate: {error}") from None
-
-
-def _issued(certificate: bytes, roster: bytes) -> Response:
-    return JSONResponse({"certificate": certificate.decode(), "roster": roster.decode()})
 
 
 def _server_context(ca: bytes) -> ssl.SSLContext:
