@@ -1,0 +1,152 @@
+"""One robot on two computers: components exchange everything, and a cut cable is seen and survived.
+
+Real processes in two network namespaces, with mutual TLS between their routers.
+"""
+
+import os
+import re
+import signal
+from pathlib import Path
+
+import pytest
+
+from cairn.security.authority import Authority
+from cairn.security.folder import RobotFolder
+from cairn.testing.launching import Run
+from tests.machines.conftest import Machines
+from tests.machines.network import eventually
+from tests.patience import LIMIT_S
+
+pytestmark = [pytest.mark.processes, pytest.mark.xdist_group("machines")]
+
+_TREE = """
+    components:
+      beacon: {plugin: test_beacon}
+      mobile:
+        plugin: supervisor
+        children:
+          listener: {plugin: test_listener, machine: brain%s}
+          talker: {plugin: test_talker, restart: transient, significant: true%s}
+      reader: {plugin: test_reader, machine: brain}
+    """
+
+
+def tree(machines: Machines, listener: str = "", talker: str = "") -> str:
+    return machines.keys + re.sub("^    ", "", _TREE % (listener, talker), flags=re.MULTILINE)
+
+
+def start(machines: Machines, deployment: str) -> tuple[Run, Run]:
+    """Start both machines, the remote one first; return their runs when all is active."""
+    brain = machines.up("brain", deployment)
+    brain.await_line("waiting for machine: base")
+    base = machines.up("base", deployment)
+    base.await_line("root: child active: reader")
+    return base, brain
+
+
+def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Machines) -> None:
+    base, brain = start(machines, tree(machines, talker=", parameters: {words: 60}"))
+    # The latched message of a component that started long before, and every word from the first.
+    brain.await_line("reader: the beacon stands at 4, 2")
+    for machine in ("base", "brain"):
+        rows = machines.rows(machine)
+        assert {name for name, row in rows.items() if row["machine"] == "brain"} == {
+            "root_brain",
+            "listener",
+            "reader",
+        }
+        assert (
+            rows["listener"]["parent"] == "/robot/mobile" or rows["listener"]["parent"] == "mobile"
+        )
+        assert {row["state"] for row in rows.values()} == {"active"}
+        assert (rows["listener"]["memory_mib"] is None) == (machine == "base")
+    assert machines.cairn("base", "param", "get", "listener", "log_level").code == 0
+    brain.await_line("listener: received 60, the last was 60")
+    assert base.await_end() == 0  # the talker has finished, which is significant
+    brain.await_line("child stopped: listener")
+    assert brain.stop() == 0
+
+
+def test_cut_cable_is_seen_and_all_goes_on_when_it_is_restored(machines: Machines) -> None:
+    base, brain = start(machines, tree(machines))
+    pid = brain.pid_of("listener")
+    machines.cable.is_cut = True
+    base.await_line(
+        r"root: machine lost: brain: machine brain has been silent for 1\.\d s; missing here: noth"
+    )
+    base.await_line("mobile: child lost: listener: machine brain has been silent")
+    brain.await_line(r"machine lost: base: .*missing here: .*/robot/words \(talker\) for listener")
+    row = machines.rows("base")["listener"]
+    assert (row["machine"], row["state"]) == ("brain", "lost")
+    (link,) = machines.cairn("base", "machines", "--json").json
+    assert (link["machine"], link["state"]) == ("brain", "lost")
+    machines.cable.is_cut = False
+    base.await_line("mobile: child found: listener")
+    seen = len(brain.lines)
+    brain.await_line("listener: received", after=seen)
+    assert brain.pid_of("listener") == pid  # nothing was restarted
+    eventually(lambda: machines.rows("base")["listener"]["state"] == "active", LIMIT_S, "active")
+
+
+def test_machine_that_restarts_has_its_components_loaded_again(machines: Machines) -> None:
+    deployment = tree(machines)
+    base, brain = start(machines, deployment)
+    os.kill(brain.process.pid, signal.SIGKILL)
+    base.await_line("mobile: child lost: listener")
+    brain.await_nothing_left()
+    before = len(base.lines)
+    again = machines.up("brain", deployment)
+    base.await_line("mobile: child found: listener", after=before)
+    again.await_line("listener: received")
+    assert machines.cairn("base", "restart", "listener").code == 0
+    again.await_line("child stopped: listener: shut down")
+
+
+def test_fallback_works_while_the_machine_cannot_be_reached(machines: Machines) -> None:
+    base, _ = start(machines, tree(machines, listener=", fallback: {}"))
+    machines.cable.is_cut = True
+    base.await_line("mobile: child active: listener_fallback")
+    base.await_line("listener_fallback: received")
+    machines.cable.is_cut = False
+    base.await_line("mobile: child stopped: listener_fallback")
+
+
+def test_without_the_other_machine_the_robot_starts_after_its_time_limit(
+    machines: Machines,
+) -> None:
+    deployment = tree(machines, listener=", start_timeout_s: 1")
+    base = machines.up("base", deployment.replace("reader: {", "reader: {on_loss: ignore, "))
+    base.await_line("child lost: listener: machine brain cannot be reached")
+    base.await_line("root: child active: mobile")
+    assert base.stop() == 0
+
+
+def test_machine_with_a_revoked_certificate_is_shut_out(machines: Machines) -> None:
+    base, _ = start(machines, tree(machines))
+    Authority(RobotFolder.of("robot")).revoke("brain")
+    base.await_line("machine lost: brain")
+    refused = machines.launch(tree(machines), "--machine", "brain", preexec_fn=machines.brain.enter)
+    assert refused.await_end() == 1
+    refused.await_line("brain.pem: no such file; enroll brain on this computer")
+
+
+@pytest.mark.parametrize(("delay_s", "loss"), [(0.05, 0.0), (0.0, 0.1)])
+def test_slow_and_lossy_links_lose_no_component(
+    machines: Machines, delay_s: float, loss: float
+) -> None:
+    machines.cable.delay_s, machines.cable.loss = delay_s, loss
+    base, brain = start(machines, tree(machines, talker=", parameters: {words: 40}"))
+    brain.await_line("listener: received 40, the last was 40")
+    assert base.await_end() == 0
+
+
+def test_deployment_without_an_identity_does_not_start(machines: Machines, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    run = machines.launch(
+        tree(machines),
+        "--machine",
+        "base",
+        environment={"CAIRN_SECURITY_DIR": str(empty)},
+    )
+    assert run.await_end() == 1
+    run.await_line("there are no certificates of the robot robot.*cairn security init")
