@@ -17,7 +17,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from secrets import token_hex
 
 _TUNSETIFF = 0x400454CA  # linux/if_tun.h
@@ -44,9 +43,10 @@ def missing() -> str:
 class Computer:
     """A network namespace with one end of the cable."""
 
-    def __init__(self, name: str, address: str) -> None:
+    def __init__(self, name: str, address: str, device: str) -> None:
         self.name = name
         self.address = address
+        self.device = device
 
     def enter(self) -> None:
         """Put this thread into the namespace: for `preexec_fn` of a process."""
@@ -110,24 +110,46 @@ class Cable:
 @contextmanager
 def two_computers() -> Iterator[tuple[Computer, Computer, Cable]]:
     """Yield two computers and the cable between them."""
-    mark = token_hex(3)
-    computers = tuple(
-        Computer(f"cairn-test-{mark}-{number}", f"10.83.0.{number}") for number in (1, 2)
-    )
-    with ExitStack() as stack:
+    with _namespaces() as (first, second), ExitStack() as stack:
         ends = []
-        for computer in computers:
-            _ip("netns", "add", computer.name)
-            stack.callback(_ip, "netns", "del", computer.name)
-            device = f"ct{mark}{computer.name[-1]}"
-            ends.append(_tun(device))
-            _ip("link", "set", device, "netns", computer.name)
-            _ip("-n", computer.name, "addr", "add", f"{computer.address}/24", "dev", device)
-            _ip("-n", computer.name, "link", "set", device, "up")
-            _ip("-n", computer.name, "link", "set", "lo", "up")
+        for computer in (first, second):
+            ends.append(_tun(computer.device))
+            _connect(computer)
         cable = Cable((ends[0], ends[1]))
         stack.callback(cable.close)
-        yield computers[0], computers[1], cable
+        yield first, second, cable
+
+
+@contextmanager
+def wired_computers() -> Iterator[tuple[Computer, Computer]]:
+    """Yield two computers that the kernel connects, without a delay of this process."""
+    with _namespaces() as (first, second):
+        _ip("link", "add", first.device, "type", "veth", "peer", "name", second.device)
+        for computer in (first, second):
+            _connect(computer)
+        yield first, second
+
+
+@contextmanager
+def _namespaces() -> Iterator[tuple[Computer, Computer]]:
+    mark = token_hex(3)
+    first, second = (
+        Computer(f"cairn-test-{mark}-{number}", f"10.83.0.{number}", f"ct{mark}{number}")
+        for number in (1, 2)
+    )
+    with ExitStack() as stack:
+        for computer in (first, second):
+            _ip("netns", "add", computer.name)
+            stack.callback(_ip, "netns", "del", computer.name)
+        yield first, second
+
+
+def _connect(computer: Computer) -> None:
+    """Give a computer its device, which exists."""
+    _ip("link", "set", computer.device, "netns", computer.name)
+    _ip("-n", computer.name, "addr", "add", f"{computer.address}/24", "dev", computer.device)
+    _ip("-n", computer.name, "link", "set", computer.device, "up")
+    _ip("-n", computer.name, "link", "set", "lo", "up")
 
 
 def _tun(name: str) -> int:
@@ -147,9 +169,3 @@ def eventually(condition: Callable[[], bool], limit_s: float, what: str) -> None
     while not condition():
         assert time.monotonic() < deadline, f"not within {limit_s:g} s: {what}"
         time.sleep(0.05)
-
-
-def private(folder: Path) -> Path:
-    """Return a new folder that only this user may open."""
-    folder.mkdir(mode=0o700)
-    return folder

@@ -55,9 +55,7 @@ def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Mach
             "listener",
             "reader",
         }
-        assert (
-            rows["listener"]["parent"] == "/robot/mobile" or rows["listener"]["parent"] == "mobile"
-        )
+        assert rows["listener"]["parent"] == "mobile"
         assert {row["state"] for row in rows.values()} == {"active"}
         assert (rows["listener"]["memory_mib"] is None) == (machine == "base")
     assert machines.cairn("base", "param", "get", "listener", "log_level").code == 0
