@@ -109,7 +109,7 @@ def init(
 ) -> None:
     """Make an authority, with an identity for each machine and operator.
 
-    The authority's key stays on this computer, which should be none of the robot's.
+    The authority's key stays on this computer, which should not be one of the robot's.
     """
     from cairn.security.authority import Authority, members_of
 

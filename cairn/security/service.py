@@ -208,7 +208,7 @@ class Service:
             proxy_headers=False,
             log_config=None,
             access_log=False,
-            log_level=logging.CRITICAL,
+            log_level=logging.ERROR,
             server_header=False,
             lifespan="off",
             timeout_graceful_shutdown=_CLOSE_LIMIT_S,
@@ -222,15 +222,12 @@ class Service:
         async def handle(request: Request) -> Response:
             address = request.client.host if request.client else ""
             try:
-                async with asyncio.timeout(_REQUEST_LIMIT_S):
-                    return await handler(request)
+                return await handler(request)
             except _Refused as refused:
                 if not self._reported.is_blocked(address):
                     self._reported.add(address)
                     self._report(f"refused {request.url.path} of {address}: {refused}")
                 return PlainTextResponse(str(refused), refused.status)
-            except TimeoutError:
-                return PlainTextResponse("the request did not arrive in time", 408)
             except CairnError as error:  # of the authority's files: the operator has to act
                 self._report(f"failed {request.url.path} of {address}: {error}")
                 return PlainTextResponse("the authority cannot answer; see its output", 500)
@@ -305,10 +302,14 @@ async def _body(request: Request, model: type[_ModelT]) -> _ModelT:
     if request.headers.get("content-type") != "application/json":  # a page of a browser may not
         raise _Refused(415, "the request is not application/json")
     data = b""
-    async for part in request.stream():
-        data += part
-        if len(data) > _REQUEST_BYTES:
-            raise _Refused(413, f"the request has more than {_REQUEST_BYTES} bytes")
+    try:
+        async with asyncio.timeout(_REQUEST_LIMIT_S):
+            async for part in request.stream():
+                data += part
+                if len(data) > _REQUEST_BYTES:
+                    raise _Refused(413, f"the request has more than {_REQUEST_BYTES} bytes")
+    except TimeoutError:
+        raise _Refused(408, "the request did not arrive in time") from None
     try:
         return model.model_validate_json(data)
     except ValidationError as error:

@@ -264,6 +264,15 @@ def test_requests_that_are_not_valid_are_refused(authority: Authority, running: 
     assert post(running, "/tokens", whole, authority.folder.ca)[0] == 404
 
 
+def test_request_that_does_not_arrive_is_given_up(
+    authority: Authority, running: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "_REQUEST_LIMIT_S", 0.05)
+    declared = {"Content-Length": "100"}
+
+    assert post(running, "/enroll", b"{", authority.folder.ca, **declared)[0] == 408
+
+
 def test_wrong_tokens_of_an_address_are_limited(authority: Authority, running: Service) -> None:
     request = certificates.new_request(certificates.new_key(), "brain").decode()
     body = {"name": "brain", "secret": "0" * 64, "request": request}

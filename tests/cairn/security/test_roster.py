@@ -91,6 +91,21 @@ def test_older_roster_is_refused_and_the_newer_one_remains(
     assert accept_roster(folder, authority.roster_file()) == authority.roster()
 
 
+def test_restored_authority_continues_from_the_newest_roster(
+    authority: Authority, tmp_path: Path
+) -> None:
+    backup = authority.roster_file()
+    authority.revoke("brain")
+    folder = member(authority, tmp_path / "base")
+    authority.folder.roster.write_bytes(backup)  # restored: it knows of no revocation
+
+    authority.folder.roster.write_bytes(folder.roster.read_bytes())
+    authority.revoke("alice")
+
+    known = accept_roster(folder, authority.roster_file())
+    assert {one.name for one in known.in_force()} == {"base", "wall"}
+
+
 def test_different_roster_with_the_same_version_is_refused(
     authority: Authority, tmp_path: Path
 ) -> None:

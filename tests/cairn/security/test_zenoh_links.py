@@ -98,7 +98,7 @@ def test_operators_in_force_connect_and_all_others_do_not(tmp_path: Path) -> Non
         pytest.raises(CairnError, match="no router"),
         session(robot, folder.ca, wall),
     ):
-        pass  # an operator's certificate is none of a robot
+        pass  # an operator's certificate does not make a robot
 
     kept = tmp_path / "revoked.pem", tmp_path / "revoked.key"
     kept[0].write_bytes(alice.certificate.read_bytes())
