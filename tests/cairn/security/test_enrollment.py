@@ -126,9 +126,9 @@ def test_wrong_token_is_refused(
 def test_expired_token_and_token_of_a_revoked_identity_are_refused(
     authority: Authority, running: Service, tmp_path: Path
 ) -> None:
-    expired = token_for(authority, running, "brain", valid_s=-1)
     revoked = token_for(authority, running, "alice")
     authority.revoke("alice")
+    expired = token_for(authority, running, "brain", valid_s=-1)  # last: a new one removes it
 
     with computer(tmp_path / "new"):
         for token in (expired, revoked):
