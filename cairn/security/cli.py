@@ -348,7 +348,8 @@ def enroll_here(
 @app.command("fetch")
 def fetch(
     name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="The identity to ask with, if there are several.")
+        str,
+        typer.Argument(metavar="[NAME]", help="The identity to ask with, if there are several."),
     ] = "",
     robot: Robot = "",
 ) -> None:

@@ -17,6 +17,7 @@ from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer, software
 from cairn.cli.doctor.deployments import devices, files, loaded, running, who_may_connect
 from cairn.cli.doctor.devices import cameras, serial_ports
+from cairn.cli.doctor.machines import machines
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
 from cairn.cli.output import line, print_json
 from cairn.deployment.model import Deployment
@@ -57,7 +58,7 @@ def doctor(
     findings = [*_general(connect, domain), *of_file]
     if file is not None and deployment is not None:
         findings += [*who_may_connect(file, deployment), *files(file, deployment)]
-        findings += devices(file, deployment)
+        findings += [*machines(file, deployment), *devices(file, deployment)]
     if json:
         print_json([asdict(finding) for finding in findings])
     else:

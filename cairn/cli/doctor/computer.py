@@ -109,7 +109,10 @@ def _clock(root: Path) -> Iterator[Finding]:
     now = time.time()
     text = f"{datetime.fromtimestamp(now, UTC):%Y-%m-%d %H:%M:%S} UTC"
     installed = Path(cairn.__file__).stat().st_mtime
-    remedy = "sudo timedatectl set-ntp true, or install chrony; stamps are compared with this clock"
+    remedy = (
+        "sudo timedatectl set-ntp true, or install chrony, which several machines of a robot need: "
+        "docs/how-to/machines.md has its settings; stamps are compared with this clock"
+    )
     if now < installed:
         found = f"{text}, which is before Cairn was installed"
         yield Finding(_TOPIC, "clock", "fail", found, remedy)

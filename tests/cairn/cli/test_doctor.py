@@ -20,6 +20,8 @@ import pytest
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer
 from cairn.cli.doctor.devices import cameras
+from cairn.security.authority import Authority, Member
+from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.supervision.orphan_cleanup import MARK
 from cairn.testing.launching import free_port, new_endpoint, new_socket
 from tests.cairn.cli.conftest import Command
@@ -345,3 +347,29 @@ def test_who_may_connect_to_a_deployment_is_reported(tmp_path: Path) -> None:
     ]
     assert access(open_to_all)[1][0] == "warn"
     assert "every program of every user" in access(open_to_all)[1][1]
+
+
+def test_identities_of_machines_are_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "security"))
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        "cairn: 1\nmachines: {base: {address: 10.9.0.1}, brain: {address: 10.9.0.2}}\n"
+        "components: {supervision: {plugin: supervisor}}\n"
+    )
+    folder = RobotFolder.of("robot")
+    missing = row_of(cairn("doctor", str(file), "--json"), str(folder.path))
+    assert missing["state"] == "fail"
+    assert_words(missing["remedy"], "cairn security init")
+    members = [Member(name, None, (f"10.9.0.{end}",)) for end, name in ((1, "base"), (3, "arm"))]
+    Authority.create(folder, members, days=10)
+    row = row_of(cairn("doctor", str(file), "--json"), "base")
+    assert row["state"] == "warn"
+    assert_words(row["found"], "valid until", "for 9 days")
+    Authority(folder).renew("base", grace_s=0)
+    assert row_of(cairn("doctor", str(file), "--json"), "base")["state"] == "ok"
+    folder.key("base").chmod(0o644)
+    row = row_of(cairn("doctor", str(file), "--json"), "base")
+    assert row["state"] == "fail"
+    assert_words(row["found"], "other users may read")

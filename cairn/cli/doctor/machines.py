@@ -1,0 +1,54 @@
+"""A robot of several machines: whether this computer has an identity, and for how long."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from cairn.cli.doctor import Finding
+from cairn.deployment.model import Deployment
+from cairn.errors import CairnError
+from cairn.security.folder import RobotFolder
+
+_DAY_S: Final = 86_400
+_FEW_DAYS: Final = 14  # a machine renews its certificate by itself long before
+
+
+def machines(file: Path, deployment: Deployment) -> Iterator[Finding]:
+    """Check the identities of a deployment's machines that are on this computer."""
+    if not deployment.machines:
+        return
+    from cairn.security.identity import own_names
+
+    topic, folder = f"machines of {file.name}", RobotFolder.of(deployment.robot)
+    try:
+        here = [name for name in own_names(folder) if name in deployment.machines]
+    except CairnError as error:
+        found, _, remedy = str(error).partition("; ")
+        yield Finding(topic, str(folder.path), "fail", found, remedy)
+        return
+    if not here:
+        found = f"no identity of {', '.join(deployment.machines)} is on this computer"
+        remedy = "enroll it: cairn security enroll TOKEN (docs/how-to/security.md)"
+        yield Finding(topic, str(folder.path), "fail", found, remedy)
+    for name in here:
+        yield _identity(topic, folder, name)
+
+
+def _identity(topic: str, folder: RobotFolder, name: str) -> Finding:
+    from cairn.security.identity import own_identity
+
+    try:
+        entry = own_identity(folder, name).entry
+    except CairnError as error:
+        found, _, remedy = str(error).rpartition("; ")
+        return Finding(topic, name, "fail", found or str(error), remedy if found else "")
+    days = int((entry.not_after - time.time()) // _DAY_S)
+    until = time.strftime("%Y-%m-%d", time.gmtime(entry.not_after))
+    found = f"its certificate is valid until {until}, for {days} days"
+    if days < _FEW_DAYS:
+        remedy = f"renew it: cairn security renew {name}"
+        return Finding(topic, name, "warn", found, remedy)
+    return Finding(topic, name, "ok", found)
