@@ -183,9 +183,7 @@ def test_machine_answers_for_its_own_components_only(robot: Robot, cases: Cases)
     requests += [f"{domain}/robot/navigate_to_pose/_action/send_goal/x/y", f"{domain}/robot/x/y/z"]
     with closing(robot.attacker()) as attacker:
         for key in requests:
-            attacker.declare_queryable(
-                key, lambda query, key=key: query.reply(key, b"forged"), complete=True
-            )
+            attacker.declare_queryable(key, partial(_reply, key), complete=True)
         await_mark(robot, attacker)
         answered = {
             key
