@@ -104,10 +104,8 @@ def _with_named(path: Path) -> Iterator[Path]:
     try:
         if path.is_file():
             yield path
-            for part in _SQLITE_PARTS:
-                if (beside := path.with_name(path.name + part)).is_file():
-                    yield beside
-            yield from _named_in(path)
+            yield from sqlite_files(path)
+            yield from (other for _, other in named_files(path))
         elif path.is_dir():
             for count, file in enumerate(sorted(path.rglob("*"))):
                 if count >= MOST_FILES:
@@ -118,11 +116,23 @@ def _with_named(path: Path) -> Iterator[Path]:
         return
 
 
-def _named_in(file: Path) -> Iterator[Path]:
-    """Yield the existing files that a small text file names, relative to its folder."""
+def sqlite_files(path: Path) -> Iterator[Path]:
+    """Yield what SQLite keeps beside a database that is open or was not closed."""
+    for part in _SQLITE_PARTS:
+        if (beside := path.with_name(path.name + part)).is_file():
+            yield beside
+
+
+def named_files(file: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the existing files that a small text file names, relative to its folder, as it does."""
     if file.suffix not in _TEXT_SUFFIXES or file.stat().st_size > _LONGEST_TEXT:
         return
     for word in dict.fromkeys(_WORD.findall(file.read_text(errors="replace"))):
         other = file.parent / word
-        if "." in word and len(word) < 256 and other != file and other.is_file():
-            yield Path(other.absolute())
+        if is_name(word) and other != file and other.is_file():
+            yield word, Path(other.absolute())
+
+
+def is_name(word: str) -> bool:
+    """Return whether a word of a text may be the name of a file."""
+    return "." in word and len(word) < 256

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -13,9 +14,13 @@ from cairn import CairnError
 from cairn.cli.options import Json
 from cairn.cli.output import line, note, print_json
 from cairn.cli.runs import seeds_of, writing_report
-from cairn.cli.worker_pool import worker_pool
 from cairn.deployment.shipped import FOLDER, deployment_file, world_file
 from cairn.planar.map_file import read_map
+from cairn.tools.batch.cache import ResultCache
+from cairn.tools.batch.options import BatchOptions, CacheFolder, NoCache, On, WorkerCount
+from cairn.tools.batch.runner import Batch, Outcome
+from cairn.tools.batch.task import LOG, Task
+from cairn.tools.batch.workers import Workers
 from cairn.tools.evaluation.report import report_lines, write_report
 from cairn.tools.evaluation.results import RunResult, summarize
 from cairn.tools.evaluation.runs import (
@@ -23,9 +28,10 @@ from cairn.tools.evaluation.runs import (
     align,
     examination,
     robot_start,
-    run_trial,
+    run_result,
     scripted_events,
     survey,
+    trial_tasks,
 )
 
 app = typer.Typer(help="Evaluate the robot over many simulated runs.", no_args_is_help=True)
@@ -69,9 +75,10 @@ def navigation(
         list[str] | None,
         typer.Option("--set", help="Change a value of the deployment: path=value.", metavar="SET"),
     ] = None,
-    workers: Annotated[
-        int, typer.Option(min=0, help="Number of parallel runs; 0: one per processor.")
-    ] = 0,
+    workers: WorkerCount = 0,
+    on: On = "",
+    cache: CacheFolder = None,
+    no_cache: NoCache = False,
     json: Json = False,
 ) -> None:
     """Send a simulated robot to random goals, in lockstep, and report the results.
@@ -79,6 +86,8 @@ def navigation(
     Exits with status 1 if a goal was not reached, the robot collided, or a run failed.
     """
     numbers = seeds_of(seeds)
+    options = BatchOptions(workers, on, cache, no_cache)
+    chosen_workers = options.open_workers(len(numbers))
     if not os.access(deployment, os.R_OK):
         raise CairnError(
             f"{deployment}: there is no such deployment, or it cannot be read; name yours with "
@@ -88,31 +97,29 @@ def navigation(
     map_file = surveyed if map_ is None else (out / "map.yaml").absolute()
     visual_map = surveyed.with_suffix(".cairn")
     start = robot_start(world)
-    trials = [
-        Trial(
-            deployment=deployment.absolute(),
-            world=world.absolute(),
-            map_file=map_file,
-            visual_map=visual_map,
-            start=start,
-            goals=goals,
-            seed=seed,
-            kidnap_at=(goals + 1) // 2 if kidnap else 0,
-            sets=tuple(set_ or ()),
-        )
-        for seed in numbers
-    ]
+    trial = Trial(
+        deployment=deployment.absolute(),
+        world=world.absolute(),
+        map_file=map_file,
+        visual_map=visual_map,
+        start=start,
+        goals=goals,
+        kidnap_at=(goals + 1) // 2 if kidnap else 0,
+        sets=tuple(set_ or ()),
+    )
     with TemporaryDirectory(prefix="cairn-evaluation-") as scratch:
         folder = Path(scratch)
-        examined = examination(trials[0], folder, folder / "result.json")
-    events = scripted_events(world, examined)
-    logs = (out / "logs").absolute()
-    with writing_report(out):
-        logs.mkdir(parents=True, exist_ok=True)
-        survey(world, surveyed, visual_map)
-        if map_ is not None:
-            note(align(map_, world, map_file))
-    runs = _run(trials, logs, workers or os.cpu_count() or 1, quiet=json)
+        examined = examination(trial, folder)
+        events = scripted_events(world, examined)
+        results = options.open_cache()
+        logs = (out / "logs").absolute()
+        with writing_report(out):
+            logs.mkdir(parents=True, exist_ok=True)
+            survey(world, surveyed, visual_map)
+            if map_ is not None:
+                note(align(map_, world, map_file))
+        tasks = trial_tasks(examined, folder, numbers)
+    runs = _run(tasks, logs, chosen_workers, results, quiet=json)
     summary = summarize(runs, events)
     with writing_report(out):
         write_report(out, read_map(map_file), runs, summary)
@@ -126,25 +133,36 @@ def navigation(
         raise typer.Exit(1)
 
 
-def _run(trials: list[Trial], logs: Path, workers: int, *, quiet: bool) -> list[RunResult]:
-    runs: list[RunResult] = []
-    with (
-        TemporaryDirectory(prefix="cairn-evaluation-") as scratch,
-        worker_pool(min(workers, len(trials))) as pool,
-    ):
-        futures = [pool.submit(run_trial, trial, scratch, logs) for trial in trials]
-        for trial, future in zip(trials, futures, strict=True):
-            try:
-                run = future.result()
-            except Exception as error:  # any failure: the results of the other runs are kept
-                failure = str(error) if isinstance(error, CairnError) else repr(error)
-                run = RunResult(seed=trial.seed, failure=failure)
-            runs.append(run)
+def _run(
+    tasks: Sequence[Task], logs: Path, workers: Workers, cache: ResultCache | None, *, quiet: bool
+) -> list[RunResult]:
+    following: dict[int, RunResult] = {}
+    noted = 0
+
+    def receive(number: int, outcome: Outcome) -> RunResult:
+        nonlocal noted
+        task = tasks[number]
+        run = run_result(task, outcome)
+        if outcome.result is not None:
+            log = outcome.result.files.get(LOG, b"").decode(errors="replace")
+            with writing_report(logs.parent):
+                file = logs / f"seed-{task.seed}.log"
+                file.write_text(task.packed.with_origins(log), encoding="utf-8")
+        following[number] = run
+        while noted in following:  # in the order of the seeds
+            following_run = following.pop(noted)
+            noted += 1
             if not quiet:
-                reached = sum(goal.reached for goal in run.goals)
-                failed = f", failed: {run.failure}" if run.failure else ""
-                note(
-                    f"seed {run.seed}: {reached} of {len(run.goals)} goals, "
-                    f"{len(run.collisions)} collisions{failed}"
-                )
-    return runs
+                _note(following_run)
+        return run
+
+    return Batch(tasks, workers, cache, receive).run()
+
+
+def _note(run: RunResult) -> None:
+    reached = sum(goal.reached for goal in run.goals)
+    failed = f", failed: {run.failure}" if run.failure else ""
+    note(
+        f"seed {run.seed}: {reached} of {len(run.goals)} goals, "
+        f"{len(run.collisions)} collisions{failed}"
+    )

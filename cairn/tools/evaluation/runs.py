@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import json
-import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cairn import CairnError
-from cairn.cli.runs import log_file
 from cairn.components.map_builder.importing import alter
 from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
 from cairn.components.simulation.world_file import Event, read_world
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
-from cairn.placement.lockstep import LockstepRun
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.poses import Pose
+from cairn.tools.batch.packing import pack_deployment
+from cairn.tools.batch.runner import Outcome
+from cairn.tools.batch.task import Task
 from cairn.tools.evaluation.map_comparison import (
     ROBOT_RADIUS_M,
     WALL_M,
@@ -28,11 +28,12 @@ from cairn.tools.evaluation.results import RunResult
 from cairn.visual_map.new_map import write_map
 
 _POSE = ("x", "y", "theta")
+_RESULT = "result.json"
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One run: deployment, world, its maps, the robot's start pose, and the goals."""
+    """What a run is but for its seed: deployment, world, maps, the robot's start pose, goals."""
 
     deployment: Path
     world: Path
@@ -40,7 +41,6 @@ class Trial:
     visual_map: Path
     start: Pose
     goals: int
-    seed: int
     kidnap_at: int
     sets: tuple[str, ...]
 
@@ -50,7 +50,8 @@ def survey(world: Path, map_file: Path, visual_map: Path) -> None:
     write_grid(map_file, surveyed_grid(world))
     objects = alter(surveyed_objects(world), {}, ())
     source = f"surveyed of {world.name}"
-    write_map(visual_map, source, objects, models=surveyed_models(world))
+    # Without the time of creation: equal worlds have equal maps, so their runs are in the cache.
+    write_map(visual_map, source, objects, models=surveyed_models(world), created_s=0.0)
 
 
 def align(made: Path, world: Path, file: Path) -> str:
@@ -88,28 +89,30 @@ def scripted_events(world: Path, deployment: Deployment) -> dict[str, float]:
     return {_event_name(event): event.at for event in sorted(events, key=lambda event: event.at)}
 
 
-def run_trial(trial: Trial, scratch: str, logs: Path) -> RunResult:
-    """Run a trial, with its log in the folder `logs`.
+def trial_tasks(examined: Deployment, folder: Path, seeds: Sequence[int]) -> list[Task]:
+    """Return a task for each seed, of the `examination` in `folder`.
 
-    Raises `CairnError` if the deployment fails.
+    Raises `CairnError` if a file of the deployment cannot be read.
     """
-    folder = Path(scratch) / f"seed-{trial.seed}"
-    folder.mkdir()
-    logging.getLogger("cairn").propagate = False  # failures are in the run's log and its result
-    result = folder / "result.json"
-    run = LockstepRun(examination(trial, folder, result), trial.seed)
-    with log_file(logs / f"seed-{trial.seed}.log", run.executor.now):
-        end = run.run(lambda: None)
-    if not end.normal or not result.exists():
-        raise CairnError(end.reason)
-    found = RunResult.model_validate_json(result.read_text(encoding="utf-8"))
-    return found.model_copy(update={"seed": trial.seed})
+    packed = pack_deployment(examined, folder)
+    return [Task(f"seed {seed}", packed, seed, (_RESULT,)) for seed in seeds]
 
 
-def examination(trial: Trial, folder: Path, result: Path) -> Deployment:
-    """Return the deployment with an examiner that writes `result`; `folder` is for files."""
+def run_result(task: Task, outcome: Outcome) -> RunResult:
+    """Return what the examiner of a run has found, or why it has found nothing."""
+    result, failure = outcome.result, outcome.failure
+    if result is not None and not failure:
+        if result.normal and _RESULT in result.files:
+            found = RunResult.model_validate_json(result.files[_RESULT])
+            return found.model_copy(update={"seed": task.seed})
+        failure = result.reason
+    return RunResult(seed=task.seed, failure=task.packed.with_origins(failure))
+
+
+def examination(trial: Trial, folder: Path) -> Deployment:
+    """Return the deployment with an examiner; `folder` is for files."""
     overlay = folder / "examination.yaml"
-    overlay.write_text(_overlay(trial, result), encoding="utf-8")
+    overlay.write_text(_overlay(trial, folder / _RESULT), encoding="utf-8")
     return load_deployment(
         trial.deployment,
         [overlay],

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from pydantic import BaseModel, ConfigDict, Field
 
 from cairn import CairnError
+from cairn.tools.batch.options import BatchOptions
 from cairn.tools.experiments.methods import (
     ABLATION,
     OURS,
@@ -159,7 +160,7 @@ def run_ablation(
     options: AblationOptions,
     seeds: Sequence[int],
     out: Path,
-    workers: int,
+    batch: BatchOptions,
     *,
     quiet: bool,
 ) -> tuple[list[str], dict[str, Any], bool]:
@@ -170,7 +171,7 @@ def run_ablation(
     specs = _run_specs(setup, options, seeds, folder)
     check_setup(specs[0].setup)
     with open_report(folder):
-        runs, failures = run_experiment(specs, folder, workers, options.at, quiet=quiet)
+        runs, failures = run_experiment(specs, folder, batch, options.at, quiet=quiet)
         results = [run.result for run in runs]
         summaries = [summarize_method(method, results) for method in ABLATION]
         lines = list(_lines(options, summaries, results, failures))

@@ -14,6 +14,7 @@ from cairn.cli.options import Json
 from cairn.cli.output import line, print_json
 from cairn.cli.runs import seeds_of
 from cairn.deployment.shipped import FOLDER, deployment_file
+from cairn.tools.batch.options import BatchOptions, CacheFolder, NoCache, On, WorkerCount
 from cairn.tools.experiments.ablation import AblationOptions, run_ablation
 from cairn.tools.experiments.map_update import run_map_update
 from cairn.tools.experiments.methods import ABLATION, OURS, PAPER, ExperimentSetup, Method
@@ -37,7 +38,6 @@ Out = Annotated[
         "command, which is replaced together with its runs and pictures."
     ),
 ]
-Workers = Annotated[int, typer.Option(min=0, help="Number of parallel runs; 0: one per processor.")]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", help="Change a value of the deployment: path=value.", metavar="SET"),
@@ -77,7 +77,10 @@ def uncertainty(
     deployment: DeploymentFile = _DEPLOYMENT,
     overlay: Overlay = _OVERLAY,
     set_: Set = None,
-    workers: Workers = 0,
+    workers: WorkerCount = 0,
+    on: On = "",
+    cache: CacheFolder = None,
+    no_cache: NoCache = False,
     json: Json = False,
 ) -> None:
     """Measure how a change of the room affects the pose, with and without a map update (figure 9).
@@ -85,9 +88,10 @@ def uncertainty(
     The robot follows the same path twice for each seed, driven by scans alone: in the unchanged
     room, and in a room in which an object is moved. Exits with status 1 if a run failed.
     """
+    batch = BatchOptions(workers, on, cache, no_cache)
     setup = _setup(deployment, overlay, driver, set_, None, UNCERTAINTY)
     _report(
-        *run_uncertainty(setup, seeds_of(seeds), out.absolute(), workers, quiet=json),
+        *run_uncertainty(setup, seeds_of(seeds), out.absolute(), batch, quiet=json),
         out=out,
         json=json,
     )
@@ -101,16 +105,20 @@ def map_update(
     deployment: DeploymentFile = _DEPLOYMENT,
     overlay: Overlay = _OVERLAY,
     set_: Set = None,
-    workers: Workers = 0,
+    workers: WorkerCount = 0,
+    on: On = "",
+    cache: CacheFolder = None,
+    no_cache: NoCache = False,
     json: Json = False,
 ) -> None:
     """Move an object while the robot drives, and report how it repairs its map (figure 10).
 
     Exits with status 1 if a run failed.
     """
+    batch = BatchOptions(workers, on, cache, no_cache)
     setup = _setup(deployment, overlay, driver, set_, OURS, (PAPER,))
     _report(
-        *run_map_update(setup, seeds_of(seeds), out.absolute(), workers, quiet=json),
+        *run_map_update(setup, seeds_of(seeds), out.absolute(), batch, quiet=json),
         out=out,
         json=json,
     )
@@ -148,7 +156,10 @@ def ablation(
     deployment: DeploymentFile = _DEPLOYMENT,
     overlay: Overlay = _OVERLAY,
     set_: Set = None,
-    workers: Workers = 0,
+    workers: WorkerCount = 0,
+    on: On = "",
+    cache: CacheFolder = None,
+    no_cache: NoCache = False,
     json: Json = False,
 ) -> None:
     """Compare the paper's rule, ours and others on the same data, in one table.
@@ -163,9 +174,10 @@ def ablation(
     options = AblationOptions(moved, move_distance, at, kidnap, scanner_range, false_matches)
     others = tuple(method for method in ABLATION if method is not OURS)
     sets = [*options.sets(), *(set_ or ())]
+    batch = BatchOptions(workers, on, cache, no_cache)
     setup = _setup(deployment, overlay, driver, sets, OURS, others)
     _report(
-        *run_ablation(setup, options, seeds_of(seeds), out.absolute(), workers, quiet=json),
+        *run_ablation(setup, options, seeds_of(seeds), out.absolute(), batch, quiet=json),
         out=out,
         json=json,
     )

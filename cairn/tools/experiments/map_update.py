@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from cairn.tools.batch.options import BatchOptions
 from cairn.tools.experiments.map_sequence import draw_map_panels, map_panels
 from cairn.tools.experiments.methods import (
     MAP_BUILDER,
@@ -82,7 +83,7 @@ class MapUpdateSummary(BaseModel):
 
 
 def run_map_update(
-    setup: ExperimentSetup, seeds: Sequence[int], out: Path, workers: int, *, quiet: bool
+    setup: ExperimentSetup, seeds: Sequence[int], out: Path, batch: BatchOptions, *, quiet: bool
 ) -> tuple[list[str], dict[str, Any], bool]:
     """Run it; return the report's lines, its figures, and whether all runs succeeded."""
     at = first_event_s(setup)
@@ -90,7 +91,7 @@ def run_map_update(
     specs = [RunSpec(setup, seed, folder.run(seed), moves=True) for seed in seeds]
     check_setup(setup)
     with open_report(folder):
-        runs, failures = run_experiment(specs, folder, workers, at, quiet=quiet)
+        runs, failures = run_experiment(specs, folder, batch, at, quiet=quiet)
         results = [run.result for run in runs]
         summaries = [_summarize(method, results) for method in METHODS] if runs else []
         lines = list(_lines(summaries, results, failures))

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import logging
-import os
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from cairn import CairnError
 from cairn.cli.output import note
-from cairn.cli.runs import log_file
-from cairn.cli.worker_pool import worker_pool
-from cairn.placement.lockstep import LockstepRun
+from cairn.cli.runs import writing_report
+from cairn.tools.batch.options import BatchOptions
+from cairn.tools.batch.packing import pack_deployment
+from cairn.tools.batch.runner import Batch, Outcome
+from cairn.tools.batch.task import LOG, PackedDeployment, Task
 from cairn.tools.experiments.methods import (
     WORLD,
     ExperimentSetup,
@@ -24,6 +22,8 @@ from cairn.tools.experiments.methods import (
 from cairn.tools.experiments.report_folder import ReportFolder
 from cairn.tools.experiments.results import ExperimentRunResult, judge_method, judge_run
 from cairn.tools.experiments.series import MethodSeries, WorldSeries, read_method, read_world
+
+_SERIES = "series"  # apart from the files of the deployment, such as the state of its world
 
 
 @dataclass(frozen=True)
@@ -60,71 +60,84 @@ def check_setup(setup: ExperimentSetup) -> None:
 
 
 def run_experiment(
-    specs: Sequence[RunSpec], folder: ReportFolder, workers: int, changed_at: float, *, quiet: bool
+    specs: Sequence[RunSpec],
+    folder: ReportFolder,
+    options: BatchOptions,
+    changed_at: float,
+    *,
+    quiet: bool,
 ) -> tuple[list[FinishedRun], dict[str, str]]:
     """Run all; return the runs that succeeded, and the reasons of those that failed, by name.
 
     A failed run counts for nothing.
     """
-    out = folder.path
+    tasks = _tasks(specs, folder.path)
     done = 0
 
-    def report_progress(spec: RunSpec, failure: str) -> None:
+    def receive(number: int, outcome: Outcome) -> str:
         nonlocal done
         done += 1
+        with writing_report(folder.path):
+            failure = _write(specs[number], tasks[number], outcome)
         if not quiet:
             end = f"failed: {failure}" if failure else "done"
-            note(f"{done} of {len(specs)}: {spec.name(out)} {end}")
+            note(f"{done} of {len(specs)}: {tasks[number].name} {end}")
+        return failure
 
-    failures = _run_all(specs, workers, report_progress)
+    workers, cache = options.open_workers(len(tasks)), options.open_cache()
+    failures = Batch(tasks, workers, cache, receive).run()
     runs: list[FinishedRun] = []
     failed: dict[str, str] = {}
-    for spec, failure in zip(specs, failures, strict=True):
+    for spec, task, failure in zip(specs, tasks, failures, strict=True):
         if failure:
-            failed[spec.name(out)] = failure
+            failed[task.name] = failure
             continue
         run = _read(spec, changed_at)
         problem = _problem(run)
         if problem:
-            failed[spec.name(out)] = problem
+            failed[task.name] = problem
         else:
             runs.append(run)
     return runs, failed
 
 
-def _run_all(
-    specs: Sequence[RunSpec], workers: int, on_end: Callable[[RunSpec, str], None]
-) -> list[str]:
-    """Run all and return why each failed, "" if it did not; call `on_end` at the end of each."""
-    failures = [""] * len(specs)
-    count = min(workers or os.cpu_count() or 1, len(specs))
-    with worker_pool(count) as pool:
-        futures = {pool.submit(_run, spec): number for number, spec in enumerate(specs)}
-        for future in as_completed(futures):
-            number = futures[future]
-            try:
-                failures[number] = future.result()
-            except Exception as error:  # any failure: the results of the other runs are kept
-                failures[number] = str(error) if isinstance(error, CairnError) else repr(error)
-            on_end(specs[number], failures[number])
-    return failures
+def _tasks(specs: Sequence[RunSpec], out: Path) -> list[Task]:
+    """Return the task of each run; a setup that differs by its events alone is packed once."""
+    known: list[tuple[ExperimentSetup, PackedDeployment]] = []
+    tasks = []
+    for spec in specs:
+        setup, events = replace(spec.setup, events=None), spec.setup.events
+        packed = next((packed for other, packed in known if other == setup), None)
+        if packed is None:
+            with TemporaryDirectory(prefix="cairn-experiment-") as scratch:
+                report = Path(scratch)
+                deployment = experiment_deployment(setup, report / _SERIES, report)
+                packed = pack_deployment(deployment, report)
+            known.append((setup, packed))
+        changes = {} if events is None else {WORLD: {"events": list(events)}}
+        outputs = tuple(f"{_SERIES}/{file.name}" for file in _series_files(spec))
+        tasks.append(Task(spec.name(out), packed, spec.seed, outputs, changes))
+    return tasks
 
 
-def _run(spec: RunSpec) -> str:
-    """Run one; return why the robot did not succeed, "" if it did.
+def _series_files(spec: RunSpec) -> Iterator[Path]:
+    yield series_file(spec.folder, WORLD)
+    for method in spec.setup.methods:
+        yield series_file(spec.folder, method.name)
 
-    Raises `CairnError` if the deployment fails.
-    """
+
+def _write(spec: RunSpec, task: Task, outcome: Outcome) -> str:
+    """Write the log and the series of a run; return why it failed, "" if it did not."""
     spec.folder.mkdir(parents=True, exist_ok=True)
-    logging.getLogger("cairn").propagate = False  # failures are in the run's log and its result
-    with TemporaryDirectory(prefix="cairn-experiment-") as scratch:
-        deployment = experiment_deployment(spec.setup, spec.folder, Path(scratch))
-        run = LockstepRun(deployment, spec.seed)
-        with log_file(spec.folder / "log.txt", run.executor.now):
-            end = run.run(lambda: None)
-    if not end.normal:
-        raise CairnError(end.reason)
-    return "" if end.success else end.reason
+    result = outcome.result
+    if result is None:
+        return task.packed.with_origins(outcome.failure)
+    for name, content in result.files.items():
+        (spec.folder / Path(name).name).write_bytes(content)
+    log = task.packed.with_origins(result.files.get(LOG, b"").decode(errors="replace"))
+    (spec.folder / LOG).write_text(log, encoding="utf-8")
+    succeeded = result.normal and result.success and not outcome.failure
+    return "" if succeeded else task.packed.with_origins(outcome.failure or result.reason)
 
 
 def _read(spec: RunSpec, changed_at: float) -> FinishedRun:

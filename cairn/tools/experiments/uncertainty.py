@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from cairn.tools.batch.options import BatchOptions
 from cairn.tools.experiments.methods import (
     NO_UPDATE,
     NO_UPDATE_CERTAIN,
@@ -167,7 +168,7 @@ class ConditionSummary(BaseModel):
 
 
 def run_uncertainty(
-    setup: ExperimentSetup, seeds: Sequence[int], out: Path, workers: int, *, quiet: bool
+    setup: ExperimentSetup, seeds: Sequence[int], out: Path, batch: BatchOptions, *, quiet: bool
 ) -> tuple[list[str], dict[str, Any], bool]:
     """Run it; return the report's lines, its figures, and whether all runs succeeded.
 
@@ -186,7 +187,7 @@ def run_uncertainty(
     ]
     check_setup(setup)
     with open_report(folder):
-        runs, failures = run_experiment(specs, folder, workers, at, quiet=quiet)
+        runs, failures = run_experiment(specs, folder, batch, at, quiet=quiet)
         curves = list(_seed_curves(runs, at))
         summaries = summarize_conditions(curves) if curves else []
         lines = list(_lines(curves, summaries, failures))

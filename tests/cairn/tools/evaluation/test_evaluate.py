@@ -2,15 +2,15 @@
 
 import json
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cairn.tools.evaluation import cli
+from cairn.tools.batch.options import BatchOptions
+from cairn.tools.batch.task import LOG, TaskResult
 from cairn.tools.evaluation.results import GoalResult, RunResult
 from cairn.tools.evaluation.runs import Trial, examination
+from tests.cairn.tools.batch.fake_workers import FakeWorkers, Payload, answer
 from tests.commands import Answer, cairn
 from tests.wording import assert_words
 
@@ -35,6 +35,7 @@ def test_kidnapped_robot_reaches_its_goals(tmp_path: Path) -> None:
         "--kidnap",
         "--out",
         str(tmp_path / "out"),
+        "--no-cache",
         "--json",
     )
 
@@ -94,7 +95,6 @@ def trial(*sets: str) -> Trial:
         visual_map=ROOT / "deploy" / "maps" / "room.cairn",
         start=(2.0, 1.5, 0.3),
         goals=4,
-        seed=1,
         kidnap_at=0,
         sets=sets,
     )
@@ -102,9 +102,9 @@ def trial(*sets: str) -> Trial:
 
 @pytest.fixture
 def scripted_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace runs by prepared results, computed on a thread."""
-    monkeypatch.setattr(cli, "run_trial", scripted_run)
-    monkeypatch.setattr(cli, "worker_pool", ThreadPoolExecutor)
+    """Replace runs by prepared results."""
+    monkeypatch.setattr(BatchOptions, "open_workers", lambda *_: FakeWorkers(scripted_run))
+    monkeypatch.setattr(BatchOptions, "open_cache", lambda _: None)
 
 
 @pytest.fixture
@@ -117,16 +117,20 @@ def empty_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return world
 
 
-def scripted_run(trial: Trial, scratch: str, logs: Path) -> RunResult:
+def scripted_run(task: Payload, _contents: object, _worker: str) -> dict[str, object]:
     """Return the prepared result of a seed."""
-    if trial.seed == 9:
-        raise ValueError("this seed went wrong")
-    return {
+    if task["seed"] == 4:
+        error = "ValueError('this seed went wrong')"
+        return answer(TaskResult(False, False, error, {LOG: b"until then\n"}, error))
+    run = {
         0: RunResult(seed=0, goals=[GOOD], track=[(1.0, 1.0), (3.0, 2.0)], simulated_s=60.0),
         1: RunResult(seed=1, goals=[GOOD, MISSED], simulated_s=40.0),
         2: RunResult(seed=2, goals=[GOOD], collisions=["table at (1.00, 1.00), 0.20 m/s"]),
         3: RunResult(seed=3, goals=[GOOD], failure="never kidnapped"),
-    }[trial.seed]
+        5: RunResult(seed=5, goals=[GOOD]),
+    }[task["seed"]]
+    files = {"result.json": run.model_dump_json().encode(), LOG: b"all of it\n"}
+    return answer(TaskResult(True, True, "", files))
 
 
 @pytest.mark.usefixtures("scripted_runs")
@@ -137,7 +141,7 @@ def scripted_run(trial: Trial, scratch: str, logs: Path) -> RunResult:
         ("0..1", 1, "seed 1, goal 2 at (3.00, 2.00) not reached"),
         ("2", 1, "seed 2, collision: table"),
         ("3", 1, "seed 3 failed: never kidnapped"),
-        ("9", 1, "seed 9 failed: ValueError('this seed went wrong')"),
+        ("4", 1, "seed 4 failed: ValueError('this seed went wrong')"),
     ],
 )
 def test_exit_status_reports_failures(
@@ -258,24 +262,32 @@ def test_events_after_the_end_of_a_run_are_reported(
 
 
 @pytest.mark.usefixtures("scripted_runs")
-def test_failed_run_keeps_the_results_of_the_others(tmp_path: Path) -> None:
-    trials = [replace(trial(), seed=seed) for seed in (0, 9, 1)]
+def test_failed_run_keeps_the_results_and_logs_of_the_others(
+    tmp_path: Path, empty_room: Path
+) -> None:
+    answer = evaluated(tmp_path, *SIM, "--seeds", "3..5", world=empty_room)
 
-    runs = cli._run(trials, tmp_path, 1, quiet=True)
-
-    assert [(run.seed, len(run.goals)) for run in runs] == [(0, 1), (9, 0), (1, 2)]
-    assert [bool(run.failure) for run in runs] == [False, True, False]
+    assert answer.code == 1, answer
+    assert [text.partition(":")[0] for text in answer.err.splitlines()] == [
+        "seed 3",
+        "seed 4",
+        "seed 5",
+    ]
+    runs = json.loads((tmp_path / "runs.json").read_text())["runs"]
+    assert [(run["seed"], len(run["goals"])) for run in runs] == [(3, 1), (4, 0), (5, 1)]
+    logs = [(tmp_path / "logs" / f"seed-{seed}.log").read_text() for seed in (3, 4, 5)]
+    assert logs == ["all of it\n", "until then\n", "all of it\n"]
 
 
 def test_examiner_uses_the_radius_of_the_deployment(tmp_path: Path) -> None:
-    found = examination(trial("settings.radius=0.3"), tmp_path, tmp_path / "result.json")
+    found = examination(trial("settings.radius=0.3"), tmp_path)
 
     assert found.components["examiner"].parameters["radius"] == 0.3
     assert found.components["world"].parameters["radius"] == 0.3
 
 
 def test_robot_starts_at_the_pose_of_the_world_file(tmp_path: Path) -> None:
-    found = examination(trial(), tmp_path, tmp_path / "result.json")
+    found = examination(trial(), tmp_path)
 
     automove = found.components["mobile_supervisor"].children["automove"]
     start = automove.children["localizer"].parameters["start"]

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-from cairn.tools.experiments import ablation, runs
+from cairn.tools.batch.options import BatchOptions
+from cairn.tools.experiments import ablation
 from cairn.tools.experiments.random_changes import RandomChanges
 from cairn.tools.experiments.series import read_method, read_world
+from tests.cairn.tools.batch.fake_workers import FakeWorkers, run_here
 from tests.commands import Answer, cairn
 from tests.wording import assert_words
 
@@ -34,12 +34,9 @@ def candidate_poses_once() -> Iterator[None]:
 
 
 @pytest.fixture
-def on_a_thread(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Run one by one on a thread, which starts at once; the ablation's test uses processes."""
-    monkeypatch.setattr(runs, "worker_pool", lambda _: ThreadPoolExecutor(1))
-    propagate = logging.getLogger("cairn").propagate
-    yield
-    logging.getLogger("cairn").propagate = propagate
+def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run one by one in this process, at once; the ablation's test starts processes."""
+    monkeypatch.setattr(BatchOptions, "open_workers", lambda *_: FakeWorkers(run_here))
 
 
 def experiment(command: str, out: Path, *options: str) -> Answer:
@@ -56,6 +53,7 @@ def experiment(command: str, out: Path, *options: str) -> Answer:
         TOUR,
         "--out",
         str(out),
+        "--no-cache",
         *options,
     )
 
@@ -89,7 +87,7 @@ def test_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> None:
     assert max(last) - min(last) < 0.2
 
 
-@pytest.mark.usefixtures("on_a_thread")
+@pytest.mark.usefixtures("in_this_process")
 def test_both_runs_of_a_seed_are_identical_to_the_last_bit_until_the_change(
     tmp_path: Path,
 ) -> None:
@@ -118,7 +116,7 @@ def test_both_runs_of_a_seed_are_identical_to_the_last_bit_until_the_change(
     assert len(changed.moves) == 1
 
 
-@pytest.mark.usefixtures("on_a_thread")
+@pytest.mark.usefixtures("in_this_process")
 def test_map_update_draws_its_maps(tmp_path: Path) -> None:
     pose = "{x: 4.7, y: 0, theta: 1.5708}"
     event = f"components.world.parameters.events=[{{at: 6, move: object_8, to: {pose}}}]"
@@ -130,7 +128,7 @@ def test_map_update_draws_its_maps(tmp_path: Path) -> None:
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.usefixtures("on_a_thread")
+@pytest.mark.usefixtures("in_this_process")
 def test_failed_runs_are_reported_and_exit_with_status_1(tmp_path: Path) -> None:
     answer = experiment(
         "map-update",
@@ -148,7 +146,7 @@ def test_failed_runs_are_reported_and_exit_with_status_1(tmp_path: Path) -> None
     assert json.loads((tmp_path / "report.json").read_text())["failures"].keys() == {"runs/seed-0"}
 
 
-@pytest.mark.usefixtures("on_a_thread")
+@pytest.mark.usefixtures("in_this_process")
 def test_run_without_a_moved_object_is_not_counted(tmp_path: Path) -> None:
     late = "components.world.parameters.events=[{at: 900, move: object_8, to: {x: 4.7, y: 0}}]"
     answer = experiment("map-update", tmp_path, "--seeds", "0", "--set", late)

@@ -1,0 +1,1 @@
+"""Many runs in lockstep: on processes of this computer or on a cluster, cached and checked."""
