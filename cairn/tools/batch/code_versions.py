@@ -99,6 +99,7 @@ def _sources(folders: Iterable[str] | None, origin: str | None) -> Iterator[tupl
                     yield str(path.relative_to(folder)), path
 
 
+@cache
 def _version(distribution: str) -> str:
     try:
         return version(distribution)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -91,38 +91,42 @@ class _Packing:
         is_read = {one.name for one in marked_parameters(config, ReadPathMark)}
         paths = path_parameters(config)
         for name, path in paths.items():
-            self._pack_beside(path, parameters)
-            _set(parameters, name.split("."), self.path(path, is_read=name in is_read))
+            words = [text for text in _texts(parameters) if _is_beside(path, text)]
+            packed = self.path(path, is_read=name in is_read, words=words)
+            _set(parameters, name.split("."), packed)
         return {name: self._with_packed_texts(value) for name, value in parameters.items()}
 
-    def path(self, path: Path, *, is_read: bool) -> str:
+    def path(self, path: Path, *, is_read: bool, words: Sequence[str] = ()) -> str:
         """Return the packed path of a file or folder, which need not exist.
 
-        The content of a folder is packed if the component only reads it.
+        The content of a folder is packed if the component only reads it. `words` name files
+        relative to the folder of the path.
         """
         if path.is_relative_to(self._report):
             return RUN if path == self._report else f"{RUN}/{path.relative_to(self._report)}"
-        if path not in self._packed:
-            self._pack(path, is_read=is_read)
-        return self._packed[path]
-
-    def _pack(self, path: Path, *, is_read: bool) -> None:
         try:
-            if path.is_dir():
-                place = self._new_place(path)
-                self.folders.append(f"{place}/{path.name}")
-                for file in self._files_in(path) if is_read else ():
-                    self._add(f"{place}/{path.name}/{file.relative_to(path)}", file)
-            elif path.is_file():
-                self._pack_file(path)
-            else:  # it is created by the run, or the run reports that it is missing
-                self._new_place(path)
+            if path not in self._packed:
+                self._pack(path, words, is_read=is_read)
+            for word in words:
+                self._add_beside(path, word)
         except OSError as error:
             raise CairnError(f"{path}: it cannot be read: {explain_os_error(error)}") from error
+        return self._packed[path]
 
-    def _pack_file(self, path: Path) -> None:
+    def _pack(self, path: Path, words: Sequence[str] = (), *, is_read: bool) -> None:
+        if path.is_file():
+            self._pack_file(path, words)
+            return
+        place = self._new_place(path, words)  # a run may create what does not exist
+        if path.is_dir():
+            self.folders.append(f"{place}/{path.name}")
+            for file in self._files_in(path) if is_read else ():
+                self._add(f"{place}/{path.name}/{file.relative_to(path)}", file)
+
+    def _pack_file(self, path: Path, words: Sequence[str]) -> None:
         named = list(named_files(path))
-        place = self._new_place(path, [word for word, _ in named])
+        relative = [word for word, _ in named if not os.path.isabs(word)]
+        place = self._new_place(path, [*relative, *words])
         content = read_bounded(path, MOST_INPUT_BYTES)
         for word, file in named:
             if os.path.isabs(word):
@@ -130,28 +134,22 @@ class _Packing:
                     self._pack(file, is_read=True)
                 other = os.path.relpath(self._packed[file], f"{ROOT}/{place}")
                 content = content.replace(word.encode(), other.encode())
-            else:
-                self._add(os.path.normpath(f"{place}/{word}"), file)
         self._add(f"{place}/{path.name}", path, content)
         for file in sqlite_files(path):
             self._add(f"{place}/{file.name}", file)
+        for word in relative:
+            self._add_beside(path, word)
 
-    def _pack_beside(self, path: Path, parameters: Mapping[str, Any]) -> None:
-        """Pack the files that other parameters name relative to the folder of a path."""
-        if not path.is_file():
-            return
-        packed = self.path(path, is_read=True)
-        for text in _texts(parameters):
-            file = path.parent / text
-            if is_name(text) and not os.path.isabs(text) and file.is_file():
-                place = os.path.dirname(packed).removeprefix(f"{ROOT}/")
-                name = os.path.normpath(f"{place}/{text}")
-                if not name.startswith("/".join(place.split("/")[:2]) + "/"):
-                    raise CairnError(
-                        f"{text}: this file is outside of the folder of {path}; give its absolute "
-                        "path"
-                    )
-                self._add(name, file)
+    def _add_beside(self, path: Path, word: str) -> None:
+        """Add a file that is named relative to the folder of a path that is packed."""
+        place = os.path.dirname(self._packed[path]).removeprefix(f"{ROOT}/")
+        name = os.path.normpath(f"{place}/{word}")
+        if not name.startswith("/".join(place.split("/")[:2]) + "/"):
+            raise CairnError(
+                f"{path.parent / word}: this file lies above the folder of {path}, which another "
+                "component names, too; give its absolute path"
+            )
+        self._add(name, path.parent / word)
 
     def _with_packed_texts(self, value: Any) -> Any:
         """Return a value in which the absolute paths of files are packed ones."""
@@ -165,13 +163,9 @@ class _Packing:
                 return self.path(path, is_read=True)
         return value
 
-    def _new_place(self, path: Path, words: list[str] | None = None) -> str:
+    def _new_place(self, path: Path, words: Sequence[str]) -> str:
         """Return a new folder for a path, as deep as the names `words` climb (`../a.png`)."""
-        climbs = [
-            os.path.normpath(word).split("/").count("..")
-            for word in words or ()
-            if not os.path.isabs(word)
-        ]
+        climbs = [os.path.normpath(word).split("/").count("..") for word in words]
         number = len(self._packed)
         place = "/".join([f"{_FILES}/{number}", *["up"] * max(climbs, default=0)])
         self._packed[path] = f"{ROOT}/{place}/{path.name}"
@@ -203,6 +197,11 @@ class _Packing:
                 f"{file}: with it, the deployment's files are larger than the "
                 f"{megabytes(MOST_INPUT_BYTES)} MB that a run may need; give smaller files"
             )
+
+
+def _is_beside(path: Path, text: str) -> bool:
+    """Return whether a text names a file relative to the folder of a path."""
+    return is_name(text) and not os.path.isabs(text) and (path.parent / text).is_file()
 
 
 def _texts(value: Any) -> Iterator[str]:

@@ -170,7 +170,7 @@ class Batch(Generic[T]):
         else:
             if attempt.first is not None and attempt.first["worker"] == answer["worker"]:
                 self._checked_at_home += 1
-            if self._cache is not None:
+            if self._cache is not None and result.normal:  # what failed may succeed next time
                 self._cache.put(self._tasks[attempt.number].key, data)
             self._end(attempt.number, Outcome(result))
 
