@@ -39,7 +39,15 @@ from benchmarks.lockstep import DATASET, ROOT
 from benchmarks.slam_scenarios import mapped_drive, mapped_log, mapped_objects
 from cairn import CairnError
 from cairn.deployment.shipped import FOLDER, world_file
-from cairn.tools.evaluation.runs import Trial, robot_start, run_trial, survey
+from cairn.tools.batch.runner import run_task_here
+from cairn.tools.evaluation.runs import (
+    Trial,
+    examination,
+    robot_start,
+    run_result,
+    survey,
+    trial_tasks,
+)
 from tests.components.corrected_logs import (
     LOGS,
     draw_map,
@@ -227,12 +235,15 @@ def drive(name: str, seed: int, goals: int, kidnap_at: int, maps: Path) -> dict[
         visual_map=maps / f"{name}.cairn",
         start=robot_start(world),
         goals=goals,
-        seed=seed,
         kidnap_at=kidnap_at,
         sets=(),
     )
     with tempfile.TemporaryDirectory() as folder:
-        run = run_trial(trial, folder, Path(folder))
+        report = Path(folder)
+        (task,) = trial_tasks(examination(trial, report), report, [seed])
+    run = run_result(task, run_task_here(task))
+    if run.failure:
+        raise CairnError(run.failure)
     return {
         "reached": sum(goal.reached for goal in run.goals),
         "collisions": len(run.collisions),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future, InvalidStateError
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
@@ -19,14 +20,14 @@ from cairn.tools.batch.workers import Answer, TaskFunction
 WAITING_TASKS: Final = 2
 """Tasks that are submitted at once for each worker: one runs, one waits."""
 _LONGEST_WAIT_S: Final = 300.0
-_CONNECT_S: Final = 10.0
+_CONNECT_S: Final = 30.0
 _REFRESH_S: Final = 1.0
 
 
 class DaskWorkers:
-    """Runs tasks by Dask's own executor.
+    """Runs tasks by a client of Dask, as futures of `concurrent.futures`.
 
-    If the scheduler is restarted, its client connects to it again, and all futures are cancelled.
+    If the scheduler is restarted, the client connects to it again, and all futures are canceled.
     """
 
     least_checked = 1
@@ -41,8 +42,7 @@ class DaskWorkers:
         self._client: Client | None = None
         self._workers: tuple[str, ...] = ()
         self._names: dict[str, str] = {}
-        self._restricted: dict[Future[Answer], tuple[str, ...]] = {}
-        self._futures: set[Future[Answer]] = set()
+        self._tasks: dict[Future[Answer], tuple[Any, tuple[str, ...]]] = {}
         self._seen_s = self._refreshed_s = 0.0
         self._waiting = False
 
@@ -65,8 +65,8 @@ class DaskWorkers:
         trace: TracebackType | None,
     ) -> None:
         """Cancel all that has not finished, and disconnect; runs in progress cannot be ended."""
-        for future in tuple(self._futures):
-            future.cancel()
+        for future in tuple(self._tasks):
+            _cancel(future)
         if self._client is not None:
             self._client.close(timeout=_REFRESH_S)
 
@@ -97,28 +97,28 @@ class DaskWorkers:
         self, function: TaskFunction, payload: bytes, contents: Mapping[str, bytes], other_than: str
     ) -> Future[Answer]:
         """Run a task on a worker with another name, if there is one; see `Workers`."""
-        assert self._client is not None  # `width` was not 0
-        options: dict[str, Any] = {"pure": False}
+        client = self._client
+        assert client is not None  # `width` was not 0
         others = self._other_than(other_than) if other_than else ()
-        if others:
-            options["workers"] = list(others)
-        executor = self._client.get_executor(**options)
-        future: Future[Answer] = executor.submit(function, payload, contents)
-        if others:
-            self._restricted[future] = others
-        self._futures.add(future)
+        task = client.submit(
+            function, payload, contents, pure=False, workers=list(others) if others else None
+        )
+        future: Future[Answer] = Future()
+        self._tasks[future] = (task, others)
         future.add_done_callback(self._forget)
+        client.loop.add_callback(_pass_on, client, task, future)
         return future
 
     def check(self) -> None:
         """Cancel the tasks that may run only on workers that have gone."""
-        for future, allowed in tuple(self._restricted.items()):
-            if self._workers and not set(allowed) & set(self._workers):
-                future.cancel()
+        for future, (_, allowed) in tuple(self._tasks.items()):
+            if allowed and self._workers and not set(allowed) & set(self._workers):
+                _cancel(future)
 
     def _forget(self, future: Future[Answer]) -> None:
-        self._futures.discard(future)
-        self._restricted.pop(future, None)
+        task, _ = self._tasks.pop(future)
+        if future.cancelled() and self._client is not None and self._client.status == "running":
+            task.cancel()
 
     def _connect(self) -> Client:
         return Client(self._address, timeout=_CONNECT_S, set_as_default=False, name="cairn")
@@ -127,8 +127,8 @@ class DaskWorkers:
         """Update the addresses of the workers: none while the scheduler does not answer."""
         self._workers = ()
         if self._client is None or self._client.status == "closed":
-            for future in tuple(self._futures):
-                future.cancel()
+            for future in tuple(self._tasks):
+                _cancel(future)
             self._client = None
             with suppress(OSError):  # tried again in a second
                 self._client = self._connect()
@@ -148,6 +148,27 @@ class DaskWorkers:
         if self._client is not None and self._client.status == "running":
             return "the scheduler has no worker"
         return "the scheduler does not answer"
+
+
+async def _pass_on(client: Client, task: Any, future: Future[Answer]) -> None:
+    """Set a future to the result of a task of Dask, or to what prevents it.
+
+    The executor of Dask does not: if the scheduler ends while a result is fetched, its future waits
+    for ever (`distributed.cfexecutor`, version 2026.8).
+    """
+    with suppress(InvalidStateError):  # canceled meanwhile
+        try:
+            future.set_result(await client.gather(task, asynchronous=True))
+        except asyncio.CancelledError:
+            future.set_exception(CancelledError())
+        except Exception as error:  # any: the future must not wait for ever
+            future.set_exception(CancelledError() if task.status == "cancelled" else error)
+
+
+def _cancel(future: Future[Answer]) -> None:
+    """Cancel a future, and wake who waits for it."""
+    if not future.done() and future.cancel():
+        future.set_running_or_notify_cancel()
 
 
 def _named(run: Callable[..., Mapping[str, str]]) -> dict[str, str]:

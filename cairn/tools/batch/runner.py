@@ -205,6 +205,13 @@ class Batch(Generic[T]):
             )
 
 
+def run_task_here(task: Task) -> Outcome:
+    """Run a task in this process."""
+    answer = run_task(task.payload(), task.packed.contents)
+    result = TaskResult.decode(unpack_result(answer["result"]))
+    return Outcome(result, result.error)
+
+
 def _difference(first: Answer, second: Answer) -> str:
     """Return in words in which files two results of one task differ."""
     one, other = (TaskResult.decode(unpack_result(each["result"])) for each in (first, second))

@@ -14,8 +14,8 @@ from cairn import CairnError
 from cairn.deployment.load import load_deployment
 from cairn.tools.batch import packing
 from cairn.tools.batch.packing import pack_deployment
-from cairn.tools.batch.task import Task, TaskResult, unpack_result
-from cairn.tools.batch.worker import run_task
+from cairn.tools.batch.runner import run_task_here
+from cairn.tools.batch.task import Task, TaskResult
 from cairn.tools.evaluation.runs import Trial, examination, robot_start, survey, trial_tasks
 from tests.cairn.tools.batch.clerks import OUTPUT, clerk_tasks
 
@@ -24,8 +24,9 @@ TEXTURES = ROOT / "deploy" / "worlds" / "textures"
 
 
 def result_of(task: Task) -> TaskResult:
-    answer = run_task(task.payload(), task.packed.contents)
-    return TaskResult.decode(unpack_result(answer["result"]))
+    result = run_task_here(task).result
+    assert result is not None
+    return result
 
 
 @pytest.mark.slow
