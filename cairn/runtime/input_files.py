@@ -134,5 +134,5 @@ def named_files(file: Path) -> Iterator[tuple[str, Path]]:
 
 
 def is_name(word: str) -> bool:
-    """Return whether a word of a text may be the name of a file."""
+    """Return whether this text may be the name of a file."""
     return "." in word and len(word) < 256
