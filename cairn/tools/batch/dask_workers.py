@@ -14,6 +14,7 @@ from distributed import Client
 
 from cairn.cli.output import note
 from cairn.errors import CairnError
+from cairn.tools.batch.code_versions import DISTRIBUTION
 from cairn.tools.batch.worker import worker_name
 from cairn.tools.batch.workers import Answer, TaskFunction
 
@@ -22,6 +23,9 @@ WAITING_TASKS: Final = 2
 _LONGEST_WAIT_S: Final = 300.0
 _CONNECT_S: Final = 30.0
 _REFRESH_S: Final = 1.0
+_CLOSE_S: Final = 5.0
+_UNREADABLE: Final = "Error during deserialization"
+"""How Dask reports that its scheduler lacks a package of the client."""
 
 
 class DaskWorkers:
@@ -68,7 +72,8 @@ class DaskWorkers:
         for future in tuple(self._tasks):
             _cancel(future)
         if self._client is not None:
-            self._client.close(timeout=_REFRESH_S)
+            with suppress(TimeoutError):  # the scheduler does not answer
+                self._client.close(timeout=_CLOSE_S)
 
     def width(self) -> int:
         """Return how many tasks the workers may have at once, waiting ones included."""
@@ -85,8 +90,8 @@ class DaskWorkers:
                 note(f"{self._address}: {len(self._workers)} workers, the runs continue")
         elif now > self._seen_s + self._longest_wait_s:
             raise CairnError(
-                f"{self._address}: {self._missing()} for {self._longest_wait_s:g} s; start it, and "
-                "then this command again: it continues with the results that are in the cache"
+                f"{self._address}: for {self._longest_wait_s:g} s {self._missing()}; start what is "
+                "missing, and this command again: it continues with the results in the cache"
             )
         elif not self._waiting and now > self._seen_s + _REFRESH_S:
             self._waiting = True
@@ -146,8 +151,8 @@ class DaskWorkers:
 
     def _missing(self) -> str:
         if self._client is not None and self._client.status == "running":
-            return "the scheduler has no worker"
-        return "the scheduler does not answer"
+            return "it has no worker (if some were started, read their logs)"
+        return "it does not answer"
 
 
 async def _pass_on(client: Client, task: Any, future: Future[Answer]) -> None:
@@ -162,7 +167,13 @@ async def _pass_on(client: Client, task: Any, future: Future[Answer]) -> None:
         except asyncio.CancelledError:
             future.set_exception(CancelledError())
         except Exception as error:  # any: the future must not wait for ever
-            future.set_exception(CancelledError() if task.status == "cancelled" else error)
+            failure = CancelledError() if task.status == "cancelled" else error
+            if isinstance(error, RuntimeError) and _UNREADABLE in str(error):
+                failure = CairnError(
+                    f"the scheduler cannot read the tasks of {DISTRIBUTION}: {error.__cause__}; "
+                    "install the same version there, too, and restart it"
+                )
+            future.set_exception(failure)
 
 
 def _cancel(future: Future[Answer]) -> None:

@@ -104,9 +104,10 @@ class Batch(Generic[T]):
         if data is None:
             return False
         try:
-            self._end(number, Outcome(TaskResult.decode(data)))
+            result = TaskResult.decode(data)
         except ValueError:  # of another format
             return False
+        self._end(number, Outcome(result))
         return True
 
     def _chosen(self, numbers: Sequence[int]) -> frozenset[int]:
@@ -138,6 +139,8 @@ class Batch(Generic[T]):
                 answer = future.result()
             except CancelledError:
                 self._retry(attempt)
+            except CairnError:  # no worker could run it
+                raise
             except Exception as error:  # `run_task` raises none: its worker did
                 self._lose(attempt, repr(error))
             else:

@@ -24,7 +24,8 @@ TaskFunction = Callable[[bytes, Mapping[str, bytes]], Answer]
 class Workers(Protocol):
     """Runs tasks by executors of `concurrent.futures`.
 
-    A future that is cancelled, or that raises, says nothing about its task: the worker was lost.
+    A future that is canceled, or that raises, says nothing about its task: the worker was lost. But
+    a `CairnError` says that no worker can run the task.
     """
 
     least_checked: int
