@@ -104,6 +104,7 @@ class DaskWorkers:
         """Run a task on a worker with another name, if there is one; see `Workers`."""
         client = self._client
         assert client is not None  # `width` was not 0
+        assert client.loop is not None  # it is connected
         others = self._other_than(other_than) if other_than else ()
         task = client.submit(
             function, payload, contents, pure=False, workers=list(others) if others else None
@@ -167,7 +168,7 @@ async def _pass_on(client: Client, task: Any, future: Future[Answer]) -> None:
         except asyncio.CancelledError:
             future.set_exception(CancelledError())
         except Exception as error:  # any: the future must not wait for ever
-            failure = CancelledError() if task.status == "cancelled" else error
+            failure = CancelledError() if task.cancelled() else error
             if isinstance(error, RuntimeError) and _UNREADABLE in str(error):
                 failure = CairnError(
                     f"the scheduler cannot read the tasks of {DISTRIBUTION}: {error.__cause__}; "

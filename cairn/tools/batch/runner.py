@@ -94,7 +94,7 @@ class Batch(Generic[T]):
         if self._checked_at_home:
             note(
                 f"{self._checked_at_home} of {len(self._checked)} double runs were made by the "
-                "same worker, because there is no other one"
+                "same worker, because there was no other one"
             )
         return [self._received[number] for number in range(len(self._tasks))]
 
