@@ -17,7 +17,6 @@ class ClerkConfig(Config):
     writes_process: bool = Field(
         False, description="Whether the number of the process is written: no two runs are equal."
     )
-    end: str = Field("", description="kill: the process kills itself; raise: an exception.")
 
 
 class Clerk(Component):
@@ -36,10 +35,6 @@ class Clerk(Component):
         self.lines.append(str(self.random.random()))
         if len(self.lines) < self.config.steps:
             return
-        if self.config.end == "kill":
-            os.kill(os.getpid(), 9)
-        if self.config.end == "raise":
-            raise ValueError("the clerk has failed")
         if self.config.writes_process:
             self.lines.append(str(os.getpid()))
         self.log.info("wrote %s", self.config.file)
