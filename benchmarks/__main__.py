@@ -10,6 +10,7 @@ BENCHMARKS = (
     "roundtrip",
     "services",
     "links",
+    "machines",
     "latency",
     "startup",
     "lockstep",

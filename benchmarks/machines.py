@@ -9,20 +9,18 @@ import os
 import statistics
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from benchmarks.result import Metric
 from benchmarks.running import results
 from cairn.deployment.shipped import FOLDER
 from cairn.security.authority import Authority, Member
 from cairn.security.folder import VARIABLE, RobotFolder
-from cairn.tools.evaluation.runs import Trial, examination_overlay, robot_start, survey
+from cairn.tools.evaluation.runs import Trial, examination, robot_start, survey
 from tests.machines.network import Computer, missing, two_computers, wired_computers
 
 ROUNDS = 3
@@ -68,7 +66,7 @@ def _tour() -> Iterator[Metric]:
     """Drive to random goals in the office with a remote localizer and recognizer."""
     world = FOLDER / "worlds" / "office.yaml"
     with two_computers() as (first, second, cable), _identities(first, second), _folder() as folder:
-        map_file, result = folder / "office.yaml", folder / "result.json"
+        map_file = folder / "office.yaml"
         survey(world, map_file, map_file.with_suffix(".cairn"))
         trial = Trial(
             deployment=FOLDER / "sim.yaml",
@@ -77,23 +75,23 @@ def _tour() -> Iterator[Metric]:
             visual_map=map_file.with_suffix(".cairn"),
             start=robot_start(world),
             goals=GOALS,
-            seed=0,
             kidnap_at=0,
             sets=(),
         )
-        overlay = folder / "machines.yaml"
-        overlay.write_text(
-            _machines(first, second)
-            + "components:\n"
-            + "  mobile_supervisor: {children: {automove: {children: {localizer: "
-            + "{machine: second}}}}}\n"
-            + "  vision_supervisor: {machine: second}\n"
-        )
-        files, sets = examination_overlay(trial, folder, result)
-        overlays = [word for file in (*files, overlay) for word in ("--overlay", str(file))]
-        settings = [word for one in sets for word in ("--set", one)]
+        examined = examination(trial, folder).model_dump(mode="json", exclude_defaults=True)
+        examined["machines"] = {
+            "first": {"address": first.address},
+            "second": {"address": second.address},
+        }
+        components = examined["components"]
+        components["vision_supervisor"]["machine"] = "second"
+        automove = components["mobile_supervisor"]["children"]["automove"]
+        automove["children"]["localizer"]["machine"] = "second"
+        result = Path(components["examiner"]["parameters"]["file"])
+        file = folder / "tour.yaml"
+        file.write_text(json.dumps(examined), encoding="utf-8")
         cuts = 0
-        with _two_runs(first, second, folder, str(trial.deployment), *overlays, *settings) as runs:
+        with _two_runs(first, second, folder, str(file)) as runs:
             began = time.monotonic()
             while runs[0].poll() is None and time.monotonic() - began < _LIMIT_S:
                 time.sleep(_PAUSE_S)
@@ -171,7 +169,7 @@ def _cairn_round_trip(first: Computer, second: Computer) -> float:
         with _two_runs(first, second, folder, str(file)) as runs:
             if runs[0].wait(_LIMIT_S):
                 raise RuntimeError((folder / "first.log").read_text())
-        return float(results((folder / "first.log").read_text())[0]["median"])
+        return float(results((folder / "first.log").read_text())[0]["median"]) / 1e6
 
 
 def _raw_round_trip(kind: str, first: Computer, second: Computer, security: Path) -> float:
