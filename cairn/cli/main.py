@@ -96,6 +96,8 @@ COMMANDS = (
                 "Check and draw simulated worlds; change the running one.", _STUDY),
     LazyCommand("evaluate", "cairn.tools.evaluation.cli:app",
                 "Measure localization and navigation over many runs.", _STUDY),
+    LazyCommand("campaign", "cairn.campaign.cli:campaign",
+                "Drive for long while faults are injected; check invariants.", _STUDY),
     LazyCommand("experiment", "cairn.tools.experiments.cli:app",
                 "Run the experiments of the paper.", _STUDY),
     LazyCommand("init", "cairn.cli.init:init",

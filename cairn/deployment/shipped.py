@@ -46,9 +46,21 @@ def world_file(name: str) -> Path:
 
     Raises `CairnError` if `name` is not a path and nothing of that name is shipped.
     """
-    folder = FOLDER / "worlds"
+    return _named_file(name, "world")
+
+
+def campaign_file(name: str) -> Path:
+    """Return the file of that path, or else the shipped campaign of that name.
+
+    Raises `CairnError` if `name` is not a path and nothing of that name is shipped.
+    """
+    return _named_file(name, "campaign")
+
+
+def _named_file(name: str, kind: str) -> Path:
+    folder = FOLDER / f"{kind}s"
     known = sorted(file.stem for file in folder.glob("*.yaml"))
-    return _file_or_shipped(name, folder, "world", known)
+    return _file_or_shipped(name, folder, kind, known)
 
 
 def _file_or_shipped(name: str, folder: Path, kind: str, known: list[str]) -> Path:

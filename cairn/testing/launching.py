@@ -120,20 +120,28 @@ class Run:
 
     def pids(self) -> list[int]:
         """Return the ids of all processes of the run, grandchildren included."""
-        return [process.pid for process in self._processes()]
+        return [process.pid for process in self.processes()]
 
     def await_nothing_left(self, limit_s: float = LIMIT_S) -> None:
         """Wait until no process of the run is left; kill those that stay, and name them."""
+        names = self.kill_left(limit_s)
+        assert not names, f"left running: {names}; {self}"
+
+    def kill_left(self, limit_s: float = LIMIT_S) -> list[str]:
+        """Wait until no process of the run is left; kill those that stay, and return their names.
+
+        A name is the process's id and command line.
+        """
         deadline = time.monotonic() + limit_s
-        while (left := self._processes()) and time.monotonic() < deadline:
+        while (left := self.processes()) and time.monotonic() < deadline:
             await_any_end([process.pid for process in left], deadline - time.monotonic())
         names = []
         for process in left:
             with contextlib.suppress(psutil.NoSuchProcess):
-                title = _title_of(process)
+                title = title_of(process)
                 process.kill()
                 names.append(f"{process.pid} {title}")
-        assert not names, f"left running: {names}; {self}"
+        return names
 
     def log_of(self, component: str) -> str:
         """Return the log file of a component."""
@@ -164,7 +172,8 @@ class Run:
         """Return its log folder and its output, for the message of a test that fails."""
         return f"logs: {self.logs}; output of cairn up:\n" + "".join(self.lines)
 
-    def _processes(self) -> list[psutil.Process]:
+    def processes(self) -> list[psutil.Process]:
+        """Return all processes of the run, grandchildren included, zombies excluded."""
         found = []
         for process in psutil.process_iter():
             with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied):
@@ -176,7 +185,7 @@ class Run:
         return found
 
     def _pids_titled(self, title: str) -> list[int]:
-        return [process.pid for process in self._processes() if _title_of(process) == title]
+        return [process.pid for process in self.processes() if title_of(process) == title]
 
     def _read(self) -> None:
         assert self.process.stdout is not None
@@ -323,7 +332,7 @@ def _start_of_record(line: str) -> tuple[float, str] | None:
         return None
 
 
-def _title_of(process: psutil.Process) -> str:
+def title_of(process: psutil.Process) -> str:
     """Return the command line of a process, empty if it has ended."""
     with contextlib.suppress(psutil.NoSuchProcess):
         return " ".join(process.cmdline()).rstrip()  # empty arguments pad a component's title

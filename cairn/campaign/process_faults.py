@@ -1,0 +1,241 @@
+"""Faults of processes and of their disk: kill, stop, hold inactive, no space, commands."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from random import Random
+from typing import Annotated
+
+import psutil
+from pydantic import Field, model_validator
+
+from cairn.bus.control import ControlError, NoReplyError
+from cairn.campaign.faults import Fault, Injection, SkippedFault
+from cairn.campaign.observations import ROOT, ZYGOTE
+from cairn.campaign.robot import CampaignRobot
+from cairn.errors import CairnError
+from cairn.runtime.parameters import Config
+
+Patterns = Annotated[tuple[str, ...], Field(max_length=100)]
+
+_REQUEST_S = 5.0
+_UNDO_TRIES = 6
+_COMMAND_S = 10.0
+
+
+class Targets(Config):
+    """The components that may be drawn as target."""
+
+    components: Patterns = Field(
+        ("*",), description="Names of components with a process of their own, as patterns."
+    )
+    exclude: Patterns = Field((), description="Names not to draw, as patterns.")
+
+
+class Duration(Config):
+    """How long a fault lasts, drawn uniformly."""
+
+    shortest_s: float = Field(1.0, gt=0, le=3600, description="Shortest duration [s].")
+    longest_s: float = Field(10.0, gt=0, le=3600, description="Longest duration [s].")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Duration:
+        if self.shortest_s > self.longest_s:
+            raise ValueError(f"shortest_s = {self.shortest_s:g} exceeds {self.longest_s:g}")
+        return self
+
+    def draw(self, random: Random) -> float:
+        """Return a duration [s]."""
+        return round(random.uniform(self.shortest_s, self.longest_s), 2)
+
+
+class TargetsForTime(Targets, Duration):
+    """Targets, and for how long."""
+
+
+class Kill(Fault):
+    """Kill the process of a component (SIGKILL)."""
+
+    config_type = Targets
+    config: Targets
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
+        """Kill it; its supervisor restarts it."""
+        name = drawn(robot, self.config, random)
+        process = robot.process(name)
+        with running(name):
+            process.kill()
+        yield Injection(name, f"killed process {process.pid}")
+
+
+class KillRoot(Fault):
+    """Kill the root of the deployment (`cairn up`) or its zygote: all processes end."""
+
+    config_type = Config
+    ends_deployment = True
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
+        """Kill one of the two."""
+        name = random.choice((ROOT, ZYGOTE))
+        process = robot.process(name)
+        with running(name):
+            process.kill()
+        yield Injection(name, f"killed process {process.pid}")
+
+
+class Stop(Fault):
+    """Stop the process of a component (SIGSTOP), and continue it later."""
+
+    config_type = TargetsForTime
+    config: TargetsForTime
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
+        """Stop it; if that lasts too long, its supervisor kills and restarts it."""
+        name = drawn(robot, self.config, random)
+        lasts_s = self.config.draw(random)
+        process = robot.process(name)
+        with running(name):
+            process.suspend()
+        try:
+            yield Injection(name, f"stopped process {process.pid} for {lasts_s:g} s", lasts_s)
+        finally:
+            with suppress(psutil.NoSuchProcess):  # its supervisor has killed it
+                process.resume()
+
+
+class Hold(Fault):
+    """Hold a component inactive, as if its device were missing, and activate it later."""
+
+    config_type = TargetsForTime
+    config: TargetsForTime
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
+        """Request it of the component's supervisor."""
+        name = drawn(robot, self.config, random)
+        lasts_s = self.config.draw(random)
+        try:
+            self._request(robot, name, "inactive")
+        except CairnError as error:
+            # It may hold it nevertheless, when it answers late.
+            self._release(robot, name)
+            raise SkippedFault(f"{name} cannot be held inactive: {error}") from error
+        try:
+            yield Injection(name, f"held inactive for {lasts_s:g} s", lasts_s)
+        finally:
+            self._release(robot, name)
+
+    def _release(self, robot: CampaignRobot, name: str) -> None:
+        """Have it activated; a supervisor that was restarted meanwhile holds nothing."""
+        for _ in range(_UNDO_TRIES):
+            if robot.has_ended():
+                return
+            with suppress(NoReplyError):
+                with suppress(ControlError):  # it is being restarted, which makes it active
+                    self._request(robot, name, "active")
+                return
+
+    def _request(self, robot: CampaignRobot, name: str, state: str) -> None:
+        arguments = {"name": name, "state": state}
+        robot.request(robot.supervisor_of(name), "hold", arguments, _REQUEST_S)
+
+
+class DiskFull(Fault):
+    """Let no file of the deployment grow, as on a full disk (RLIMIT_FSIZE of all processes)."""
+
+    config_type = Duration
+    config: Duration
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
+        """Limit the files of all processes, and of those that they start meanwhile, to 0 bytes."""
+        lasts_s = self.config.draw(random)
+        try:
+            count = len(_limit_files(robot, 0))
+            yield Injection(ROOT, f"no file of {count} processes grows for {lasts_s:g} s", lasts_s)
+        finally:
+            while _limit_files(robot, resource.RLIM_INFINITY):
+                pass  # what was forked meanwhile has inherited the limit
+
+
+class CommandConfig(Duration):
+    """Parameters of `command`."""
+
+    target: str = Field(min_length=1, max_length=200, description="What it disturbs, in words.")
+    begin: tuple[str, ...] = Field(
+        min_length=1, description="Program and arguments that inject the fault."
+    )
+    undo: tuple[str, ...] = Field(
+        min_length=1, description="Program and arguments that undo it; also run if `begin` failed."
+    )
+
+
+class Command(Fault):
+    """Run a command that injects a fault, and later one that undoes it.
+
+    For what only the computer's own tools can do: delays of a network (`tc ... netem`), a port of
+    a USB hub without power, steps of the clock.
+    """
+
+    config_type = CommandConfig
+    config: CommandConfig
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:  # noqa: ARG002
+        """Run `begin`, and at the end `undo`."""
+        lasts_s = self.config.draw(random)
+        try:
+            _run(self.config.begin)
+            yield Injection(self.config.target, f"{' '.join(self.config.begin)}", lasts_s)
+        finally:
+            _run(self.config.undo)
+
+
+def drawn(robot: CampaignRobot, targets: Targets, random: Random) -> str:
+    """Return the name of a component; raises `SkippedFault` if none matches."""
+    names = robot.matching(targets.components, targets.exclude)
+    if not names:
+        raise SkippedFault(f"no component matches {', '.join(targets.components)}")
+    return random.choice(names)
+
+
+@contextmanager
+def running(name: str) -> Iterator[None]:
+    """Skip the fault if the process has ended meanwhile."""
+    try:
+        yield
+    except psutil.NoSuchProcess as error:
+        raise SkippedFault(f"{name} has just ended") from error
+
+
+def _limit_files(robot: CampaignRobot, size: int) -> list[int]:
+    """Limit each file of all processes to `size` [bytes]; return the processes that had not."""
+    changed = []
+    if not robot.has_ended():
+        # The root and the zygote first, so that what they fork next inherits the limit.
+        for process in sorted(robot.run.processes(), key=lambda one: one.create_time()):
+            with suppress(psutil.NoSuchProcess):
+                soft, hard = process.rlimit(psutil.RLIMIT_FSIZE)
+                wanted = hard if size == resource.RLIM_INFINITY else size
+                if soft != wanted:
+                    process.rlimit(psutil.RLIMIT_FSIZE, (wanted, hard))
+                    changed.append(process.pid)
+    return changed
+
+
+def _run(words: tuple[str, ...]) -> None:
+    try:
+        ended = subprocess.run(
+            words, timeout=_COMMAND_S, check=False, capture_output=True, text=True
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise SkippedFault(f"{' '.join(words)}: {error}") from error
+    if ended.returncode:
+        printed = (ended.stderr or ended.stdout).strip()[-200:]
+        raise SkippedFault(f"{' '.join(words)}: exit status {ended.returncode}: {printed}")

@@ -1,0 +1,358 @@
+"""Runs a campaign: injects the faults when they are due, observes, and judges the invariants."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from random import Random
+
+from cairn.campaign.faults import FAULTS, Fault, Injection
+from cairn.campaign.goals import GoalSender
+from cairn.campaign.invariants import INVARIANTS, Invariant
+from cairn.campaign.kinds import instance_of
+from cairn.campaign.model import Campaign
+from cairn.campaign.observations import GoalEnded, LogLine, Processes
+from cairn.campaign.plan import PlannedFault, planned_faults
+from cairn.campaign.recordings import LaunchRecording, attachments_of, rerun_command
+from cairn.campaign.report import CampaignReport, FaultRecord, Violation
+from cairn.campaign.robot import CampaignRobot
+from cairn.errors import CairnError
+from cairn.testing.launching import launching
+
+_TICK_S = 0.1
+_SAMPLE_S = 1.0
+_BEFORE_S = 60.0
+_MOST_VIOLATIONS = 10_000
+_WRITE_S = 60.0
+_PROBLEMS = ("WARNING", "ERROR", "CRITICAL")
+
+_Call = Callable[[Invariant], Iterable[str]]
+
+
+@dataclass
+class _Active:
+    """A fault that is to be undone at a time [s]."""
+
+    until_s: float
+    record: FaultRecord
+    injection: Injection
+    context: AbstractContextManager[Injection]
+
+
+def run_campaign(
+    campaign: Campaign,
+    folder: Path,
+    report_folder: Path,
+    *,
+    name: str = "campaign",
+    show: Callable[[str], None] = lambda _: None,
+    is_interrupted: Callable[[], bool] = lambda: False,
+    stop_on_violation: bool = False,
+    invariants: Iterable[Invariant] = (),
+) -> CampaignReport:
+    """Run a campaign and return its report, which is also written to `report_folder`.
+
+    Args:
+        campaign: the campaign.
+        folder: where the relative paths in it begin.
+        report_folder: a new or empty folder.
+        name: of the campaign, for the report.
+        show: called with a line for each fault and violation.
+        is_interrupted: whether the campaign has to end early.
+        stop_on_violation: whether it ends with the first violation.
+        invariants: further ones, in addition to those of the campaign.
+
+    Raises:
+        CairnError: if the deployment cannot be read or does not start.
+    """
+    report_folder.mkdir(parents=True, exist_ok=True)
+    if any(report_folder.iterdir()):
+        raise CairnError(f"{report_folder} is not empty; name another folder for the report")
+    arguments = campaign.arguments(folder)
+    if campaign.recording is not None:
+        arguments += ["--set", "call_log=true"]
+    with launching(report_folder) as launch:
+        robot = CampaignRobot(
+            launch, campaign.deployment_path(folder), arguments, report_folder / "run"
+        )
+        report = CampaignReport(
+            name, campaign.deployment, campaign.seed, report_folder,
+            started=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        )  # fmt: skip
+        judges = [
+            (one.kind, instance_of(INVARIANTS, one.kind, one.parameters))
+            for one in campaign.invariants
+        ]
+        judges += [(type(one).__name__, one) for one in invariants]
+        runner = _Runner(campaign, robot, report, judges, show)
+        try:
+            runner.run(lambda: is_interrupted() or (stop_on_violation and bool(report.violations)))
+        finally:
+            runner.close()
+            report.write()
+    return report
+
+
+class _Runner:
+    """The state of a campaign that runs."""
+
+    def __init__(
+        self,
+        campaign: Campaign,
+        robot: CampaignRobot,
+        report: CampaignReport,
+        judges: list[tuple[str, Invariant]],
+        show: Callable[[str], None],
+    ) -> None:
+        self._campaign = campaign
+        self._robot = robot
+        self._report = report
+        self._judges = judges
+        self._show = show
+        self._faults = [instance_of(FAULTS, one.kind, one.parameters) for one in campaign.faults]
+        self._events: queue.Queue[_Call] = queue.Queue()
+        self._active: list[_Active] = []
+        self._began = time.monotonic()
+        self._sampled_s = self._written_s = 0.0
+        self._ending = False
+        self._goals: GoalSender | None = None
+        self._recording: LaunchRecording | None = None
+        self._attachments: dict[str, bytes] = {}
+        self._goal_random = Random(f"goals {campaign.seed}")
+
+    def run(self, is_over: Callable[[], bool]) -> None:
+        """Run until the last fault has settled, the time is over, or `is_over`."""
+        if self._campaign.recording is not None:
+            self._attachments = attachments_of(self._robot)
+        self._launch()
+        self._began = time.monotonic()
+        plan = planned_faults(self._campaign)
+        due = next(plan, None)
+        end_s = self._end_s(due)
+        while not is_over():
+            self._step()
+            now = self._now()
+            if due is not None and now >= due.at_s:
+                self._inject(due)
+                due = next(plan, None)
+                end_s = self._end_s(due)
+            if due is None and now >= end_s:
+                return
+        self._report.interrupted = due is not None
+
+    def close(self) -> None:
+        """Undo all faults, stop the deployment, and judge the end."""
+        self._ending = True
+        self._undo(lambda _: True)
+        if self._goals is not None:
+            self._goals.close()
+            self._goals = None
+        self._take_events()
+        if not self._robot.has_ended():
+            self._judge_processes()
+            self._robot.stop()
+            self._close_launch(expected=True)
+        elif self._robot.is_launched:
+            self._close_launch(expected=False)
+        now = self._now()
+        self._judge(now, lambda one: one.on_finish(now))
+        self._report.duration_s = now
+        commands: dict[str, str] = {}
+        for violation in self._report.violations:
+            if violation.recording and violation.recording not in commands:
+                path = self._report.folder / violation.recording
+                commands[violation.recording] = rerun_command(path)
+            violation.rerun = commands.get(violation.recording, "")
+
+    def _end_s(self, due: PlannedFault | None) -> float:
+        if due is not None:
+            return due.at_s
+        if self._campaign.duration_s is not None and self._campaign.count is None:
+            return self._campaign.duration_s
+        return self._now() + self._campaign.settle_s
+
+    def _now(self) -> float:
+        return time.monotonic() - self._began
+
+    def _launch(self) -> None:
+        self._robot.launch()
+        self._report.launches += 1
+        for _, judge in self._judges:
+            for topic, message in judge.topics.items():
+                self._robot.observe(topic, message, self._receiver(judge))
+        settings = self._campaign.recording
+        if settings is not None:
+            path = self._report.folder / "recording.mcap"
+            self._recording = LaunchRecording(self._robot, settings, path, self._attachments)
+        now = self._now()
+        self._judge(now, lambda one: one.on_start(now, self._robot.deployment))
+        if self._campaign.goals is not None:
+            self._goals = GoalSender(
+                self._campaign.goals,
+                self._goal_random,
+                self._robot.run.endpoint,
+                self._robot.deployment.domain,
+                self._robot.deployment.robot,
+                self._on_goal,
+            )
+
+    def _receiver(self, judge: Invariant) -> Callable[[str, object], None]:
+        def receive(topic: str, message: object) -> None:
+            at_s = self._now()
+
+            def call(one: Invariant) -> Iterable[str]:
+                return one.on_message(at_s, topic, message) if one is judge else ()
+
+            self._events.put(call)
+
+        return receive
+
+    def _on_goal(self, goal: GoalEnded) -> None:
+        ended = replace(goal, at_s=round(self._now(), 1), took_s=round(goal.took_s, 1))
+        self._report.goals.append(ended)
+        self._events.put(lambda one: one.on_goal(ended))
+
+    def _step(self) -> None:
+        """Wait for a moment, and take what has happened."""
+        try:
+            call = self._events.get(timeout=_TICK_S)
+        except queue.Empty:
+            pass
+        else:
+            self._judge(self._now(), call)
+            self._take_events()
+        now = self._now()
+        self._take_lines(now)
+        if self._robot.has_ended():
+            self._relaunch(expected=False)
+            return
+        self._undo(lambda one: one.until_s <= now)
+        if now - self._sampled_s >= _SAMPLE_S:
+            self._sampled_s = now
+            self._judge_processes()
+        if now - self._written_s >= _WRITE_S:  # so that a kill of the campaign loses little
+            self._written_s = now
+            self._report.duration_s = now
+            self._report.write()
+
+    def _take_events(self) -> None:
+        while True:
+            try:
+                call = self._events.get_nowait()
+            except queue.Empty:
+                return
+            self._judge(self._now(), call)
+
+    def _take_lines(self, now: float) -> None:
+        for line in self._robot.new_lines(now):
+            if line.level in _PROBLEMS and self._report.faults:
+                self._report.faults[-1].follow(str(line))
+            self._judge_line(line)
+
+    def _judge_line(self, line: LogLine) -> None:
+        self._judge(line.at_s, lambda one: one.on_log(line))
+
+    def _judge_processes(self) -> None:
+        processes = self._robot.processes()
+        now = self._now()
+        self._summarize(processes)
+        self._judge(now, lambda one: one.on_processes(now, processes))
+
+    def _summarize(self, processes: Processes) -> None:
+        for process in processes.values():
+            if not process.is_component and process.name not in ("root", "zygote"):
+                continue
+            known = self._report.processes.setdefault(
+                process.name,
+                {"starts": 0, "memory_mib": 0, "descriptors": 0, "threads": 0, "last_start": 0},
+            )
+            if process.created_s > known["last_start"]:
+                known["last_start"] = process.created_s
+                known["starts"] += 1
+            known["memory_mib"] = max(known["memory_mib"], round(process.memory_mib, 1))
+            known["descriptors"] = max(known["descriptors"], process.descriptors)
+            known["threads"] = max(known["threads"], process.threads)
+
+    def _inject(self, planned: PlannedFault) -> None:
+        fault: Fault = self._faults[planned.entry]
+        now = self._now()
+        record = FaultRecord(planned.number, planned.kind, round(now, 1))
+        self._report.faults.append(record)
+        context = fault.inject(self._robot, Random(planned.seed))
+        try:
+            injection = context.__enter__()
+        except CairnError as error:
+            record.skipped = str(error)
+            self._show(str(record))
+            return
+        record.target, record.effect = injection.target, injection.effect
+        self._show(str(record))
+        self._judge(now, lambda one: one.on_fault(now, planned.kind, injection))
+        self._active.append(_Active(now + injection.lasts_s, record, injection, context))
+        if fault.ends_deployment:
+            self._relaunch(expected=True)
+
+    def _undo(self, is_due: Callable[[_Active], bool]) -> None:
+        due = [one for one in self._active if is_due(one)]
+        self._active = [one for one in self._active if one not in due]
+        # The last one first, as they were injected on top of each other.
+        for active in reversed(due):
+            try:
+                active.context.__exit__(None, None, None)
+            except CairnError as error:
+                self._violate("undo", f"{active.record.kind} could not be undone: {error}")
+            active.record.effect = active.injection.effect
+            if active.injection.lasts_s:
+                active.record.until_s = round(self._now(), 1)
+                self._judge_undo(active.record.kind, active.injection)
+
+    def _judge_undo(self, kind: str, injection: Injection) -> None:
+        now = self._now()
+        self._judge(now, lambda one: one.on_undo(now, kind, injection))
+
+    def _relaunch(self, *, expected: bool) -> None:
+        self._close_launch(expected=expected)
+        if not self._ending:
+            self._launch()
+
+    def _close_launch(self, *, expected: bool) -> None:
+        self._undo(lambda _: True)
+        if self._goals is not None:
+            self._goals.close()
+            self._goals = None
+        if self._recording is not None:
+            self._recording.close()
+            self._recording = None
+        now = self._now()
+        end = self._robot.close(now, expected=expected)
+        self._take_events()
+        self._judge(now, lambda one: one.on_end(end))
+
+    def _judge(self, at_s: float, call: _Call) -> None:
+        for name, judge in self._judges:
+            for text in call(judge):
+                self._violate(name, text, at_s)
+
+    def _violate(self, invariant: str, text: str, at_s: float | None = None) -> None:
+        violations = self._report.violations
+        if len(violations) >= _MOST_VIOLATIONS:
+            return
+        at_s = self._now() if at_s is None else at_s
+        recent = [
+            one.number
+            for one in self._report.injected
+            if at_s - _BEFORE_S <= (one.until_s or one.at_s) <= at_s
+        ]
+        violation = Violation(len(violations) + 1, invariant, round(at_s, 1), text, recent)
+        if self._recording is not None:
+            violation.recording = self._recording.keep(f"{invariant}: {text}"[:200])
+        violations.append(violation)
+        self._show(str(violation))
+
+
+__all__ = ["run_campaign"]
