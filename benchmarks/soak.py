@@ -10,13 +10,12 @@ anything grew by more than 2 %.
 """
 
 import argparse
-import statistics
 import sys
 import tempfile
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 import cairn.client
+from cairn.campaign.growth import growth_percent
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES
@@ -36,23 +36,9 @@ PERIOD_S = 5.0
 LIMIT_PERCENT = 2.0
 _GOAL_LIMIT_S = 180.0
 _QUANTITIES = ("RSS [MiB]", "descriptors", "threads")
-_WINDOWS = 6
 
 Samples = dict[tuple[str, str], list[tuple[float, float]]]
 """Time since the start [s] and value, by process and quantity."""
-
-
-def growth_percent(samples: Sequence[tuple[float, float]], since_s: float) -> float:
-    """Return the growth [%] from the first to the last window of the samples after `since_s`.
-
-    0 if there are too few samples.
-    """
-    values = [value for at_s, value in samples if at_s >= since_s]
-    size = len(values) // _WINDOWS
-    if size == 0:
-        return 0.0
-    first, last = statistics.median(values[:size]), statistics.median(values[-size:])
-    return 100.0 * (last - first) / first if first else 0.0
 
 
 def sample(run: Run, at_s: float, samples: Samples) -> None:

@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from random import Random
-from typing import Annotated
+from typing import Annotated, Any
 
 import psutil
 from pydantic import Field, model_validator
@@ -162,6 +162,42 @@ class DiskFull(Fault):
         finally:
             while _limit_files(robot, resource.RLIM_INFINITY):
                 pass  # what was forked meanwhile has inherited the limit
+
+
+class SetParametersConfig(Duration):
+    """Parameters of `set_parameters`."""
+
+    component: str = Field(min_length=1, max_length=200, description="Name of the component.")
+    values: dict[str, Any] = Field(min_length=1, description="Its parameters, by dotted name.")
+
+
+class SetParameters(Fault):
+    """Change parameters of a component, and change them back later.
+
+    For components that misbehave on demand, such as a scanner that is simulated with failures.
+    """
+
+    config_type = SetParametersConfig
+    config: SetParametersConfig
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
+        """Set them; a component that is restarted has those of the deployment again."""
+        name, values = self.config.component, self.config.values
+        lasts_s = self.config.draw(random)
+        try:
+            rows = robot.request(name, "parameters", {}, _REQUEST_S)
+            before = {row["name"]: row["value"] for row in rows if row["name"] in values}
+            robot.request(name, "set_parameters", values, _REQUEST_S)
+        except CairnError as error:
+            raise SkippedFault(f"the parameters of {name} cannot be changed: {error}") from error
+        shown = ", ".join(f"{key} = {value}" for key, value in values.items())
+        try:
+            yield Injection(name, f"set {shown} for {lasts_s:g} s", lasts_s)
+        finally:
+            if not robot.has_ended():
+                with suppress(NoReplyError):  # it hangs: its supervisor restarts it
+                    robot.request(name, "set_parameters", before, _REQUEST_S)
 
 
 class CommandConfig(Duration):

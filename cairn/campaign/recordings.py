@@ -65,7 +65,9 @@ def rerun_command(path: Path) -> str:
             found = {
                 start.component: None
                 for start in starts_in(recording)
-                if not start.missing and needed_messages(start).publishes
+                if start.started_ns >= recording.start_ns
+                and not start.missing
+                and needed_messages(start).publishes
             }
     except CairnError:  # cut off before its first message
         return ""

@@ -80,10 +80,10 @@ class CampaignRobot:
         assert self._client is not None, "the deployment is not launched"
         return self._client
 
-    def launch(self) -> None:
+    def launch(self, connected: Callable[[], None] = lambda: None) -> None:
         """Launch the deployment, again in the same report folder, until all components are active.
 
-        Raises `CairnError` with the last lines of `cairn up` if they do not become active.
+        `connected` is called as soon as `client` is connected. Raises `CairnError` with the last lines of `cairn up` if they do not become active.
         """
         self._run = self._launch(
             self._file,
@@ -95,7 +95,7 @@ class CampaignRobot:
         )
         self._lines = 0
         deadline = time.monotonic() + _START_LIMIT_S
-        while not self._is_active():
+        while not self._is_active(connected):
             if self.run.process.poll() is not None:
                 raise CairnError(f"the deployment does not start: {self._last_line()}")
             if time.monotonic() > deadline:
@@ -245,12 +245,13 @@ class CampaignRobot:
         """Return the name of a component's supervisor."""
         return self.deployment.member(name).parent or ROOT
 
-    def _is_active(self) -> bool:
+    def _is_active(self, connected: Callable[[], None]) -> bool:
         try:
             if self._client is None:
                 self._client = cairn.client.connect(
                     self.run.endpoint, self.deployment.domain, self.deployment.robot
                 )
+                connected()
             status = self._client.components().get(ROOT)
         except CairnError:  # its router does not listen yet
             return False

@@ -180,15 +180,11 @@ class _Runner:
         return time.monotonic() - self._began
 
     def _launch(self) -> None:
-        self._robot.launch()
+        self._robot.launch(self._record)
         self._report.launches += 1
         for _, judge in self._judges:
             for topic, message in judge.topics.items():
                 self._robot.observe(topic, message, self._receiver(judge))
-        settings = self._campaign.recording
-        if settings is not None:
-            path = self._report.folder / "recording.mcap"
-            self._recording = LaunchRecording(self._robot, settings, path, self._attachments)
         now = self._now()
         self._judge(now, lambda one: one.on_start(now, self._robot.deployment))
         if self._campaign.goals is not None:
@@ -200,6 +196,13 @@ class _Runner:
                 self._robot.deployment.robot,
                 self._on_goal,
             )
+
+    def _record(self) -> None:
+        """Record from the first message on, so that each component can be re-run."""
+        settings = self._campaign.recording
+        if settings is not None:
+            path = self._report.folder / "recording.mcap"
+            self._recording = LaunchRecording(self._robot, settings, path, self._attachments)
 
     def _receiver(self, judge: Invariant) -> Callable[[str, object], None]:
         def receive(topic: str, message: object) -> None:

@@ -2,7 +2,8 @@
 
 import pytest
 
-from benchmarks.soak import LIMIT_PERCENT, growth_percent
+from benchmarks.soak import LIMIT_PERCENT
+from cairn.campaign.growth import growth_percent
 
 WARM_UP_S = 60.0
 

@@ -1,0 +1,101 @@
+"""Short campaigns with real processes: faults are injected and undone, violations are recorded."""
+
+import json
+import shlex
+import subprocess
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import pytest
+
+from cairn import Config
+from cairn.campaign import CampaignReport, Injection, Invariant
+from cairn.testing.launching import CAIRN
+
+pytestmark = pytest.mark.processes
+
+TREE = """
+    cairn: 1
+    components:
+      talker: {plugin: test_talker}
+      mobile:
+        plugin: supervisor
+        supervision: {max_restarts: 100}
+        children:
+          listener: {plugin: test_listener}
+          base: {plugin: test_faulty, parameters: {helpers: 1}}
+    """
+
+CAMPAIGN = """
+    cairn_campaign: 1
+    deployment: tree.yaml
+    seed: 3
+    count: 8
+    interval_s: 0.3
+    settle_s: 0.5
+    recording: null
+    faults:
+      - {kind: kill, weight: 2}
+      - {kind: stop, parameters: {shortest_s: 0.2, longest_s: 0.5}}
+      - {kind: hold, parameters: {components: [base], shortest_s: 0.2, longest_s: 0.5}}
+      - {kind: wrong_message}
+      - {kind: flood, parameters: {rate: 1000, shortest_s: 0.2, longest_s: 0.3}}
+      - {kind: disk_full, parameters: {shortest_s: 0.2, longest_s: 0.5}}
+      - {kind: kill_root, weight: 0.3}
+    invariants:
+      - {kind: stays_up}
+      - {kind: no_orphan}
+      - {kind: ends_have_reasons}
+      - {kind: bounded_growth}
+    """
+
+
+class NoKill(Invariant):
+    """Nothing is ever killed: an invariant that a campaign violates."""
+
+    def on_fault(self, at_s: float, kind: str, fault: Injection) -> Iterable[str]:
+        if kind == "kill":
+            yield f"{fault.target} was killed"
+
+
+def test_faults_of_every_kind_are_injected_and_nothing_is_left(tmp_path: Path) -> None:
+    (tmp_path / "tree.yaml").write_text(TREE, encoding="utf-8")
+    file = tmp_path / "short.yaml"
+    file.write_text(CAMPAIGN, encoding="utf-8")
+    report = tmp_path / "report"
+
+    ran = subprocess.run(
+        [CAIRN, "campaign", str(file), "--report", str(report)], capture_output=True, text=True
+    )
+
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    result = json.loads((report / "report.json").read_text(encoding="utf-8"))
+    assert len(result["faults"]) == 8
+    kinds = {one["kind"] for one in result["faults"] if not one["skipped"]}
+    assert len(kinds) >= 4, ran.stdout
+    assert result["launches"] == 1 + sum(one["kind"] == "kill_root" for one in result["faults"])
+    assert all(f"fault {number}: " in ran.stdout for number in range(1, 9))
+
+
+def test_violation_is_reported_with_its_recording_and_rerun(
+    campaign: Callable[..., CampaignReport],
+) -> None:
+    report = campaign(
+        TREE,
+        faults=[{"kind": "kill", "parameters": {"components": ["talker"]}}],
+        invariants=["no_orphan", NoKill(Config())],
+        count=1,
+        interval_s=0.1,
+        settle_s=1.0,
+    )
+
+    (violation,) = report.violations
+    assert (violation.invariant, violation.text) == ("NoKill", "talker was killed")
+    assert violation.faults == [1]
+    assert (report.folder / violation.recording).stat().st_size > 0
+    assert f"`{violation.rerun}`" in (report.folder / "report.md").read_text(encoding="utf-8")
+    rerun = subprocess.run(
+        [CAIRN, *shlex.split(violation.rerun)[1:]], capture_output=True, text=True
+    )
+    assert rerun.returncode == 0, rerun.stdout + rerun.stderr
+    assert "talker: equal" in rerun.stdout
