@@ -78,7 +78,9 @@ def line(text: str) -> None:
 def note(text: str) -> None:
     """Print a remark on stderr, if that can be written."""
     with suppress(OSError):
-        print(printable(text), file=sys.stderr, flush=True)  # noqa: T201 - a command's remark
+        # One write: between two, `print` would let another thread's line in, such as one of the log.
+        sys.stderr.write(f"{printable(text)}\n")
+        sys.stderr.flush()
 
 
 def print_problems(problems: Iterable[str]) -> None:

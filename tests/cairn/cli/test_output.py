@@ -1,6 +1,8 @@
 """The output of commands: what peers say cannot control the terminal."""
 
 import io
+import sys
+from typing import ClassVar
 
 import pytest
 from rich.console import Console
@@ -42,3 +44,20 @@ def test_control_characters_of_peers_do_not_reach_the_terminal(
     output = "".join([*capsys.readouterr(), drawn.getvalue()])
     assert "base" in output
     assert not {"\x1b", "\x07", "\r", "\x9b", "\u202e"} & set(output)
+
+
+def test_remark_is_written_at_once_so_that_no_other_line_gets_into_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Stream(io.StringIO):
+        writes: ClassVar[list[str]] = []
+
+        def write(self, text: str) -> int:
+            self.writes.append(text)
+            return len(text)
+
+    monkeypatch.setattr(sys, "stderr", Stream())
+
+    note("the log is incomplete")
+
+    assert Stream.writes == ["the log is incomplete\n"]
