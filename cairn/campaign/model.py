@@ -21,6 +21,8 @@ from cairn.runtime.parameters import Config, error_reason
 
 Coordinate = Annotated[float, Field(ge=-10_000, le=10_000)]
 Pose = tuple[Coordinate, Coordinate, Annotated[float, Field(ge=-7, le=7)]]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,60}$")]
+Command = Annotated[tuple[str, ...], Field(min_length=1, max_length=100)]
 
 _RING = RecorderSettings(last_s=60.0, after_s=2.0, exclude=("camera/**",))
 
@@ -76,6 +78,12 @@ class Campaign(Config):
     )
     sets: tuple[str, ...] = Field(
         (), max_length=1000, description="Assignments, as `cairn up --set` takes them."
+    )
+    programs: dict[Name, Command] = Field(
+        default_factory=dict,
+        max_length=20,
+        description="Programs with arguments that run beside the deployment, such as emulators of "
+        "its devices; each starts before it, and is ready when it has printed something.",
     )
     seed: int = Field(0, ge=0, lt=1 << 63, description="Seed of the faults and of random goals.")
     duration_s: float | None = Field(

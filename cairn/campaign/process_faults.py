@@ -101,6 +101,8 @@ class Stop(Fault):
         lasts_s = self.config.draw(random)
         process = robot.process(name)
         with running(name):
+            if process.status() == psutil.STATUS_STOPPED:
+                raise SkippedFault(f"{name} is stopped already")
             process.suspend()
         try:
             yield Injection(name, f"stopped process {process.pid} for {lasts_s:g} s", lasts_s)
@@ -156,8 +158,10 @@ class DiskFull(Fault):
     def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
         """Limit the files of all processes, and of those that they start meanwhile, to 0 bytes."""
         lasts_s = self.config.draw(random)
+        count = len(_limit_files(robot, 0))
+        if not count:
+            raise SkippedFault("the disk is full already")
         try:
-            count = len(_limit_files(robot, 0))
             yield Injection(ROOT, f"no file of {count} processes grows for {lasts_s:g} s", lasts_s)
         finally:
             while _limit_files(robot, resource.RLIM_INFINITY):
@@ -198,6 +202,32 @@ class SetParameters(Fault):
             if not robot.has_ended():
                 with suppress(NoReplyError):  # it hangs: its supervisor restarts it
                     robot.request(name, "set_parameters", before, _REQUEST_S)
+
+
+class FaultCommandConfig(Config):
+    """Parameters of `fault_command`."""
+
+    program: str = Field(min_length=1, description="One of the campaign's `programs`.")
+    lines: tuple[Annotated[str, Field(min_length=1, max_length=1000)], ...] = Field(
+        min_length=1, description="Fault commands, of which one is drawn, such as `unplug 2`."
+    )
+
+
+class FaultCommand(Fault):
+    """Give a program of the campaign, such as an emulator, a fault command on its stdin."""
+
+    config_type = FaultCommandConfig
+    config: FaultCommandConfig
+
+    @contextmanager
+    def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
+        """Write one line; the program ends the fault by itself."""
+        text = random.choice(self.config.lines)
+        try:
+            robot.programs.write(self.config.program, text)
+        except CairnError as error:
+            raise SkippedFault(str(error)) from error
+        yield Injection(self.config.program, f"command {text!r}")
 
 
 class CommandConfig(Duration):

@@ -10,7 +10,7 @@ from typing import Any
 
 from cairn.campaign.observations import GoalEnded
 
-JSON_NAME, TEXT_NAME = "report.json", "report.md"
+JSON_NAME, TEXT_NAME, OUTPUT_NAME = "report.json", "report.md", "output.log"
 _MOST_FOLLOWED = 6
 _SHOWN_VIOLATIONS = 50
 

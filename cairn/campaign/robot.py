@@ -25,6 +25,7 @@ from cairn.campaign.observations import (
     Processes,
     ProcessSample,
 )
+from cairn.campaign.programs import Programs
 from cairn.deployment.load import assemble, read_sources
 from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
@@ -43,7 +44,14 @@ _TITLE = "cairn: "
 class CampaignRobot:
     """A deployment that runs, its processes, its topics, and a client connected to it."""
 
-    def __init__(self, launch: Launching, file: Path, arguments: list[str], report: Path) -> None:
+    def __init__(
+        self,
+        launch: Launching,
+        file: Path,
+        arguments: list[str],
+        report: Path,
+        programs: Programs,
+    ) -> None:
         """`file` and `arguments` are those of `cairn up`; nothing is launched yet.
 
         Raises `DeploymentError` if the deployment cannot be read.
@@ -60,6 +68,8 @@ class CampaignRobot:
             if member.spec.placement == "process"
         )
         """The components that have a process of their own, in start order."""
+        self.programs = programs
+        """The programs that run beside it."""
         self._run: Run | None = None
         self._client: cairn.client.Robot | None = None
         self._lines = 0
@@ -83,7 +93,8 @@ class CampaignRobot:
     def launch(self, connected: Callable[[], None] = lambda: None) -> None:
         """Launch the deployment, again in the same report folder, until all components are active.
 
-        `connected` is called as soon as `client` is connected. Raises `CairnError` with the last lines of `cairn up` if they do not become active.
+        `connected` is called as soon as `client` is connected. Raises `CairnError` with the last
+        line of `cairn up` if they do not become active.
         """
         self._run = self._launch(
             self._file,
@@ -141,6 +152,10 @@ class CampaignRobot:
         code = run.await_end()
         last = tuple(line.rstrip("\n") for line in run.lines[-_LAST_LINES:])
         return DeploymentEnded(at_s, expected, code, run.report, tuple(left), last)
+
+    def await_output(self) -> None:
+        """Wait until all that `cairn up`, which has ended, has printed is in `new_lines`."""
+        self.run.await_end()
 
     def new_lines(self, at_s: float) -> list[LogLine]:
         """Return what `cairn up` has printed since the last call."""

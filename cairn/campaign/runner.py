@@ -18,8 +18,9 @@ from cairn.campaign.kinds import instance_of
 from cairn.campaign.model import Campaign
 from cairn.campaign.observations import GoalEnded, LogLine, Processes
 from cairn.campaign.plan import PlannedFault, planned_faults
+from cairn.campaign.programs import Programs
 from cairn.campaign.recordings import LaunchRecording, attachments_of, rerun_command
-from cairn.campaign.report import CampaignReport, FaultRecord, Violation
+from cairn.campaign.report import OUTPUT_NAME, CampaignReport, FaultRecord, Violation
 from cairn.campaign.robot import CampaignRobot
 from cairn.errors import CairnError
 from cairn.testing.launching import launching
@@ -76,9 +77,16 @@ def run_campaign(
     arguments = campaign.arguments(folder)
     if campaign.recording is not None:
         arguments += ["--set", "call_log=true"]
-    with launching(report_folder) as launch:
+    with (
+        Programs(campaign.programs, report_folder) as programs,
+        launching(report_folder) as launch,
+    ):
         robot = CampaignRobot(
-            launch, campaign.deployment_path(folder), arguments, report_folder / "run"
+            launch,
+            campaign.deployment_path(folder),
+            arguments,
+            report_folder / "run",
+            programs,
         )
         report = CampaignReport(
             name, campaign.deployment, campaign.seed, report_folder,
@@ -252,7 +260,11 @@ class _Runner:
             self._judge(self._now(), call)
 
     def _take_lines(self, now: float) -> None:
-        for line in self._robot.new_lines(now):
+        lines = self._robot.new_lines(now)
+        if lines:
+            with (self._report.folder / OUTPUT_NAME).open("a", encoding="utf-8") as file:
+                file.writelines(f"{line.at_s:9.1f} s  {line}\n" for line in lines)
+        for line in lines:
             if line.level in _PROBLEMS and self._report.faults:
                 self._report.faults[-1].follow(str(line))
             self._judge_line(line)
@@ -332,6 +344,8 @@ class _Runner:
             self._recording.close()
             self._recording = None
         now = self._now()
+        self._robot.await_output()
+        self._take_lines(now)
         end = self._robot.close(now, expected=expected)
         self._take_events()
         self._judge(now, lambda one: one.on_end(end))

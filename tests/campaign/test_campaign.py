@@ -3,6 +3,7 @@
 import json
 import shlex
 import subprocess
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -26,27 +27,35 @@ TREE = """
           base: {plugin: test_faulty, parameters: {helpers: 1}}
     """
 
-CAMPAIGN = """
+PROGRAM = "import sys; print('ready'); [print(line) for line in sys.stdin]"
+
+CAMPAIGN = f"""
     cairn_campaign: 1
     deployment: tree.yaml
-    seed: 3
-    count: 8
+    programs: {{device: {json.dumps([sys.executable, "-c", PROGRAM])}}}
+    seed: 484  # draws each kind of fault
+    count: 12
     interval_s: 0.3
     settle_s: 0.5
     recording: null
     faults:
-      - {kind: kill, weight: 2}
-      - {kind: stop, parameters: {shortest_s: 0.2, longest_s: 0.5}}
-      - {kind: hold, parameters: {components: [base], shortest_s: 0.2, longest_s: 0.5}}
-      - {kind: wrong_message}
-      - {kind: flood, parameters: {rate: 1000, shortest_s: 0.2, longest_s: 0.3}}
-      - {kind: disk_full, parameters: {shortest_s: 0.2, longest_s: 0.5}}
-      - {kind: kill_root, weight: 0.3}
+      - {{kind: kill}}
+      - {{kind: stop, parameters: {{shortest_s: 0.2, longest_s: 0.5}}}}
+      - {{kind: hold, parameters: {{components: [base], shortest_s: 0.2, longest_s: 0.5}}}}
+      - {{kind: wrong_message}}
+      - {{kind: flood, parameters: {{rate: 1000, shortest_s: 0.2, longest_s: 0.3}}}}
+      - {{kind: disk_full, parameters: {{shortest_s: 0.2, longest_s: 0.5}}}}
+      - {{kind: set_parameters, parameters: {{component: talker, values: {{volume: 7}},
+          shortest_s: 0.2, longest_s: 0.3}}}}
+      - {{kind: command, parameters: {{target: file, begin: ["true"], undo: ["true"],
+          shortest_s: 0.2, longest_s: 0.3}}}}
+      - {{kind: fault_command, parameters: {{program: device, lines: [unplug 2]}}}}
+      - {{kind: kill_root}}
     invariants:
-      - {kind: stays_up}
-      - {kind: no_orphan}
-      - {kind: ends_have_reasons}
-      - {kind: bounded_growth}
+      - {{kind: stays_up}}
+      - {{kind: no_orphan}}
+      - {{kind: ends_have_reasons}}
+      - {{kind: bounded_growth}}
     """
 
 
@@ -70,11 +79,12 @@ def test_faults_of_every_kind_are_injected_and_nothing_is_left(tmp_path: Path) -
 
     assert ran.returncode == 0, ran.stdout + ran.stderr
     result = json.loads((report / "report.json").read_text(encoding="utf-8"))
-    assert len(result["faults"]) == 8
+    assert len(result["faults"]) == 12
     kinds = {one["kind"] for one in result["faults"] if not one["skipped"]}
-    assert len(kinds) >= 4, ran.stdout
+    assert len(kinds) == 10, ran.stdout
     assert result["launches"] == 1 + sum(one["kind"] == "kill_root" for one in result["faults"])
-    assert all(f"fault {number}: " in ran.stdout for number in range(1, 9))
+    assert all(f"fault {number}: " in ran.stdout for number in range(1, 13))
+    assert "unplug 2" in (report / "device.log").read_text(encoding="utf-8")
 
 
 def test_violation_is_reported_with_its_recording_and_rerun(

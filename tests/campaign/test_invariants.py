@@ -44,7 +44,9 @@ def process(
     return ProcessSample(pid, name, parent, is_component, pid, memory_mib, 20, threads)
 
 
-def judged(invariant: Invariant, *samples: Sequence[ProcessSample], step_s: float = 1.0) -> list[str]:
+def judged(
+    invariant: Invariant, *samples: Sequence[ProcessSample], step_s: float = 1.0
+) -> list[str]:
     """Return what an invariant reports of samples, `step_s` [s] apart."""
     root = ProcessSample(1, "root", "", False, 1.0, 50.0, 20, 8)
     zygote = ProcessSample(2, "zygote", "root", False, 2.0, 50.0, 20, 1)
@@ -55,7 +57,9 @@ def judged(invariant: Invariant, *samples: Sequence[ProcessSample], step_s: floa
     return found
 
 
-def ended(report: Path = Path(), *, expected: bool = True, left: Iterable[str] = ()) -> DeploymentEnded:
+def ended(
+    report: Path = Path(), *, expected: bool = True, left: Iterable[str] = ()
+) -> DeploymentEnded:
     return DeploymentEnded(100.0, expected, 1, report, tuple(left), ("failed: too many restarts",))
 
 
