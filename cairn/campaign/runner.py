@@ -363,7 +363,7 @@ class _Runner:
         recent = [
             one.number
             for one in self._report.injected
-            if at_s - _BEFORE_S <= (one.until_s or one.at_s) <= at_s
+            if (one.until_s or one.at_s) >= at_s - _BEFORE_S
         ]
         violation = Violation(len(violations) + 1, invariant, round(at_s, 1), text, recent)
         if self._recording is not None:
