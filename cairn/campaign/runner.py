@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import time
 from collections.abc import Callable, Iterable
@@ -26,6 +27,7 @@ from cairn.errors import CairnError
 from cairn.testing.launching import launching
 
 _TICK_S = 0.1
+_LATE_S = 1.0
 _SAMPLE_S = 1.0
 _BEFORE_S = 60.0
 _MOST_VIOLATIONS = 10_000
@@ -142,14 +144,18 @@ class _Runner:
         plan = planned_faults(self._campaign)
         due = next(plan, None)
         end_s = self._end_s(due)
+        delay_s = 0.0
         while not is_over():
             self._step()
             now = self._now()
-            if due is not None and now >= due.at_s:
+            if due is not None and now >= due.at_s + delay_s:
+                # What was missed, as while the deployment starts again, does not come at once.
+                late_s = now - due.at_s - delay_s
+                delay_s += late_s if late_s > _LATE_S else 0.0
                 self._inject(due)
                 due = next(plan, None)
                 end_s = self._end_s(due)
-            if due is None and now >= end_s:
+            if (due is None and now >= end_s) or now >= (self._campaign.duration_s or math.inf):
                 return
         self._report.interrupted = due is not None
 
