@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cairn.campaign.observations import GoalEnded
+from cairn.campaign.resources import ProcessUse
 
 JSON_NAME, TEXT_NAME, OUTPUT_NAME = "report.json", "report.md", "output.log"
 _MOST_FOLLOWED = 6
@@ -78,7 +79,7 @@ class CampaignReport:
     faults: list[FaultRecord] = field(default_factory=list)
     violations: list[Violation] = field(default_factory=list)
     goals: list[GoalEnded] = field(default_factory=list)
-    processes: dict[str, dict[str, float]] = field(default_factory=dict)
+    processes: dict[str, ProcessUse] = field(default_factory=dict)
 
     @property
     def injected(self) -> list[FaultRecord]:
@@ -130,14 +131,20 @@ class CampaignReport:
             lines += self._violation_lines(violation)
         if len(self.violations) > _SHOWN_VIOLATIONS:
             lines += [f"{len(self.violations) - _SHOWN_VIOLATIONS} more: see {JSON_NAME}.", ""]
-        lines += ["## Processes", "", "| process | starts | memory [MiB] | descriptors | threads |",
-                  "|---|---|---|---|---|"]  # fmt: skip
-        for name, values in sorted(self.processes.items()):
-            lines.append(
-                f"| {name} | {values['starts']:.0f} | {values['memory_mib']:.0f} | "
-                f"{values['descriptors']:.0f} | {values['threads']:.0f} |"
-            )
-        lines += ["", "The largest values of each process.", "", "## Faults", "", "```text"]
+        lines += [
+            "## Processes",
+            "",
+            "| process | starts | memory: first sixth | last sixth | largest [MiB] | descriptors "
+            "| threads |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        lines += [
+            f"| {name} | {use.starts} | {use.first_mib:.1f} | {use.last_mib:.1f} | "
+            f"{use.memory_mib:.1f} | {use.descriptors} | {use.threads} |"
+            for name, use in self.processes.items()
+        ]
+        lines += ["", "Descriptors and threads are the largest values.", ""]
+        lines += ["## Faults", "", "```text"]
         for fault in self.faults:
             lines.append(str(fault))
             lines += [f"             {line}" for line in fault.followed]

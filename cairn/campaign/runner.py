@@ -17,11 +17,12 @@ from cairn.campaign.goals import GoalSender
 from cairn.campaign.invariants import INVARIANTS, Invariant
 from cairn.campaign.kinds import instance_of
 from cairn.campaign.model import Campaign
-from cairn.campaign.observations import GoalEnded, LogLine, Processes
+from cairn.campaign.observations import GoalEnded, LogLine
 from cairn.campaign.plan import PlannedFault, planned_faults
 from cairn.campaign.programs import Programs
 from cairn.campaign.recordings import LaunchRecording, attachments_of, rerun_command
 from cairn.campaign.report import OUTPUT_NAME, CampaignReport, FaultRecord, Violation
+from cairn.campaign.resources import Resources
 from cairn.campaign.robot import CampaignRobot
 from cairn.errors import CairnError
 from cairn.testing.launching import launching
@@ -128,6 +129,7 @@ class _Runner:
         self._events: queue.Queue[_Call] = queue.Queue()
         self._active: list[_Active] = []
         self._began = time.monotonic()
+        self._resources = Resources()
         self._sampled_s = self._written_s = 0.0
         self._ending = False
         self._goals: GoalSender | None = None
@@ -176,6 +178,8 @@ class _Runner:
         now = self._now()
         self._judge(now, lambda one: one.on_finish(now))
         self._report.duration_s = now
+        self._report.processes = self._resources.summarize()
+        self._resources.plot(self._report.folder)
         commands: dict[str, str] = {}
         for violation in self._report.violations:
             if violation.recording and violation.recording not in commands:
@@ -255,6 +259,7 @@ class _Runner:
         if now - self._written_s >= _WRITE_S:  # so that a kill of the campaign loses little
             self._written_s = now
             self._report.duration_s = now
+            self._report.processes = self._resources.summarize()
             self._report.write()
 
     def _take_events(self) -> None:
@@ -281,23 +286,8 @@ class _Runner:
     def _judge_processes(self) -> None:
         processes = self._robot.processes()
         now = self._now()
-        self._summarize(processes)
+        self._resources.add(now, processes)
         self._judge(now, lambda one: one.on_processes(now, processes))
-
-    def _summarize(self, processes: Processes) -> None:
-        for process in processes.values():
-            if not process.is_component and process.name not in ("root", "zygote"):
-                continue
-            known = self._report.processes.setdefault(
-                process.name,
-                {"starts": 0, "memory_mib": 0, "descriptors": 0, "threads": 0, "last_start": 0},
-            )
-            if process.created_s > known["last_start"]:
-                known["last_start"] = process.created_s
-                known["starts"] += 1
-            known["memory_mib"] = max(known["memory_mib"], round(process.memory_mib, 1))
-            known["descriptors"] = max(known["descriptors"], process.descriptors)
-            known["threads"] = max(known["threads"], process.threads)
 
     def _inject(self, planned: PlannedFault) -> None:
         fault: Fault = self._faults[planned.entry]
