@@ -53,8 +53,9 @@ class ProcessSample:
     """A process of the run at one time.
 
     `name` is that of the component, `root`, `zygote`, or else its command line; `parent` the name
-    of the parent process, "" if that does not belong to the run. `created_s` is the time of its
-    creation [s since 1970]: with the pid it identifies the process.
+    of the parent process, "" if that does not belong to the run. A process that a component has
+    forked is not the component, though it has its name. `created_s` is the time of its creation
+    [s since 1970]: with the pid it identifies the process.
     """
 
     pid: int

@@ -164,8 +164,10 @@ class DiskFull(Fault):
         try:
             yield Injection(ROOT, f"no file of {count} processes grows for {lasts_s:g} s", lasts_s)
         finally:
-            while _limit_files(robot, resource.RLIM_INFINITY):
-                pass  # what was forked meanwhile has inherited the limit
+            # The limit that all of them have inherited from this process.
+            before, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
+            while _limit_files(robot, before):
+                pass  # what was forked meanwhile has inherited the other limit
 
 
 class SetParametersConfig(Duration):
@@ -281,16 +283,15 @@ def running(name: str) -> Iterator[None]:
 
 
 def _limit_files(robot: CampaignRobot, size: int) -> list[int]:
-    """Limit each file of all processes to `size` [bytes]; return the processes that had not."""
+    """Limit each file of all processes to `size` [bytes]; return the processes that had another."""
     changed = []
     if not robot.has_ended():
         # The root and the zygote first, so that what they fork next inherits the limit.
         for process in sorted(robot.run.processes(), key=lambda one: one.create_time()):
-            with suppress(psutil.NoSuchProcess):
+            with suppress(psutil.NoSuchProcess, psutil.AccessDenied):  # a helper with setuid
                 soft, hard = process.rlimit(psutil.RLIMIT_FSIZE)
-                wanted = hard if size == resource.RLIM_INFINITY else size
-                if soft != wanted:
-                    process.rlimit(psutil.RLIMIT_FSIZE, (wanted, hard))
+                if soft != size:
+                    process.rlimit(psutil.RLIMIT_FSIZE, (size, hard))
                     changed.append(process.pid)
     return changed
 

@@ -35,7 +35,7 @@ from cairn.testing.launching import Launching, Run, title_of
 
 _START_LIMIT_S = 180.0
 _POLL_S = 0.2
-_STOP_LIMIT_S = 30.0
+_END_LIMIT_S = 60.0
 _LEFT_LIMIT_S = 10.0
 _LAST_LINES = 12
 _TITLE = "cairn: "
@@ -70,6 +70,7 @@ class CampaignRobot:
         """The components that have a process of their own, in start order."""
         self.programs = programs
         """The programs that run beside it."""
+        self._overdue: list[str] = []
         self._run: Run | None = None
         self._client: cairn.client.Robot | None = None
         self._lines = 0
@@ -129,16 +130,9 @@ class CampaignRobot:
         return self._run is None or self._run.process.poll() is not None
 
     def stop(self) -> None:
-        """Stop the deployment, as Ctrl-C does; kill it if it does not end in time."""
-        run = self._run
-        if run is None:
-            return
-        with suppress(ProcessLookupError):
-            run.process.send_signal(signal.SIGINT)
-        try:
-            run.await_end(_STOP_LIMIT_S)
-        except AssertionError:
-            run.process.kill()
+        """Stop the deployment, as Ctrl-C does."""
+        self.run.process.send_signal(signal.SIGINT)
+        self.await_end()
 
     def close(self, at_s: float, *, expected: bool) -> DeploymentEnded:
         """Disconnect from a deployment that has ended; return how, with the processes it left."""
@@ -148,14 +142,23 @@ class CampaignRobot:
                 self._client.close()
             self._client = None
         run, self._run = self.run, None
-        left = run.kill_left(_LEFT_LIMIT_S)
+        left, self._overdue = [*self._overdue, *run.kill_left(_LEFT_LIMIT_S)], []
         code = run.await_end()
         last = tuple(line.rstrip("\n") for line in run.lines[-_LAST_LINES:])
         return DeploymentEnded(at_s, expected, code, run.report, tuple(left), last)
 
-    def await_output(self) -> None:
-        """Wait until all that `cairn up`, which has ended, has printed is in `new_lines`."""
-        self.run.await_end()
+    def await_end(self) -> None:
+        """Wait until `cairn up` has ended, and all that it has printed is in `new_lines`.
+
+        If it does not end in time it is killed, and counts as left in `close`.
+        """
+        run = self.run
+        try:
+            run.await_end(_END_LIMIT_S)
+        except AssertionError:
+            self._overdue.append(f"{run.process.pid} cairn up, within {_END_LIMIT_S:g} s,")
+            run.process.kill()
+            run.await_end()
 
     def new_lines(self, at_s: float) -> list[LogLine]:
         """Return what `cairn up` has printed since the last call."""
@@ -176,12 +179,12 @@ class CampaignRobot:
             names[process.pid] = self._name_of(process)
         for process in listed:
             with suppress(psutil.NoSuchProcess), process.oneshot():
-                name = names[process.pid]
+                name, parent = names[process.pid], names.get(process.ppid(), "")
                 found[process.pid] = ProcessSample(
                     pid=process.pid,
                     name=name,
-                    parent=names.get(process.ppid(), ""),
-                    is_component=name in self.components,
+                    parent=parent,
+                    is_component=name in self.components and parent != name,
                     created_s=process.create_time(),
                     memory_mib=process.memory_info().rss / 2**20,
                     descriptors=process.num_fds(),
@@ -196,7 +199,13 @@ class CampaignRobot:
         """
         if name == ROOT:
             return psutil.Process(self.run.process.pid)
-        found = [one for one in self.run.processes() if self._name_of(one) == name]
+        names = {one.pid: self._name_of(one) for one in self.run.processes()}
+        found = []
+        for pid in [pid for pid, known in names.items() if known == name]:
+            with suppress(psutil.NoSuchProcess):
+                process = psutil.Process(pid)
+                if names.get(process.ppid()) != name:  # not one that it has forked
+                    found.append(process)
         if len(found) != 1:
             raise SkippedFault(f"{name} does not run" if not found else f"{name} just starts")
         return found[0]

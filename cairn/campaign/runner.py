@@ -340,7 +340,7 @@ class _Runner:
             self._recording.close()
             self._recording = None
         now = self._now()
-        self._robot.await_output()
+        self._robot.await_end()
         self._take_lines(now)
         end = self._robot.close(now, expected=expected)
         self._take_events()
