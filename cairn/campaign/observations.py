@@ -22,7 +22,7 @@ ZYGOTE: Final = "zygote"
 
 @dataclass(frozen=True)
 class LogLine:
-    """A line that `cairn up` printed; for one that is no log record, level and logger are ""."""
+    """A line that `cairn up` printed; level and logger are "" if it is not a log record."""
 
     at_s: float
     text: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from statistics import median
 
 from pydantic import Field
 
@@ -23,6 +24,7 @@ from cairn.runtime.parameters import Config
 
 _REASONS = frozenset({"failed", "hung", "stopped", "ended", "start failed", "stop failed"})
 """Events of children with which the log gives the reason for the end of a process."""
+_FEWEST_STARTS = 5
 _QUANTITIES = ("memory", "descriptors", "threads")
 _UNITS = {"memory": " MiB", "descriptors": "", "threads": ""}
 
@@ -69,7 +71,7 @@ class NoOrphan(Invariant):
                 yield f"process {process.pid} ({process.name}) {key[2]}"
 
     def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
-        """Forget the processes of the launch before."""
+        """Forget the launch before."""
         self._since.clear()
         return ()
 
@@ -110,7 +112,7 @@ class EndsHaveReasons(Invariant):
         self._supervisors: dict[str, str | None] = {}
 
     def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
-        """Begin anew with each launch."""
+        """Forget the launch before."""
         self._supervisors = {member.name: member.parent for member in deployment.members()}
         self._running.clear()
         self._ended.clear()
@@ -249,9 +251,9 @@ class BoundedGrowth(Invariant):
             late = [one for one in known if one.started_s >= began + 2 * third]
             for quantity in _QUANTITIES:
                 first, last = (self._at_age(some, quantity) for some in (early, late))
-                if len(first) >= 3 and len(last) >= 3:
-                    # The largest one: a process that was restarted has done more or less work.
-                    problem = self._grown(quantity, max(first), max(last))
+                if len(first) >= _FEWEST_STARTS and len(last) >= _FEWEST_STARTS:
+                    # The medians: some of the processes have had more to do than others.
+                    problem = self._grown(quantity, median(first), median(last))
                     if problem:
                         yield (
                             f"{name}: {problem} from its first {len(first)} to its last "

@@ -82,7 +82,7 @@ class StandsWithReason(Invariant):
         self._gate_reason = ""
 
     def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
-        """Begin anew with each launch."""
+        """Forget the launch before."""
         self._moved_s, self._status, self._gate_reason = None, None, ""
         return ()
 

@@ -149,12 +149,12 @@ def steady(age: int) -> Sequence[ProcessSample]:
 
 def restarted(age: int) -> Sequence[ProcessSample]:
     """Of one process after the other, each larger than the one before."""
-    start = age // 50
+    start = age // 25
     return [process(5 + start, "base", threads=8 + start)]
 
 
 def restarted_equal(age: int) -> Sequence[ProcessSample]:
-    return [process(5 + age // 50, "base", memory_mib=50.0 + 0.2 * (age % 50))]
+    return [process(5 + age // 25, "base", memory_mib=50.0 + 0.2 * (age % 25))]
 
 
 @pytest.mark.parametrize(
