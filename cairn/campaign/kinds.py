@@ -70,6 +70,7 @@ def _class_of(group: KindGroup[T], kind: str) -> type[T]:
         ) from error
     if not isinstance(cls, type) or not issubclass(cls, group.base):
         raise ValueError(
-            f"{target} is not a class of kind {group.noun}; derive it from cairn.campaign.{group.base.__name__}"
+            f"{target} is not a class of kind {group.noun}; derive it from "
+            f"cairn.campaign.{group.base.__name__}"
         )
     return cls

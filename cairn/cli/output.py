@@ -78,7 +78,7 @@ def line(text: str) -> None:
 def note(text: str) -> None:
     """Print a remark on stderr, if that can be written."""
     with suppress(OSError):
-        # One write: between two, `print` would let another thread's line in, such as one of the log.
+        # One write: between the two of `print`, another thread's line could get in.
         sys.stderr.write(f"{printable(text)}\n")
         sys.stderr.flush()
 
