@@ -63,9 +63,11 @@ class GoalSender:
     def _drive(self, client: Robot) -> None:
         pose = self._next_pose(client)
         began = time.monotonic()
+        doing = ""
         try:
             with client.go(*pose) as goal:
-                for _ in goal.progress(self._goals.limit_s):
+                for status in goal.progress(self._goals.limit_s):
+                    doing = f"{NAVIGATION_STATES[status.state]}: {status.reason or 'no reason'}"
                     if self._closing.is_set():
                         goal.cancel()
                         return
@@ -75,7 +77,8 @@ class GoalSender:
                 return
             took_s = time.monotonic() - began
             is_late = took_s >= self._goals.limit_s
-            self._report(GoalEnded(0.0, pose, "late" if is_late else "lost", str(error), took_s))
+            state, reason = ("late", doing) if is_late else ("lost", str(error))
+            self._report(GoalEnded(0.0, pose, state, reason, took_s))
             if is_late:
                 with suppress(CairnError):  # it has just ended
                     client.cancel()

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.campaign.faults import FAULTS
@@ -133,12 +134,16 @@ class Campaign(Config):
         return self
 
     def deployment_path(self, folder: Path) -> Path:
-        """Return the file of the deployment; relative paths begin at `folder`."""
-        return _path(self.deployment, folder)
+        """Return the file of the deployment; relative paths begin at `folder`.
+
+        Raises `CairnError` if there is neither a file nor a shipped deployment of that name.
+        """
+        return _path("deployment", self.deployment, folder)
 
     def arguments(self, folder: Path) -> list[str]:
-        """Return the further arguments of `cairn up`."""
-        words = [word for one in self.overlays for word in ("--overlay", str(_path(one, folder)))]
+        """Return the further arguments of `cairn up`; raises `CairnError` as `deployment_path`."""
+        overlays = [_path("overlays", one, folder) for one in self.overlays]
+        words = [word for one in overlays for word in ("--overlay", str(one))]
         return words + [word for one in self.sets for word in ("--set", one)]
 
 
@@ -170,17 +175,29 @@ def parse_campaign(content: object, source: str) -> Campaign:
 
 
 def _problems(error: ValidationError) -> str:
-    return "; ".join(
-        _problem(one["loc"], one["input"], error_reason(one)) for one in error.errors()
-    )
+    details = error.errors()
+    places = [one["loc"] for one in details]
+    # A list with an invalid item also counts as too short.
+    own = [one for one in details if one["type"] != "too_short" or not _has_below(one, places)]
+    return "; ".join(map(_problem, own))
 
 
-def _problem(path: Sequence[int | str], value: object, reason: str) -> str:
-    key = ".".join(map(str, path))
-    shown = f" = {str(value)[:60]!r}" if key and not isinstance(value, dict) else ""
-    return f"{key}{shown}: {reason}" if key else reason
+def _has_below(detail: ErrorDetails, places: Sequence[tuple[int | str, ...]]) -> bool:
+    path = detail["loc"]
+    return any(len(other) > len(path) and other[: len(path)] == path for other in places)
 
 
-def _path(name: str, folder: Path) -> Path:
+def _problem(detail: ErrorDetails) -> str:
+    key, value = ".".join(map(str, detail["loc"])), detail["input"]
+    if detail["type"] == "extra_forbidden":
+        return f"{key}: unknown key; remove it, or correct its name"
+    shown = f" = {str(value)[:60]!r}" if key and not isinstance(value, dict | list) else ""
+    return f"{key}{shown}: {error_reason(detail)}" if key else error_reason(detail)
+
+
+def _path(key: str, name: str, folder: Path) -> Path:
     beside = folder / name
-    return beside if beside.is_file() else deployment_file(name)
+    try:
+        return beside if beside.is_file() else deployment_file(name)
+    except CairnError as error:
+        raise CairnError(f"{key} of the campaign: {error}") from error

@@ -76,7 +76,8 @@ Processes = Mapping[int, ProcessSample]
 class GoalEnded:
     """The end of a goal: its state (`succeeded`, `failed`, `canceled`, `lost`, `late`) and reason.
 
-    `lost`: the client has got no result, for a `reason`; `late`: it had not ended within its limit.
+    `lost`: the client has got no result, for a `reason`; `late`: it had not ended within its limit,
+    and `reason` is what the robot was doing.
     """
 
     at_s: float

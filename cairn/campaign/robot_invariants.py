@@ -46,7 +46,7 @@ class GoalsEnd(Invariant):
         x, y, theta = goal.pose
         what = f"the goal {x:g}, {y:g}, {theta:g} rad"
         if goal.state == "late":
-            yield f"{what} had not ended after {goal.took_s:.0f} s: {goal.reason}"
+            yield f"{what} had not ended after {goal.took_s:.0f} s; the robot is {goal.reason}"
         elif goal.state != "succeeded" and not goal.reason:
             yield f"{what} {goal.state} without a reason"
 
