@@ -70,6 +70,7 @@ class CampaignRobot:
         """The components that have a process of their own, in start order."""
         self.programs = programs
         """The programs that run beside it."""
+        self._launches = 0
         self._overdue: list[str] = []
         self._run: Run | None = None
         self._client: cairn.client.Robot | None = None
@@ -144,6 +145,9 @@ class CampaignRobot:
         run, self._run = self.run, None
         left, self._overdue = [*self._overdue, *run.kill_left(_LEFT_LIMIT_S)], []
         code = run.await_end()
+        self._launches += 1
+        if run.logs.is_dir():  # the next launch would begin new ones
+            run.logs.rename(self.report.with_name(f"logs{self._launches}"))
         last = tuple(line.rstrip("\n") for line in run.lines[-_LAST_LINES:])
         return DeploymentEnded(at_s, expected, code, run.report, tuple(left), last)
 

@@ -84,6 +84,7 @@ def test_faults_of_every_kind_are_injected_and_nothing_is_left(tmp_path: Path) -
     assert len(kinds) == 10, ran.stdout
     assert result["launches"] == 1 + sum(one["kind"] == "kill_root" for one in result["faults"])
     assert all(f"fault {number}: " in ran.stdout for number in range(1, 13))
+    assert len(list(report.glob("logs*/root.log"))) == result["launches"]
     assert "unplug 2" in (report / "device.log").read_text(encoding="utf-8")
 
 
