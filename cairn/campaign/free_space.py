@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt
 
 from cairn.client.robot import Robot
 from cairn.errors import CairnError
+from cairn.schemas.message import InvalidMessage
 from cairn.schemas.nav_msgs import OccupancyGrid
 
 _MAP_LIMIT_S = 5.0
@@ -48,4 +49,8 @@ class FreeSpace:
 
 def free_space(robot: Robot, clearance: float) -> FreeSpace:
     """Return the free space of the map that a robot publishes; `CairnError` without a map."""
-    return FreeSpace(robot.latest("map", OccupancyGrid, timeout_s=_MAP_LIMIT_S), clearance)
+    try:
+        grid = robot.latest("map", OccupancyGrid, timeout_s=_MAP_LIMIT_S)
+    except InvalidMessage as error:  # published by a fault
+        raise CairnError(str(error)) from error
+    return FreeSpace(grid, clearance)

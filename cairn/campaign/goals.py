@@ -40,6 +40,8 @@ class GoalSender:
         self._number = 0
         self._space: FreeSpace | None = None
         self._closing = threading.Event()
+        self.failure: Exception | None = None
+        """Why no further goal is sent; None if goals are sent."""
         self._thread = threading.Thread(target=self._run, name="goals", daemon=True)
         self._thread.start()
 
@@ -49,6 +51,12 @@ class GoalSender:
         self._thread.join(_JOIN_S)
 
     def _run(self) -> None:
+        try:
+            self._send_goals()
+        except Exception as error:
+            self.failure = error
+
+    def _send_goals(self) -> None:
         endpoint, domain, robot = self._where
         while not self._closing.is_set():
             with (

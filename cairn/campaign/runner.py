@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import queue
 import time
+import traceback
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -33,6 +34,8 @@ _SAMPLE_S = 1.0
 _BEFORE_S = 60.0
 _MOST_VIOLATIONS = 10_000
 _WRITE_S = 60.0
+_CAMPAIGN = "campaign"
+"""The name for violations that the campaign itself finds."""
 _PROBLEMS = ("WARNING", "ERROR", "CRITICAL")
 
 _Call = Callable[[Invariant], Iterable[str]]
@@ -205,15 +208,19 @@ class _Runner:
                 self._robot.observe(topic, message, self._receiver(judge))
         now = self._now()
         self._judge(now, lambda one: one.on_start(now, self._robot.deployment))
-        if self._campaign.goals is not None:
-            self._goals = GoalSender(
-                self._campaign.goals,
-                self._goal_random,
-                self._robot.run.endpoint,
-                self._robot.deployment.domain,
-                self._robot.deployment.robot,
-                self._on_goal,
-            )
+        self._goals = self._new_goals()
+
+    def _new_goals(self) -> GoalSender | None:
+        if self._campaign.goals is None:
+            return None
+        return GoalSender(
+            self._campaign.goals,
+            self._goal_random,
+            self._robot.run.endpoint,
+            self._robot.deployment.domain,
+            self._robot.deployment.robot,
+            self._on_goal,
+        )
 
     def _record(self) -> None:
         """Record from the first message on, so that each component can be re-run."""
@@ -249,6 +256,9 @@ class _Runner:
             self._take_events()
         now = self._now()
         self._take_lines(now)
+        if self._goals is not None and self._goals.failure is not None:
+            self._violate(_CAMPAIGN, f"sending goals failed: {_place(self._goals.failure)}")
+            self._goals = self._new_goals()
         if self._robot.has_ended():
             self._relaunch(expected=False)
             return
@@ -301,6 +311,10 @@ class _Runner:
             record.skipped = str(error)
             self._show(str(record))
             return
+        except Exception as error:  # of a fault of another package, hours after the start
+            record.skipped = repr(error)
+            self._violate(_CAMPAIGN, f"fault {planned.kind} raised {_place(error)}")
+            return
         record.target, record.effect = injection.target, injection.effect
         self._show(str(record))
         self._judge(now, lambda one: one.on_fault(now, planned.kind, injection))
@@ -315,8 +329,9 @@ class _Runner:
         for active in reversed(due):
             try:
                 active.context.__exit__(None, None, None)
-            except CairnError as error:
-                self._violate("undo", f"{active.record.kind} could not be undone: {error}")
+            except Exception as error:  # the others must be undone, too
+                kind = active.record.kind
+                self._violate(_CAMPAIGN, f"fault {kind} could not be undone: {_place(error)}")
             active.record.effect = active.injection.effect
             if active.injection.lasts_s:
                 active.record.until_s = round(self._now(), 1)
@@ -348,7 +363,11 @@ class _Runner:
 
     def _judge(self, at_s: float, call: _Call) -> None:
         for name, judge in self._judges:
-            for text in call(judge):
+            try:
+                found = list(call(judge))
+            except Exception as error:  # of an invariant of another package
+                found = [f"it raised {_place(error)}"]
+            for text in found:
                 self._violate(name, text, at_s)
 
     def _violate(self, invariant: str, text: str, at_s: float | None = None) -> None:
@@ -368,4 +387,8 @@ class _Runner:
         self._show(str(violation))
 
 
-__all__ = ["run_campaign"]
+def _place(error: Exception) -> str:
+    """Return an exception with the line of code that raised it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" at {frames[-1].filename}:{frames[-1].lineno}" if frames else ""
+    return f"{error!r}{where}"

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, TextIO
 
 from cairn.errors import CairnError
 from cairn.runtime.log_output import printable
@@ -68,7 +68,7 @@ def line(text: str) -> None:
     Raises `BrokenPipeError` if the reader has ended, `OutputLost` if the disk is full.
     """
     try:
-        print(printable(text), flush=True)  # noqa: T201 - a command's output
+        _write(sys.stdout, text)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -78,9 +78,16 @@ def line(text: str) -> None:
 def note(text: str) -> None:
     """Print a remark on stderr, if that can be written."""
     with suppress(OSError):
-        # One write: between the two of `print`, another thread's line could get in.
-        sys.stderr.write(f"{printable(text)}\n")
-        sys.stderr.flush()
+        _write(sys.stderr, text)
+
+
+def _write(stream: TextIO, text: str) -> None:
+    """Write a line at once: between the two writes of `print`, another thread's line could get in.
+
+    `print` makes two on stderr, and with PYTHONUNBUFFERED on stdout as well.
+    """
+    stream.write(f"{printable(text)}\n")
+    stream.flush()
 
 
 def print_problems(problems: Iterable[str]) -> None:

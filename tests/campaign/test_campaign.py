@@ -59,6 +59,13 @@ CAMPAIGN = f"""
     """
 
 
+class Broken(Invariant):
+    """An invariant with a defect."""
+
+    def on_fault(self, at_s: float, kind: str, fault: Injection) -> Iterable[str]:
+        raise ZeroDivisionError
+
+
 class NoKill(Invariant):
     """Nothing is ever killed: an invariant that a campaign violates."""
 
@@ -94,15 +101,16 @@ def test_violation_is_reported_with_its_recording_and_rerun(
     report = campaign(
         TREE,
         faults=[{"kind": "kill", "parameters": {"components": ["talker"]}}],
-        invariants=["no_orphan", NoKill(Config())],
+        invariants=["no_orphan", NoKill(Config()), Broken(Config())],
         count=1,
         interval_s=0.1,
         settle_s=1.0,
     )
 
-    (violation,) = report.violations
+    violation, defect = report.violations
     assert (violation.invariant, violation.text) == ("NoKill", "talker was killed")
     assert violation.faults == [1]
+    assert defect.text.startswith("it raised ZeroDivisionError() at ")
     assert (report.folder / violation.recording).stat().st_size > 0
     assert f"`{violation.rerun}`" in (report.folder / "report.md").read_text(encoding="utf-8")
     rerun = subprocess.run(

@@ -2,7 +2,7 @@
 
 import io
 import sys
-from typing import ClassVar
+from collections.abc import Callable
 
 import pytest
 from rich.console import Console
@@ -46,18 +46,18 @@ def test_control_characters_of_peers_do_not_reach_the_terminal(
     assert not {"\x1b", "\x07", "\r", "\x9b", "\u202e"} & set(output)
 
 
-def test_remark_is_written_at_once_so_that_no_other_line_gets_into_it(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("show_line", "stream"), [(line, "stdout"), (note, "stderr")])
+def test_line_is_written_at_once_so_that_no_other_one_gets_into_it(
+    monkeypatch: pytest.MonkeyPatch, show_line: Callable[[str], None], stream: str
 ) -> None:
     class Stream(io.StringIO):
-        writes: ClassVar[list[str]] = []
-
         def write(self, text: str) -> int:
-            self.writes.append(text)
+            writes.append(text)
             return len(text)
 
-    monkeypatch.setattr(sys, "stderr", Stream())
+    writes: list[str] = []
+    monkeypatch.setattr(sys, stream, Stream())
 
-    note("the log is incomplete")
+    show_line("the log is incomplete")
 
-    assert Stream.writes == ["the log is incomplete\n"]
+    assert writes == ["the log is incomplete\n"]
