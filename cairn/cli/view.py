@@ -26,6 +26,7 @@ _STATUS_POLL_S = 0.02  # statuses wait for the next refresh
 # Log records displayed at once and continually [1/s]: any program on the bus can publish them.
 _MOST_AT_ONCE, _MOST_HZ = 1000.0, 50.0
 _REPORT_S = 10.0
+_LONGEST_READ_S = 0.05  # of a topic, at each refresh
 
 
 class View(Protocol):
@@ -94,9 +95,11 @@ class Watch:
             self._add(full_name(robot, CLOCK_TOPIC), Clock, newest, self._time)
 
     def refresh(self) -> None:
-        """Pass all messages received to the view, then draw it."""
+        """Pass the messages received to the view, as many as it takes in time, then draw it."""
         for subscription, show in self._sources:
-            while True:
+            # A program may publish faster than this can read: the caller has more to do.
+            deadline = time.monotonic() + _LONGEST_READ_S
+            while time.monotonic() < deadline:
                 try:
                     message = subscription.take()
                 except InvalidMessage:

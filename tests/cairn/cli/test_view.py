@@ -6,7 +6,8 @@ import time
 import pytest
 
 from cairn import LATCHED
-from cairn.cli.view import LogWatch
+from cairn.bus.lockstep_bus import LockstepBus
+from cairn.cli.view import LogWatch, Watch
 from cairn.deployment.model import ROOT
 from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS
 from cairn.schemas.cairn_msgs import ComponentStatus
@@ -79,3 +80,23 @@ def test_flood_of_log_records_is_displayed_in_part_and_counted() -> None:
     network.close()
     assert len(view.messages) < sent
     assert max(map(len, view.messages)) < 11_000
+
+
+def test_refresh_ends_while_a_program_publishes_faster_than_it_reads() -> None:
+    bus = LockstepBus()
+    peer = bus.node("/rover/forged", lambda _: None)
+    status = peer.advertise("/rover/component_status", ComponentStatus, LATCHED)
+    forged = ComponentStatus(header=Header(), component="forged")
+
+    class EndlessView(RecordingView):
+        def status(self, status_: ComponentStatus) -> None:
+            super().status(status_)
+            status.publish(forged)  # one more, however many are read
+
+    view = EndlessView()
+    watch = Watch(bus, "rover", view, clock=False)
+    status.publish(forged)
+
+    watch.refresh()
+
+    assert view.states
