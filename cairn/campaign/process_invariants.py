@@ -29,11 +29,11 @@ _QUANTITIES = ("memory", "descriptors", "threads")
 _UNITS = {"memory": " MiB", "descriptors": "", "threads": ""}
 
 
-class PatienceConfig(Config):
-    """Parameters of an invariant that grants some time."""
+class OrphanConfig(Config):
+    """Parameters of `no_orphan`."""
 
     patience_s: float = Field(
-        15.0, gt=0, le=3600, description="Time that a violation may last before it counts [s]."
+        15.0, gt=0, le=3600, description="Time after which an orphan counts [s]."
     )
 
 
@@ -50,8 +50,8 @@ class StaysUp(Invariant):
 class NoOrphan(Invariant):
     """Each process of the run has a living owner, and none outlives the deployment."""
 
-    config_type = PatienceConfig
-    config: PatienceConfig
+    config_type = OrphanConfig
+    config: OrphanConfig
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
@@ -98,11 +98,23 @@ class NoOrphan(Invariant):
         return ""
 
 
+class ReasonsConfig(Config):
+    """Parameters of `ends_have_reasons`."""
+
+    patience_s: float = Field(
+        60.0,
+        gt=0,
+        le=3600,
+        description="Time until the reason must be in the log [s]: a supervisor that starts another "
+        "child looks after the others when that is active.",
+    )
+
+
 class EndsHaveReasons(Invariant):
     """For each process of a component that ends, the log has the reason."""
 
-    config_type = PatienceConfig
-    config: PatienceConfig
+    config_type = ReasonsConfig
+    config: ReasonsConfig
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)

@@ -55,7 +55,7 @@ class StandingConfig(Config):
     """Parameters of `stands_with_reason`."""
 
     patience_s: float = Field(
-        20.0, gt=0, le=3600, description="Time for which it may stand without a reason [s]."
+        60.0, gt=0, le=3600, description="Time for which it may stand without a reason [s]."
     )
 
 
