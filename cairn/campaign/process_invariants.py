@@ -25,6 +25,8 @@ from cairn.runtime.parameters import Config
 _REASONS = frozenset({"failed", "hung", "stopped", "ended", "start failed", "stop failed"})
 """Events of children with which the log gives the reason for the end of a process."""
 _FEWEST_STARTS = 5
+_LATE_SAMPLE_S = 10.0
+"""How much later than the log a busy computer lets the campaign see the end of a process [s]."""
 _QUANTITIES = ("memory", "descriptors", "threads")
 _UNITS = {"memory": " MiB", "descriptors": "", "threads": ""}
 
@@ -105,8 +107,8 @@ class ReasonsConfig(Config):
         60.0,
         gt=0,
         le=3600,
-        description="Time until the reason must be in the log [s]: a supervisor that starts another "
-        "child looks after the others when that is active.",
+        description="Time until the reason must be in the log [s]: a supervisor that starts a child "
+        "looks after the others when that is active.",
     )
 
 
@@ -146,7 +148,7 @@ class EndsHaveReasons(Invariant):
         due = [one for one in self._ended if at_s - one[0] > self.config.patience_s]
         self._ended = [one for one in self._ended if one not in due]
         for ended_s, name, pid in due:
-            if self._reason_at(name) < ended_s - self.config.patience_s:
+            if self._reason_at(name) < ended_s - _LATE_SAMPLE_S:
                 yield (
                     f"process {pid} of {name} ended at {ended_s:.0f} s, and the log has no reason"
                 )
