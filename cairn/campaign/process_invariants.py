@@ -107,8 +107,8 @@ class ReasonsConfig(Config):
         60.0,
         gt=0,
         le=3600,
-        description="Time until the reason must be in the log [s]: a supervisor that starts a child "
-        "looks after the others when that is active.",
+        description="Time until the reason must be in the log [s]: while a supervisor starts a "
+        "child, it does not look after the others.",
     )
 
 
