@@ -17,6 +17,7 @@ from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES
 
 _PAUSE_S = 1.0
+_CLOSED = "the campaign has ended the deployment"
 _JOIN_S = 20.0
 
 
@@ -71,6 +72,17 @@ class GoalSender:
     def _drive(self, client: Robot) -> None:
         pose = self._next_pose(client)
         began = time.monotonic()
+        state, reason = self._outcome(client, pose)
+        if self._closing.is_set() and state != "succeeded":
+            state, reason = "canceled", _CLOSED
+        self._report(GoalEnded(0.0, pose, state, reason, time.monotonic() - began))
+        if state == "late":
+            with suppress(CairnError):  # it has just ended
+                client.cancel()
+
+    def _outcome(self, client: Robot, pose: tuple[float, float, float]) -> tuple[str, str]:
+        """Send a goal and return how it ended: state and reason."""
+        deadline = time.monotonic() + self._goals.limit_s
         doing = ""
         try:
             with client.go(*pose) as goal:
@@ -78,21 +90,11 @@ class GoalSender:
                     doing = f"{NAVIGATION_STATES[status.state]}: {status.reason or 'no reason'}"
                     if self._closing.is_set():
                         goal.cancel()
-                        return
+                        break
                 result = goal.result(0.0)
         except CairnError as error:
-            if self._closing.is_set():
-                return
-            took_s = time.monotonic() - began
-            is_late = took_s >= self._goals.limit_s
-            state, reason = ("late", doing) if is_late else ("lost", str(error))
-            self._report(GoalEnded(0.0, pose, state, reason, took_s))
-            if is_late:
-                with suppress(CairnError):  # it has just ended
-                    client.cancel()
-            return
-        state = NAVIGATION_STATES[result.state]
-        self._report(GoalEnded(0.0, pose, state, result.reason, time.monotonic() - began))
+            return ("late", doing) if time.monotonic() >= deadline else ("lost", str(error))
+        return NAVIGATION_STATES[result.state], result.reason
 
     def _next_pose(self, client: Robot) -> tuple[float, float, float]:
         if self._goals.poses:

@@ -253,7 +253,7 @@ class _Runner:
             pass
         else:
             self._judge(self._now(), call)
-            self._take_events()
+            self._take_events(_TICK_S)
         now = self._now()
         self._take_lines(now)
         if self._goals is not None and self._goals.failure is not None:
@@ -272,8 +272,10 @@ class _Runner:
             self._report.processes = self._resources.summarize()
             self._report.write()
 
-    def _take_events(self) -> None:
-        while True:
+    def _take_events(self, limit_s: float = math.inf) -> None:
+        """Judge what has arrived, for a limited time [s] while more may arrive faster."""
+        deadline = time.monotonic() + limit_s
+        while time.monotonic() < deadline:
             try:
                 call = self._events.get_nowait()
             except queue.Empty:
