@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from cairn.campaign.resources import ProcessUse
 
 JSON_NAME, TEXT_NAME, OUTPUT_NAME = "report.json", "report.md", "output.log"
 _MOST_FOLLOWED = 6
+_LONGEST, _SAME = 160, 60  # characters of a line; of its begin, by which it repeats another one
 _SHOWN_VIOLATIONS = 50
 
 
@@ -33,9 +35,10 @@ class FaultRecord:
     followed: list[str] = field(default_factory=list)
 
     def follow(self, text: str) -> None:
-        """Add a line of the log."""
-        if len(self.followed) < _MOST_FOLLOWED:
-            self.followed.append(text)
+        """Add a line of the log, unless it repeats an earlier one with other figures."""
+        known = {_without_figures(one) for one in self.followed}
+        if len(self.followed) < _MOST_FOLLOWED and _without_figures(text) not in known:
+            self.followed.append(text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ...")
 
     def __str__(self) -> str:
         """Return it in one line."""
@@ -160,3 +163,8 @@ class CampaignReport:
             nothing = "no component started within the recording; `last_s: 0` records all"
             lines.append(f"- re-run: {f'`{violation.rerun}`' if violation.rerun else nothing}")
         return [*lines, ""]
+
+
+def _without_figures(text: str) -> str:
+    """Return the begin of a log line without figures: equal for records of one statement."""
+    return re.sub(r"\d+", "", text)[:_SAME]

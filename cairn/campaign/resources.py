@@ -72,10 +72,12 @@ class Resources:
 
 def draw_memory(memory: Mapping[str, list[tuple[float, float]]], path: Path) -> None:
     """Draw the memory [MiB] of each process over the time [min]."""
-    from matplotlib.figure import Figure  # takes half a second
+    from matplotlib import colormaps  # takes half a second
+    from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 6), layout="constrained")
     axes = figure.add_subplot()
+    axes.set_prop_cycle(color=[colormaps["tab20"](number) for number in range(20)])
     for name, samples in sorted(memory.items()):
         times = [at_s / 60 for at_s, _ in samples]
         axes.plot(times, [value for _, value in samples], label=name, linewidth=0.8)

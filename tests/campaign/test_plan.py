@@ -9,6 +9,7 @@ from cairn import CairnError
 from cairn.campaign import Campaign, read_campaign
 from cairn.campaign.model import parse_campaign
 from cairn.campaign.plan import planned_faults
+from cairn.campaign.report import FaultRecord
 from cairn.deployment.shipped import campaign_file
 
 KEYS: dict[str, Any] = {
@@ -99,3 +100,13 @@ def test_shipped_campaign_is_valid() -> None:
     shipped = read_campaign(campaign_file("sim"))
 
     assert {one.kind for one in shipped.invariants} >= {"no_collision", "no_orphan"}
+
+
+def test_fault_is_followed_by_lines_that_do_not_repeat_each_other() -> None:
+    fault = FaultRecord(1, "flood", 3.0)
+
+    for count in range(100):
+        fault.follow(f"ERROR robot.base: port cmd_vel: rejected invalid message ({count} so far)")
+    fault.follow("WARNING robot.root: child failed: base: killed by SIGKILL")
+
+    assert [one.split()[0] for one in fault.followed] == ["ERROR", "WARNING"]
