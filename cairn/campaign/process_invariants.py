@@ -177,7 +177,11 @@ class GrowthConfig(Config):
         2.0, ge=0, le=10_000, description="Growth of memory that does not count [MiB]."
     )
     count: int = Field(
-        1, ge=0, le=10_000, description="Growth of descriptors or threads that does not count."
+        4,
+        ge=0,
+        le=10_000,
+        description="Growth of descriptors or threads that does not count: their number varies "
+        "with the other processes that run at the time.",
     )
     restarted_age_s: float = Field(
         30.0,
