@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +13,7 @@ from typing import Any, Final
 from cairn.planar.poses import Pose
 from cairn.visual_map.evidence_history import EvidenceHistory, EvidenceSummary, Row
 from cairn.visual_map.landmarks import (
+    FARTHEST_M,
     NO_VIEWPOINTS,
     CandidatePosition,
     Cell,
@@ -23,6 +24,12 @@ from cairn.visual_map.landmarks import (
     LandmarkState,
     MapPosition,
     Viewpoints,
+)
+from cairn.visual_map.shared_record import (
+    Contribution,
+    Life,
+    PositionInformation,
+    check_contribution,
 )
 from cairn.visual_map.sqlite_file import (
     MOST_ID,
@@ -36,7 +43,6 @@ from cairn.visual_map.sqlite_file import (
 )
 
 _MOST_READ: Final = 20_000  # pieces of evidence of one object; newer programs keep 1,200
-FARTHEST_M: Final = 1e7  # as of the origin of a grid map
 # The robot's pose at the last observation of a candidate is not stored: the next observation counts
 # as made from another pose.
 _ELSEWHERE = (float("inf"), float("inf"), 0.0)
@@ -160,16 +166,26 @@ class LandmarkStore:
                 for stamp, kind, x, y, reliability, reason in reversed(rows)
             ]
 
+    def contributions(self) -> list[Contribution]:
+        """Return what all robots with this map have contributed, as last committed."""
+        with explained_errors(self.path):
+            rows = self._connection.execute(
+                "SELECT * FROM contributions ORDER BY object_id, robot"
+            ).fetchall()
+            return list(map(_contribution_from_row, rows))
+
     def commit(
         self,
         landmarks: Sequence[LandmarkRecord],
         evidence: Sequence[Row] = (),
         changes: Sequence[tuple[int, int, LandmarkChange]] = (),
         summaries: Iterable[EvidenceSummary] = (),
+        contributions: Mapping[int, Sequence[Contribution]] | None = None,
     ) -> None:
         """Write landmarks, evidence and changes (version, stamp [ns], change), all or nothing.
 
         `evidence` has rows of `evidence_row`; `summaries` are about older evidence without rows.
+        `contributions` has all those about some objects; they replace the former ones.
         """
         try:
             with transaction(self.path, self._connection) as connection:
@@ -182,6 +198,14 @@ class LandmarkStore:
                     f"INSERT INTO changes VALUES ({_placeholders(10)})",
                     (change_row(version, stamp, change) for version, stamp, change in changes),
                 )
+                for object_id, known in (contributions or {}).items():
+                    connection.execute(
+                        "DELETE FROM contributions WHERE object_id = ?", (object_id,)
+                    )
+                    connection.executemany(
+                        f"INSERT INTO contributions VALUES ({_placeholders(19)})",
+                        map(_contribution_row, known),
+                    )
                 if changes:
                     oldest = changes[-1][0] - MOST_CHANGES
                     connection.execute("DELETE FROM changes WHERE version <= ?", (oldest,))
@@ -312,6 +336,47 @@ def evidence_row(
         after.candidate.reliability if after.candidate else None,
         int(after.state),
     )
+
+
+def _contribution_row(one: Contribution) -> Row:
+    life, found = one.life, one.information
+    row = (
+        one.robot,
+        one.object_id,
+        one.version,
+        one.stamp_ns,
+        life.began_ns,
+        life.robot,
+        *_position_row(one.registered),
+        int(one.removed),
+        one.log_odds,
+        found.xx,
+        found.xy,
+        found.yy,
+        found.x,
+        found.y,
+    )
+    return (*row, row_checksum(row))
+
+
+def _contribution_from_row(row: Row) -> Contribution:
+    try:
+        one = Contribution(
+            robot=str(row[0]),
+            object_id=int(row[1]),
+            version=int(row[2]),
+            stamp_ns=int(row[3]),
+            life=Life(int(row[4]), str(row[5])),
+            registered=_position(row[6:11]),
+            removed=bool(row[11]),
+            log_odds=float(row[12]),
+            information=PositionInformation(*map(float, row[13:18])),
+        )
+        check_contribution(one)
+        check_row(row[:18], row[18])
+        return one
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ValueError(f"contribution about object {row[1]}: {error}") from error
 
 
 def _position_row(position: MapPosition | None) -> Row:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Final
 
 from cairn.planar.poses import Pose
 
 Cell = tuple[int, int]
 """A range of viewpoints of a landmark: sector of directions and band of distances."""
+
+FARTHEST_M: Final = 1e7
+"""Largest coordinate of a position in the map [m], as of the origin of a grid map."""
 
 INITIAL_RELIABILITY = 0.5
 """Neutral reliability: nothing speaks for or against the position."""

@@ -22,6 +22,7 @@ from cairn.bounded_files import too_large
 from cairn.bounded_sqlite import bound_connection
 from cairn.errors import CairnError
 from cairn.files import TAKES_NO_DATA, explain_os_error, replacing
+from cairn.visual_map.shared_record import MOST_ROBOTS
 
 APPLICATION: Final = 0x4361_726E
 """SQLite's application id of a visual map, in the file's header: "Carn"."""
@@ -101,12 +102,26 @@ _SUMMARIES: Final = (
 # From this format on, a row without a checksum is damaged; the upgrade adds those that are missing.
 _ALL_CHECKSUMS: Final[tuple[str, ...]] = ()
 
+# What this robot and others know about the landmarks (`shared_record.py`).
+_CONTRIBUTIONS: Final = (
+    """CREATE TABLE contributions (
+        robot TEXT NOT NULL, object_id INTEGER NOT NULL, version INTEGER NOT NULL,
+        stamp_ns INTEGER NOT NULL, began_ns INTEGER NOT NULL, began_by TEXT NOT NULL,
+        x REAL, y REAL, xx REAL, xy REAL, yy REAL,
+        removed INTEGER NOT NULL, log_odds REAL NOT NULL,
+        information_xx REAL NOT NULL, information_xy REAL NOT NULL, information_yy REAL NOT NULL,
+        information_x REAL NOT NULL, information_y REAL NOT NULL,
+        checksum INTEGER NOT NULL, PRIMARY KEY (robot, object_id)
+    )""",
+)
+
 FORMATS: Final[tuple[tuple[str, ...], ...]] = (
     _LANDMARKS,
     _OBJECT_MODELS + _VIEWPOINTS,
     _CHECKSUMS,
     _SUMMARIES,
     _ALL_CHECKSUMS,
+    _CONTRIBUTIONS,
 )
 """The statements that each format adds to the one before, the first one to an empty file."""
 
@@ -132,6 +147,10 @@ _BOUNDS: Final[dict[str, tuple[int, dict[str, int]]]] = {
     "changes": (5_000_000, {"kind": _LONGEST_TEXT, "reason": _LONGEST_TEXT}),
     "evidence": (5_000_000, {"verdict": _LONGEST_TEXT}),
     "evidence_summaries": (10 * MOST_OBJECTS, {"verdict": _LONGEST_TEXT}),
+    "contributions": (
+        MOST_ROBOTS * MOST_OBJECTS,
+        {"robot": _LONGEST_TEXT, "began_by": _LONGEST_TEXT},
+    ),
     "taught_objects": (MOST_OBJECTS, {"name": _LONGEST_TEXT}),
     "taught_views": (100_000, {}),
     "taught_changes": (1, {}),

@@ -51,8 +51,9 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
-from cairn.visual_map.landmark_store import FARTHEST_M, open_landmarks
+from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import (
+    FARTHEST_M,
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,

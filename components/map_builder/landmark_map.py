@@ -10,15 +10,16 @@ from pathlib import Path
 
 from cairn import SECOND, CairnError
 from cairn.components.map_builder.landmark_rule import Rule, judge
+from cairn.components.map_builder.shared_landmarks import LandmarkSharing, SharedLandmark
 from cairn.components.map_builder.undo import LandmarkJournal
 from cairn.visual_map.evidence_history import EvidenceSummaries, Row
 from cairn.visual_map.landmark_store import (
-    FARTHEST_M,
     LandmarkStore,
     evidence_row,
     open_landmarks,
 )
 from cairn.visual_map.landmarks import (
+    FARTHEST_M,
     ChangeKind,
     EvidenceVerdict,
     LandmarkChange,
@@ -29,6 +30,7 @@ from cairn.visual_map.landmarks import (
     new_landmark,
 )
 from cairn.visual_map.object_models import check_name, read_model_name
+from cairn.visual_map.shared_record import Contribution
 from cairn.visual_map.sqlite_file import MapFileError, MapNotWritable, copy_map, digest_of
 from cairn.working_copy import is_reusable
 
@@ -154,6 +156,15 @@ class LandmarkMap:
             )
         return AppliedAdditions(tuple(added), tuple(refused))
 
+    def replace(self, landmark: LandmarkRecord, change: LandmarkChange | None) -> None:
+        """Replace a landmark by what other robots know; after a `change` nothing of it is undone.
+
+        Otherwise, the robot would undo what others have found out since.
+        """
+        self.landmarks[landmark.object_id] = landmark
+        if change is not None:
+            self._journal.forget(landmark.object_id)
+
     def undo(self, since_s: float) -> tuple[list[LandmarkRecord], list[LandmarkChange]]:
         """Undo the judgments after `since_s` [s]: the robot turned out to have been lost.
 
@@ -189,6 +200,10 @@ class LandmarkKeeper:
     cannot be written, the keeper works in memory: all landmarks, the newest `MOST_UNSAVED_CHANGES`
     changes, the newest `MOST_UNSAVED_EVIDENCE` pieces of evidence, and summaries of older ones.
 
+    With `robot`, the landmarks are shared under this name with robots that have the same map:
+    `merge` takes what they contribute, `take_contributions` returns what is to be sent to them.
+    This requires a working copy, as the map itself identifies what is shared.
+
     With a `working_copy`, the map itself is only read. The copy is made if it does not exist, if it
     is one of another map, or if it is of a later time (another replay); otherwise it is used again,
     as after the process that wrote it was killed.
@@ -202,6 +217,7 @@ class LandmarkKeeper:
         most_learned: int = MOST_LEARNED,
         rule: Rule = judge,
         undo_s: float = UNDO_S,
+        robot: str | None = None,
     ) -> None:
         self._original = map_file
         self.path = working_copy or map_file
@@ -209,14 +225,21 @@ class LandmarkKeeper:
         self._store: LandmarkStore | None = None
         try:
             self._store = self._opened()
-            landmarks, self.version = self._store.landmarks(), self._store.version()
+            opened = _Opened.of(self._store)
         except MapNotWritable:
             with open_landmarks(map_file if self._copies else self.path, read_only=True) as store:
-                landmarks, self.version = store.landmarks(), store.version()
-        self._map = LandmarkMap(landmarks, most_learned, rule, undo_s, self._model_name)
+                opened = _Opened.of(store)
+        self.version = opened.version
+        self._map = LandmarkMap(opened.landmarks, most_learned, rule, undo_s, self._model_name)
+        self._most_landmarks = most_learned or MOST_LEARNED
         self._unsaved = _Unsaved()
         self.refused: tuple[int, ...] = ()
         """Objects whose last evidence was refused, see `AppliedEvidence`."""
+        self.sharing: LandmarkSharing | None = None
+        self._to_send: dict[int, Contribution] = {}
+        self._unshared: frozenset[int] = frozenset()
+        if robot is not None:
+            self.sharing = self._share(robot, opened)
 
     @property
     def landmarks(self) -> list[LandmarkRecord]:
@@ -249,6 +272,10 @@ class LandmarkKeeper:
             if after is not None:
                 self._unsaved.add_evidence(evidence_row(stamp_ns, piece, *after))
                 counted |= after[1]
+        touched = {
+            one.object_id for one, after in zip(evidence, applied.after, strict=True) if after
+        }
+        self._contribute(stamp_ns, touched, applied.changes)
         return counted, self._number(stamp_ns, applied.changes)
 
     def add(
@@ -258,12 +285,51 @@ class LandmarkKeeper:
         applied = self._map.add(landmarks, reason)
         self.refused = applied.refused
         self._unsaved.landmarks |= bool(applied.changes)
+        # Other robots have no model of an accepted object, and may use its number for another one.
+        self._unshared |= {one.object_id for one in applied.changes}
         return self._number(stamp_ns, applied.changes)
+
+    def merge(
+        self, stamp_ns: int, contributions: Iterable[Contribution]
+    ) -> tuple[bool, list[NumberedChange]]:
+        """Take in contributions of robots at `stamp_ns`; return whether they matter, and changes.
+
+        They must have passed `check_contribution`. `refused` are the objects that the map does not
+        take because it is full.
+        """
+        assert self.sharing is not None
+        sharing, refused, accepted = self.sharing, set[int](), list[Contribution]()
+        room = self._most_landmarks - len(self._map.landmarks.keys() | set(sharing.record.objects))
+        new = set[int]()
+        for one in contributions:
+            known = one.object_id in self._map.landmarks or one.object_id in sharing.record
+            if not known and one.object_id not in new and len(new) >= room:
+                refused.add(one.object_id)
+                continue
+            if not known:
+                new.add(one.object_id)
+            accepted.append(one)
+        before = {one.object_id: sharing.landmark(one.object_id) for one in accepted}
+        changed = sorted(sharing.record.merge(accepted))
+        self.refused = tuple(sorted(refused))
+        self._unsaved.contributions |= set(changed)
+        changes = []
+        for object_id in changed:
+            change = self._adopt(object_id, before[object_id], stamp_ns)
+            if change is not None:
+                changes.append(change)
+        return bool(changed), self._number(stamp_ns, changes)
+
+    def take_contributions(self) -> list[Contribution]:
+        """Return the robot's own contributions since the last call, at most one about an object."""
+        taken, self._to_send = self._to_send, {}
+        return list(taken.values())
 
     def undo(self, stamp_ns: int, since_ns: int) -> tuple[bool, list[NumberedChange]]:
         """Undo at `stamp_ns` what was judged after `since_ns`, because the robot was lost."""
         restored, changes = self._map.undo(since_ns / SECOND)
         self._unsaved.landmarks |= bool(restored)
+        self._contribute(stamp_ns, {one.object_id for one in restored}, changes)
         return bool(restored), self._number(stamp_ns, changes)
 
     def save(self) -> None:
@@ -273,13 +339,83 @@ class LandmarkKeeper:
         if self._store is None:
             self._store = self._opened()
         unsaved = self._unsaved
-        self._store.commit(self.landmarks, unsaved.evidence, unsaved.changes, unsaved.summaries)
+        shared: dict[int, list[Contribution]] = {}
+        if self.sharing is not None:
+            record = self.sharing.record
+            shared = {object_id: record.about(object_id) for object_id in unsaved.contributions}
+        self._store.commit(
+            self.landmarks, unsaved.evidence, unsaved.changes, unsaved.summaries, shared
+        )
         self._unsaved = _Unsaved()
 
     def close(self) -> None:
         """Close the file without committing; the next keeper continues with what was saved."""
         if self._store is not None:
             self._store.close()
+
+    def _share(self, robot: str, opened: _Opened) -> LandmarkSharing:
+        """Return the robot's part in the shared record, which has what its map has.
+
+        Landmarks of the map that this robot has changed while it did not share become its
+        contributions; those that it has learned or accepted meanwhile stay its own.
+        """
+        if self.path == self._original:
+            raise CairnError(
+                f"{self._original} cannot be shared without a working copy: the map from which all "
+                "robots start must stay as it is; set the parameter working_copy"
+            )
+        with open_landmarks(self._original, read_only=True) as store:
+            originals = {one.object_id: one for one in store.landmarks()}
+        sharing = LandmarkSharing(robot, originals.values(), opened.contributions)
+        unshared = set()
+        for object_id, landmark in self._map.landmarks.items():
+            original = originals.get(object_id)
+            if object_id in sharing.record:
+                continue
+            if original is None and landmark.position is not None:
+                unshared.add(object_id)
+            elif original is None:
+                continue  # a candidate, which is shared once it is registered
+            elif landmark.state is not original.state or landmark.position != original.position:
+                registered = landmark.state is LandmarkState.LIVE
+                if sharing.contribute(landmark, opened.last_stamp_ns, registered=registered):
+                    self._unsaved.contributions.add(object_id)
+        self._unshared = frozenset(unshared)
+        return sharing
+
+    def _contribute(
+        self, stamp_ns: int, touched: Iterable[int], changes: Iterable[LandmarkChange]
+    ) -> None:
+        """Add what the robot has found out itself to the shared record."""
+        if self.sharing is None:
+            return
+        began = (ChangeKind.REGISTERED, ChangeKind.RESTORED)
+        registered = {one.object_id for one in changes if one.kind in began}
+        for object_id in sorted(set(touched) - self._unshared):
+            landmark = self._map.landmarks[object_id]
+            one = self.sharing.contribute(landmark, stamp_ns, registered=object_id in registered)
+            if one is not None:
+                self._to_send[object_id] = one
+                self._unsaved.contributions.add(object_id)
+                # The same up to rounding: as the other robots compute it.
+                self._adopt(object_id, self.sharing.landmark(object_id), stamp_ns)
+
+    def _adopt(
+        self, object_id: int, before: SharedLandmark | None, stamp_ns: int
+    ) -> LandmarkChange | None:
+        """Have a landmark in the map as the shared record knows it; return the change, if any."""
+        assert self.sharing is not None
+        if object_id in self._unshared:
+            return None
+        landmark = self._map.landmarks.get(object_id)
+        adopted = self.sharing.adopted(landmark, object_id, before, stamp_ns / SECOND)
+        if adopted is None:
+            return None
+        after, change = adopted
+        if landmark is None:
+            after = replace(after, name=self._model_name(object_id) or after.name)
+        self._map.replace(after, change)
+        return change
 
     def _opened(self) -> LandmarkStore:
         if self._copies:
@@ -302,6 +438,21 @@ class LandmarkKeeper:
         return numbered
 
 
+@dataclass(frozen=True)
+class _Opened:
+    """The content of a map file."""
+
+    landmarks: list[LandmarkRecord]
+    version: int
+    contributions: list[Contribution]
+    last_stamp_ns: int
+
+    @classmethod
+    def of(cls, store: LandmarkStore) -> _Opened:
+        """Read an open file."""
+        return cls(store.landmarks(), store.version(), store.contributions(), store.last_stamp_ns())
+
+
 class _Unsaved:
     """What the file of a map does not have yet, within bounds."""
 
@@ -310,11 +461,12 @@ class _Unsaved:
         self.summaries = EvidenceSummaries()
         self.changes: deque[tuple[int, int, LandmarkChange]] = deque()
         self.landmarks = False  # changed without evidence: undone, or added
+        self.contributions: set[int] = set()  # objects of which the shared record has changed
         self._summarized = 0
         self._dropped = 0
 
     def __bool__(self) -> bool:
-        return bool(self.evidence or self.changes or self.landmarks)
+        return bool(self.evidence or self.changes or self.landmarks or self.contributions)
 
     def __str__(self) -> str:
         lost = f"{len(self.changes)} changes and {len(self.evidence)} pieces of evidence are lost"

@@ -38,6 +38,11 @@ class LandmarkJournal:
         if _lost_trust(before, after):
             self._entries.append(_LandmarkUndo(now_s, before))
 
+    def forget(self, object_id: int) -> None:
+        """Remove the entries about a landmark, which can no longer be undone."""
+        kept = [one for one in self._entries if one.before.object_id != object_id]
+        self._entries = deque(kept, maxlen=MOST_ENTRIES)
+
     def undo(self, since_s: float) -> dict[int, LandmarkRecord]:
         """Remove the entries after `since_s` [s]; return the landmarks as they were then."""
         restored: dict[int, LandmarkRecord] = {}
