@@ -34,6 +34,9 @@ Distance = Annotated[float, Scalar("float64", above=0)]
 Corners = Annotated[npt.NDArray[np.float64], Array("float64", check=finite)]
 NotNegative = Annotated[float, Scalar("float64", at_least=0)]
 
+RobotId = Annotated[str, Text(most=63)]
+Information2 = Annotated[npt.NDArray[np.float64], Array("float64", length=5, check=finite)]
+
 NAN = float("nan")
 
 
@@ -197,6 +200,80 @@ class VisualMapChange:
         _require_position_or_none(self, "new", self.new_x, self.new_y)
 
 
+MOST_CONTRIBUTIONS = 500
+"""Most contributions in one message, which then has about 80 kB."""
+MOST_CONTRIBUTORS = 256
+
+
+@message("cairn_msgs/msg/LandmarkContribution")
+class LandmarkContribution:
+    """What one robot has found out about the present life of a landmark.
+
+    A life is the stay of the object at one position. It began at `began` [ns] by the clock of the
+    robot `began_by`, at `x`, `y` [m] with `covariance`; 0, "" and NaN for the life in the map from
+    which all robots started. `version` counts the robot's contributions, `stamp` [ns] is the time
+    of its newest evidence, by its clock. `removed`: the object is no longer there. `log_odds` is
+    the sum of its evidence; `information` is what its observations add to the position: the matrix
+    xx, xy, yy [1/m^2], and the vector x, y [1/m] relative to where the life began.
+    """
+
+    robot: RobotId
+    object_id: UInt32
+    version: UInt64
+    stamp: UInt64 = 0
+    began: UInt64 = 0
+    began_by: RobotId = ""
+    x: Float64 = NAN
+    y: Float64 = NAN
+    covariance: Covariance2 = zeros(4)
+    removed: Bool = False
+    log_odds: FiniteFloat64 = 0.0
+    information: Information2 = zeros(5)
+
+    def __post_init__(self) -> None:
+        """Check that the position has both coordinates or none."""
+        _require_position_or_none(self, "", self.x, self.y)
+
+
+@message("cairn_msgs/msg/LandmarkContributor")
+class LandmarkContributor:
+    """How many contributions of a robot are known, the newest version, and their digest."""
+
+    robot: RobotId
+    newest: UInt64 = 0
+    count: UInt32 = 0
+    digest: UInt64 = 0
+
+
+@message("cairn_msgs/msg/SharedLandmarks")
+class SharedLandmarks:
+    """What a robot knows of the landmarks that it shares with robots that have the same map.
+
+    `map` is the digest of the map from which all of them started, `map_version` and `landmarks` are
+    the version of the sender's visual map and the number of landmarks in it. `contributors` is all
+    that it knows, in short; `contributions` is a part of it. `rejected` counts the contributions
+    that it did not accept.
+    """
+
+    header: Header = Header()
+    robot: RobotId = ""
+    map: Annotated[str, Text(most=64)] = ""
+    map_version: UInt64 = 0
+    landmarks: UInt32 = 0
+    rejected: UInt64 = 0
+    contributors: tuple[LandmarkContributor, ...] = ()
+    contributions: tuple[LandmarkContribution, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that there are not too many contributions."""
+        for name, held, most in (
+            ("contributors", self.contributors, MOST_CONTRIBUTORS),
+            ("contributions", self.contributions, MOST_CONTRIBUTIONS),
+        ):
+            if len(held) > most:
+                reject(self, name, len(held), f"must be at most {most}")
+
+
 @message("cairn_msgs/msg/ObjectProposal")
 class ObjectProposal:
     """A thing that was never taught, and that the robot proposes as a new landmark.
@@ -348,4 +425,5 @@ class CallBatch:
 
 def _require_position_or_none(message: object, name: str, x: float, y: float) -> None:
     if isinf(x) or isinf(y) or isnan(x) != isnan(y):
-        reject(message, f"{name}_x, {name}_y", (x, y), "must be two finite numbers, or NaN twice")
+        names = f"{name}_x, {name}_y" if name else "x, y"
+        reject(message, names, (x, y), "must be two finite numbers, or NaN twice")

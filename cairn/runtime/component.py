@@ -142,6 +142,11 @@ class Component:
         return self._context.name
 
     @property
+    def robot(self) -> str:
+        """The robot's name: the namespace of the deployment's topics and components."""
+        return self._context.launch.context.robot
+
+    @property
     def clock(self) -> Clock:
         """The component's time: the system's, simulated, or lockstep.
 

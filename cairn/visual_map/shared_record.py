@@ -23,7 +23,7 @@ MOST_ROBOTS: Final = 64
 """Robots that contribute to one record."""
 
 _MOST_ID: Final = 2**32 - 1
-MOST_STAMP_NS: Final = 2**62
+MOST_STAMP_NS: Final = 2**62  # the year 2116
 _MOST_COVARIANCE: Final = 1e14
 # 64 robots that are as certain as a landmark can be (0.98: 3.9) sum up to 250.
 _MOST_LOG_ODDS: Final = 1e3

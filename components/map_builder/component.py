@@ -29,6 +29,7 @@ from cairn import (
     to_ns,
 )
 from cairn.components.map_builder.config import MapBuilderConfig
+from cairn.components.map_builder.exchange import Exchange, in_messages
 from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates
 from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedChange
 from cairn.components.map_builder.landmark_rule import rule_named
@@ -42,6 +43,7 @@ from cairn.planar.posed_scans import PosedScans
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import (
     ObjectEvidenceArray,
+    SharedLandmarks,
     VisualMap,
     VisualMapChange,
     VisualObject,
@@ -62,6 +64,7 @@ from cairn.visual_map.landmarks import (
     LandmarkState,
     MapPosition,
 )
+from cairn.visual_map.sqlite_file import digest_of
 
 # A full map follows its updates after this [s], for readers that start later, and the grid map is
 # saved after this [s]: what a power cut loses. Chosen by hand; `benchmarks/constants.yaml` has the
@@ -71,6 +74,7 @@ _SAVE_S = 10.0
 # Evidence that is at most this much older than a relocalization was made by the lost robot; the
 # localizer drops observations that are later than 1 s.
 _IN_TRANSIT_NS = 2 * SECOND
+_SHARED_BYTES: Final = 256 << 10
 # Steps of an object's history in one reply, by default and at most: 1 MiB would have some 3,000.
 _STEPS: Final = 30
 _MOST_STEPS: Final = 1000
@@ -105,11 +109,15 @@ class MapBuilder(Component):
     object_evidence: In[ObjectEvidenceArray] = In(qos=RELIABLE.with_depth(200), optional=True)
     accepted_objects: In[VisualMap] = In(qos=LATCHED, optional=True)
     relocalized: In[Relocalization] = In(optional=True)
+    others: In[SharedLandmarks] = In(
+        qos=LATCHED.with_depth(200), optional=True, max_bytes=_SHARED_BYTES
+    )
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
     localization: In[LocalizationEstimate] = In(qos=RELIABLE.with_depth(200), optional=True)
     visual_map: Out[VisualMap] = Out(qos=LATCHED)
     visual_map_changes: Out[VisualMapChange] = Out(qos=RELIABLE.with_depth(100))
+    shared: Out[SharedLandmarks] = Out(qos=LATCHED)
     zones: Out[Zones] = Out(qos=LATCHED)
     map: Out[OccupancyGrid] = Out(qos=LATCHED)
     map_updates: Out[OccupancyGridUpdate] = Out(qos=RELIABLE.with_depth(50))
@@ -117,6 +125,7 @@ class MapBuilder(Component):
     _landmarks: LandmarkKeeper | None = None
     _grid: GridKeeper | None = None
     _zones: ZoneKeeper | None = None
+    _exchange: Exchange | None = None
     _zones_published = False
 
     def on_configure(self) -> None:
@@ -124,6 +133,15 @@ class MapBuilder(Component):
         config = self.config
         if config.map_file is not None:
             open_landmarks(config.map_file, read_only=True).close()
+        self._exchange = None
+        if config.share and config.map_file is not None:
+            if self.shared.topic != self.others.topic:
+                raise CairnError(
+                    f"{self.name}: share: its ports shared ({self.shared.topic}) and others "
+                    f"({self.others.topic}) have different topics; give both the same one, such as "
+                    "/fleet/landmarks, under `topics`"
+                )
+            self._exchange = Exchange(self.robot, digest_of(config.map_file))
         if config.grid_file is not None:
             read_map(config.grid_file)
         self._zones = None if config.zones_file is None else ZoneKeeper(config.zones_file)
@@ -234,8 +252,49 @@ class MapBuilder(Component):
             if changes:  # on the disk before they are published; other evidence once a second
                 self._save_landmarks(keeper)
             self._publish(stamp_ns, counted, changes)
+            if changes:
+                self._share(keeper)
             if keeper.refused:
                 self._warn_of_refused(keeper, keeper.refused[-1])
+
+    @on("others")
+    def on_others(self, message: SharedLandmarks) -> None:
+        """Take in what another robot with the same map has found out; prepare what it lacks."""
+        keeper, exchange = self._open_landmarks(), self._exchange
+        if keeper is None or exchange is None or keeper.sharing is None:
+            return
+        now, record = self.clock.now(), keeper.sharing.record
+        if message.robot == self.robot:
+            own = {one.robot: one.newest for one in message.contributors}
+            if own.get(self.robot, 0) >= record.next_version(self.robot):
+                self._warnings.warn(
+                    "robot's name",
+                    f"another robot has the name {self.robot}: it shares contributions that this "
+                    "one has not made; give each robot its own name (`robot` in the deployment)",
+                )
+            return
+        if message.map != exchange.map_digest:
+            self._warnings.warn(
+                f"map of {message.robot}",
+                f"{message.robot} has another map (digest {message.map[:12]}, not "
+                f"{exchange.map_digest[:12]}): nothing is shared with it; give both the same "
+                "map_file",
+            )
+            return
+        rejected = exchange.rejected
+        accepted = exchange.accept(record, message, now)
+        matters, changes = keeper.merge(now, accepted)
+        exchange.rejected += len(keeper.refused)
+        if keeper.refused:
+            exchange.reason = f"about object {keeper.refused[0]}: the visual map is full"
+        if exchange.rejected > rejected:
+            self._warnings.warn(
+                "contribution", f"rejected contribution from {message.robot}, {exchange.reason}"
+            )
+        if changes:
+            self._save_landmarks(keeper)
+        self._publish(now, matters, changes)
+        exchange.compare(record, message, now)
 
     @on("accepted_objects")
     def on_accepted_objects(self, message: VisualMap) -> None:
@@ -269,6 +328,7 @@ class MapBuilder(Component):
             restored, changes = keeper.undo(stamp_ns, since_ns)
             self._save_landmarks(keeper)
             self._publish(stamp_ns, restored, changes)
+            self._share(keeper)
         if grid is not None:
             window = grid.undo(since_ns / SECOND)
             self._updates.add(window)
@@ -320,6 +380,7 @@ class MapBuilder(Component):
             self._save_zones(self._zones)
         if self._landmarks is not None:
             self._save_landmarks(self._landmarks)
+            self._share(self._landmarks, answers=True)
         if self._grid is None:
             return
         self._publish_grid_update(now)
@@ -339,6 +400,24 @@ class MapBuilder(Component):
                 "far object",
                 f"refused evidence about object {object_id}: its position would be farther than "
                 f"{FARTHEST_M:g} m",
+            )
+
+    def _share(self, keeper: LandmarkKeeper, *, answers: bool = False) -> None:
+        """Publish what this robot has found out since the last time, and a summary of the rest."""
+        exchange = self._exchange
+        if exchange is None or keeper.sharing is None:
+            return
+        own = keeper.take_contributions()
+        sent = in_messages(own + (exchange.take_answers() if answers else []))
+        for part in sent:
+            self.shared.publish(
+                exchange.message(
+                    self.clock.now(),
+                    keeper.version,
+                    len(keeper.landmarks),
+                    keeper.sharing.record,
+                    part,
+                )
             )
 
     def _save_landmarks(self, keeper: LandmarkKeeper, *, now: bool = False) -> None:
@@ -376,6 +455,7 @@ class MapBuilder(Component):
                 config.max_landmarks if config.learn_unknown else 0,
                 rule_named(config.rule),
                 config.undo_s,
+                None if self._exchange is None else self.robot,
             )
             self._publish(now, True, [])
         return self._landmarks

@@ -33,6 +33,11 @@ class MapBuilderConfig(Config):
         description="Landmarks in the map from which on no further ones are learned.",
     )
     update_objects: bool = Field(True, description="Whether evidence changes the visual map.")
+    share: bool = Field(
+        False,
+        description="Whether to exchange with other robots what is found out about the landmarks: "
+        "ports shared and others, on one topic. Requires working_copy.",
+    )
     rule: RuleName = Field(
         "reliability",
         description="How evidence changes it: by pose reliability, or for comparison by the "
@@ -87,4 +92,9 @@ class MapBuilderConfig(Config):
     def _check_map_given(self) -> MapBuilderConfig:
         if self.map_file is None and self.grid_file is None:
             raise ValueError("neither map_file nor grid_file is set; set one of them, or both")
+        if self.share and (self.map_file is None or self.working_copy is None):
+            raise ValueError(
+                "share requires map_file and working_copy: robots share what differs from the map "
+                "from which all of them started, which must stay as it is"
+            )
         return self
