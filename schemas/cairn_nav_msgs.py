@@ -401,13 +401,17 @@ class Relocalization:
 
 @message("cairn_nav_msgs/msg/Collision")
 class Collision:
-    """The robot touched `obstacle` at `x`, `y` [m] in frame map while driving at `speed` [m/s]."""
+    """The robot touched `obstacle` at `x`, `y` [m] in frame map while driving at `speed` [m/s].
+
+    `robot` is its name: there may be several in one simulated world.
+    """
 
     header: Header = Header()
     obstacle: String = ""
     x: FiniteFloat64 = 0.0
     y: FiniteFloat64 = 0.0
     speed: NotNegative = 0.0
+    robot: String = ""
 
 
 @message("cairn_nav_msgs/msg/TeleoperationCommand")

@@ -22,7 +22,7 @@ from cairn.schemas.std_msgs import Header
 
 @message("cairn_sim_msgs/msg/WheelMotion")
 class WheelMotion:
-    """The true motion of the base's wheels for `seconds` [s] until the stamp.
+    """The true motion of the wheels of `robot` for `seconds` [s] until the stamp.
 
     `forward` [m/s] and `turn` [rad/s] are their mean speeds.
     """
@@ -31,17 +31,34 @@ class WheelMotion:
     seconds: Annotated[float, Scalar("float64", at_least=0)] = 0.0
     forward: FiniteFloat64 = 0.0
     turn: FiniteFloat64 = 0.0
+    robot: String = ""
+
+
+@message("cairn_sim_msgs/msg/FurtherRobot")
+class FurtherRobot:
+    """A further robot in a world: its true pose, radius [m] and speeds [m/s, rad/s]."""
+
+    name: String = ""
+    pose: Pose = Pose()
+    radius: Annotated[float, Scalar("float64", above=0)] = 0.2
+    forward: FiniteFloat64 = 0.0
+    turn: FiniteFloat64 = 0.0
 
 
 @message("cairn_sim_msgs/msg/WorldState")
 class WorldState:
-    """What moves: the robot's true pose and speeds [m/s, rad/s]; people as x, y, radius [m]."""
+    """What moves: the robot's true pose and speeds [m/s, rad/s]; people as x, y, radius [m].
+
+    `radius` [m] is that of the robot, and `others` are further robots in the same world.
+    """
 
     header: Header = Header()
     robot: Pose = Pose()
     forward: FiniteFloat64 = 0.0
     turn: FiniteFloat64 = 0.0
     people: Packed[Point] = Packed(Point)
+    radius: Annotated[float, Scalar("float64", above=0)] = 0.2
+    others: tuple[FurtherRobot, ...] = ()
 
 
 MOST_OBJECTS: Final = 100

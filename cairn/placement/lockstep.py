@@ -28,14 +28,19 @@ _CALLS_AT_ONE_TIME = 1_000_000
 class LockstepRun:
     """A deployment on virtual time; `bus` may be watched, `executor` is its clock.
 
+    A run beside another one shares its bus and its time: the deployments of several robots, each
+    with its own name.
+
     `run` runs it from beginning to end. To run it piece by piece: `start`, then `executor.run_to`
     or `run_until` as often as needed, then `shutdown`.
     """
 
-    def __init__(self, deployment: Deployment, seed: int) -> None:
+    def __init__(
+        self, deployment: Deployment, seed: int, beside: "LockstepRun | None" = None
+    ) -> None:
         """Raises `CairnError` if the root cannot be constructed."""
-        self.executor = LockstepExecutor()
-        self.bus = LockstepBus(self.executor.after)
+        self.executor = LockstepExecutor() if beside is None else beside.executor
+        self.bus = LockstepBus(self.executor.after) if beside is None else beside.bus
         self.simulated = deployment.clock == "simulated"
         self.end: ExitReport | None = None
         context = RunContext(

@@ -371,14 +371,16 @@ class DeploymentHarness(Lockstep):
         overlays: Sequence[Path] = (),
         sets: Sequence[str] = (),
         seed: int = 0,
+        beside: DeploymentHarness | None = None,
     ) -> None:
         """Load a deployment file, with overlays and `--set` values as for `cairn up`.
 
-        Raises `CairnError` if it cannot be loaded.
+        `beside` shares the bus and the time of another harness, whose deployment has another
+        `robot`: several robots on one bus. Raises `CairnError` if it cannot be loaded.
         """
         if not isinstance(deployment, Deployment):
             deployment = load_deployment(Path(deployment), overlays, sets)
-        self.run = LockstepRun(deployment, seed)
+        self.run = LockstepRun(deployment, seed, None if beside is None else beside.run)
         super().__init__(robot=deployment.robot, executor=self.run.executor, bus=self.run.bus)
         self._started = False
 

@@ -268,7 +268,13 @@ class SimulatedBase(Component):
         self._encoders.measure(forward * seconds, turn * seconds)
         stamp = from_ns(now)
         self.wheel_motion.publish(
-            WheelMotion(header=Header(stamp=stamp), seconds=seconds, forward=forward, turn=turn)
+            WheelMotion(
+                header=Header(stamp=stamp),
+                seconds=seconds,
+                forward=forward,
+                turn=turn,
+                robot=self.robot,
+            )
         )
         measured_forward, measured_turn = self._encoders.speeds(forward, turn)
         header = Header(stamp=stamp, frame_id=_ODOM)

@@ -241,7 +241,7 @@ class SimulatedStereoCamera(Component):
         )
         self._film = ImageSensor(config.width, config.height, self.random)
         self._light_drift = float(self.random.standard_normal())
-        self._world = WorldTracker()
+        self._world = WorldTracker(self.robot)
         self._surfaces_and_textures: tuple[VisibleSurfaces, TextureAtlas] | None = None
         self._last: tuple[Gray, Gray] | None = None
         self._period = round(SECOND / config.rate)

@@ -150,7 +150,7 @@ class SimulatedRecognizer(Component):
 
     def on_configure(self) -> None:
         """Start without knowledge of the world."""
-        self._world = WorldTracker()
+        self._world = WorldTracker(self.robot)
 
     def on_parameters(self, new: Config) -> None:
         """Accept all valid changes."""

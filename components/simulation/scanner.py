@@ -250,7 +250,7 @@ class SimulatedScanner(Component):
         self._faults = BeamFaults(
             config.dropouts, config.dark_dropouts, config.dark_reach, config.glass_returns
         )
-        self._world = WorldTracker()
+        self._world = WorldTracker(self.robot)
         self._period = (
             round(SECOND / config.rate) if config.rate else round(self._model.turn_s * SECOND)
         )

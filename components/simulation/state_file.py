@@ -43,6 +43,7 @@ class _SavedMotion(BaseModel):
 
     elapsed_s: float
     robot: tuple[float, float, float]
+    robots: dict[str, tuple[float, float, float]] = {}
     walkers: list[_SavedWalker]
 
 
@@ -61,6 +62,9 @@ class SavedWorld:
     def restore(self, world: World) -> None:
         """Set a world to this state; events up to then do not happen again."""
         world.robot = self._motion.robot
+        for name, pose in self._motion.robots.items():
+            if name in world.robots:
+                world.robots[name].pose = pose
         world.layout = WorldLayout(
             world.layout.walls,
             {item.name: item for item in self._layout.furniture},
@@ -88,7 +92,10 @@ class StateFile:
         """Save the state; raises OSError."""
         layout = world.layout
         walkers = [_SavedWalker(**vars(walker)) for walker in world.walkers]
-        motion = _SavedMotion(elapsed_s=elapsed_s, robot=world.robot, walkers=walkers)
+        robots = {name: body.pose for name, body in world.robots.items()}
+        motion = _SavedMotion(
+            elapsed_s=elapsed_s, robot=world.robot, robots=robots, walkers=walkers
+        )
         line = motion.model_dump_json().encode() + b"\n"
         try:
             if layout.version == self._version and self._size < _MAX_BYTES:

@@ -1,9 +1,10 @@
-"""The state of the world over time: the robot's true pose, people, events and contacts."""
+"""The state of the world over time: the robots' true poses, people, events and contacts."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
@@ -29,8 +30,9 @@ _CLEAR_M = 0.02
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact of the robot: the thing hit, the robot's position [m], and its speed [m/s]."""
+    """A contact of a robot: the thing hit, the robot's position [m], and its speed [m/s]."""
 
+    robot: str
     what: str
     x: float
     y: float
@@ -58,24 +60,54 @@ class WheelSlip:
     turn_per_meter: float
 
 
-class World:
-    """A layout, people, a round robot of `radius` [m], and events to come.
+@dataclass
+class RobotBody:
+    """A round robot in the world: its pose, `radius` [m], and what it touches."""
 
-    The robot never overlaps anything: contacts hold it back, and changes that would put something
-    onto it are rejected.
+    name: str
+    pose: Pose
+    radius: float
+    touching: set[str] = field(default_factory=set)
+
+
+class World:
+    """A layout, people, round robots, and events to come.
+
+    The robot of the world file has the name `robot` and the radius `radius` [m]; `others` are
+    further ones. No robot ever overlaps anything: contacts hold it back, and changes that would put
+    something onto it are rejected.
     """
 
     def __init__(
-        self, file: WorldFile, radius: float, slip: WheelSlip, random: np.random.Generator
+        self,
+        file: WorldFile,
+        radius: float,
+        slip: WheelSlip,
+        random: np.random.Generator,
+        robot: str = "robot",
+        others: Sequence[RobotBody] = (),
     ) -> None:
         self.layout = WorldLayout.of(file)
         self.walkers = [Walker.of(person) for person in file.people]
-        self.robot: Pose = file.robot.pose
-        self.radius = radius
+        self._main = RobotBody(robot, file.robot.pose, radius)
+        self.robots = {robot: self._main}
         self._slip = slip
         self._random = random
         self._events = sorted(file.events, key=lambda event: event.at)
-        self._touching: set[str] = set()
+        for other in others:
+            if other.name in self.robots:
+                raise CairnError(f"there are two robots {other.name}; give each its own name")
+            self._require_room_for_robot(other, *other.pose[:2])
+            self.robots[other.name] = other
+
+    @property
+    def robot(self) -> Pose:
+        """Return the pose of the robot of the world file."""
+        return self._main.pose
+
+    @robot.setter
+    def robot(self, pose: Pose) -> None:
+        self._main.pose = pose
 
     @property
     def people(self) -> NDArray[np.float64]:
@@ -86,14 +118,22 @@ class World:
         """Let people walk for some seconds."""
         segments = self.layout.solid_segments.segments
         for walker in self.walkers:
-            walker.step(seconds, self.robot[:2], self.radius, segments)
+            near = min(
+                self.robots.values(),
+                key=lambda body: math.dist(body.pose[:2], (walker.x, walker.y)) - body.radius,
+            )
+            walker.step(seconds, near.pose[:2], near.radius, segments)
 
-    def drive(self, seconds: float, forward: float, turn: float) -> tuple[bool, list[Contact]]:
-        """Turn the wheels for some seconds at these mean speeds [m/s, rad/s].
+    def drive(
+        self, seconds: float, forward: float, turn: float, robot: str | None = None
+    ) -> tuple[bool, list[Contact]]:
+        """Turn the wheels of a robot for some seconds at these mean speeds [m/s, rad/s].
 
-        Returns whether the robot could follow, and its new contacts: a contact with the same thing
-        is reported again only after the robot was clear of everything.
+        None is the robot of the world file. Returns whether the robot could follow, and its new
+        contacts: a contact with the same thing is reported again only after the robot was clear of
+        everything.
         """
+        body = self._main if robot is None else self.robots[robot]
         distance, angle = forward * seconds, turn * seconds
         if not (distance or angle):
             return True, []
@@ -102,14 +142,14 @@ class World:
         distance += self._slip.distance * math.sqrt(abs(distance)) * float(noise[0])
         angle += math.sqrt(spread) * float(noise[1])
         # In steps so short that the robot cannot pass through anything.
-        pieces = math.ceil(2.0 * abs(distance) / self.radius) or 1
+        pieces = math.ceil(2.0 * abs(distance) / body.radius) or 1
         for _ in range(pieces):
-            touched = self._step(distance / pieces, angle / pieces)
+            touched = self._step(body, distance / pieces, angle / pieces)
             if touched is not None:
-                new = touched not in self._touching
-                self._touching.add(touched)
-                x, y, _ = self.robot
-                return False, [Contact(touched, x, y, abs(forward))] if new else []
+                new = touched not in body.touching
+                body.touching.add(touched)
+                x, y, _ = body.pose
+                return False, [Contact(body.name, touched, x, y, abs(forward))] if new else []
         return True, []
 
     def run_due_events(self, now_s: float) -> list[EventResult]:
@@ -164,42 +204,55 @@ class World:
         self.walkers.append(Walker.of(person))
 
     def kidnap(self, pose: Pose) -> None:
-        """Move the robot without turning its wheels; raise `CairnError` if something is there."""
-        x, y, _ = pose
-        self.layout.require_room("the robot", x, y, self.radius)
-        for walker in self.walkers:
-            apart = math.hypot(walker.x - x, walker.y - y) - walker.person.radius
-            if apart < self.radius:
+        """Move the robot of the world file without turning its wheels.
+
+        Raises `CairnError` if something is there.
+        """
+        self._require_room_for_robot(self._main, *pose[:2])
+        self.robot = pose
+        self._main.touching.clear()
+
+    def _require_room_for_robot(self, body: RobotBody, x: float, y: float) -> None:
+        called = self._called(body)
+        self.layout.require_room(called, x, y, body.radius)
+        circles = [(one.person.name, one.x, one.y, one.person.radius) for one in self.walkers]
+        circles += [(one.name, *one.pose[:2], one.radius) for one in self._others_of(body)]
+        for name, there_x, there_y, radius in circles:
+            apart = math.hypot(there_x - x, there_y - y) - radius
+            if apart < body.radius:
                 raise CairnError(
-                    f"the robot cannot be at ({x:.2f}, {y:.2f}): {walker.person.name} stands "
+                    f"{called} cannot be at ({x:.2f}, {y:.2f}): {name} stands "
                     f"{max(0.0, apart):.2f} m from there; choose another position, or wait"
                 )
-        self.robot = pose
-        self._touching.clear()
 
-    def _step(self, distance: float, angle: float) -> str | None:
-        """Move the robot a short step.
+    def _others_of(self, body: RobotBody) -> list[RobotBody]:
+        return [one for one in self.robots.values() if one is not body]
+
+    def _step(self, body: RobotBody, distance: float, angle: float) -> str | None:
+        """Move a robot a short step.
 
         Returns None, or the name of what holds the robot back; it then only turns.
         """
         half = (0.0, 0.0, 0.5 * angle)
-        target = compose(compose(compose(self.robot, half), (distance, 0.0, 0.0)), half)
-        solid, people = self.layout.solid_segments, self.people
-        gap_after, what = clearance(target[0], target[1], solid.segments, people)
-        if gap_after >= self.radius:
-            self.robot = target
-            if gap_after >= self.radius + _CLEAR_M:
-                self._touching.clear()
+        target = compose(compose(compose(body.pose, half), (distance, 0.0, 0.0)), half)
+        solid, others = self.layout.solid_segments, self._others_of(body)
+        rows = [(one.pose[0], one.pose[1], one.radius) for one in others]
+        circles = np.concatenate((self.people, np.array(rows, np.float64).reshape(-1, 3)))
+        gap_after, what = clearance(target[0], target[1], solid.segments, circles)
+        if gap_after >= body.radius:
+            body.pose = target
+            if gap_after >= body.radius + _CLEAR_M:
+                body.touching.clear()
             return None
-        gap_before, _ = clearance(self.robot[0], self.robot[1], solid.segments, people)
+        gap_before, _ = clearance(body.pose[0], body.pose[1], solid.segments, circles)
         if gap_after > gap_before:
-            self.robot = target
+            body.pose = target
             return None
-        self.robot = (self.robot[0], self.robot[1], target[2])
+        body.pose = (body.pose[0], body.pose[1], target[2])
         if not distance:
             return None
-        known = len(solid.names)
-        return solid.names[what] if what < known else self.walkers[what - known].person.name
+        names = [*solid.names, *(one.person.name for one in self.walkers)]
+        return [*names, *(one.name for one in others)][what]
 
     def _run(self, event: Event) -> str:
         if event.move is not None and event.to is not None:
@@ -230,8 +283,11 @@ class World:
             shape = layout.shapes.get(name)
             if shape is None:
                 continue
-            if shape.distance(shapely.Point(self.robot[0], self.robot[1])) < self.radius:
-                raise CairnError(f"{name} would stand on the robot; choose another position")
+            for body in self.robots.values():
+                if shape.distance(shapely.Point(*body.pose[:2])) < body.radius:
+                    raise CairnError(
+                        f"{name} would stand on {self._called(body)}; choose another position"
+                    )
             for walker in self.walkers:
                 if shape.distance(shapely.Point(walker.x, walker.y)) < walker.person.radius:
                     raise CairnError(
@@ -242,8 +298,14 @@ class World:
 
     def _require_room_for(self, person: Person, x: float, y: float) -> None:
         self.layout.require_room(person.name, x, y, person.radius)
-        if math.hypot(x - self.robot[0], y - self.robot[1]) < self.radius + person.radius:
-            raise CairnError(f"{person.name} would stand on the robot; choose another position")
+        for body in self.robots.values():
+            if math.dist((x, y), body.pose[:2]) < body.radius + person.radius:
+                raise CairnError(
+                    f"{person.name} would stand on {self._called(body)}; choose another position"
+                )
+
+    def _called(self, body: RobotBody) -> str:
+        return "the robot" if body is self._main else body.name
 
     def _names(self) -> list[str]:
         return [*self.layout.names, *(walker.person.name for walker in self.walkers)]

@@ -20,6 +20,7 @@ from cairn import (
     In,
     Out,
     ParameterRejected,
+    RateLimitedLog,
     ReadPath,
     RetriedSave,
     every,
@@ -29,7 +30,7 @@ from cairn import (
 )
 from cairn.components.simulation.layout import geometry_message, true_map
 from cairn.components.simulation.state_file import StateFile
-from cairn.components.simulation.world import Contact, WheelSlip, World
+from cairn.components.simulation.world import Contact, RobotBody, WheelSlip, World
 from cairn.components.simulation.world_checks import visibility_problems, world_problems
 from cairn.components.simulation.world_file import (
     Event,
@@ -46,7 +47,7 @@ from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.cairn_nav_msgs import Collision
-from cairn.schemas.cairn_sim_msgs import WheelMotion, WorldGeometry, WorldState
+from cairn.schemas.cairn_sim_msgs import FurtherRobot, WheelMotion, WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
@@ -54,6 +55,7 @@ from cairn.schemas.std_msgs import Header
 # Wheels without a message for this long [s] count as standing.
 _STALE_S = 0.3
 _TRUTH_PERIOD_NS = SECOND // 10
+_MOST_ROBOTS = 50
 
 
 class SlipConfig(Config):
@@ -70,13 +72,25 @@ class SlipConfig(Config):
     )
 
 
+class RobotStart(WorldPose):
+    """Where a further robot starts, and its size."""
+
+    radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+
+
 class WorldConfig(Config):
-    """The world and the robot's size in it."""
+    """The world and the robots in it."""
 
     world: ReadPath = Field(
         description="World file (YAML), or the name of a world that Cairn ships."
     )
     radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    robots: dict[Name, RobotStart] = Field(
+        default_factory=dict,
+        max_length=_MOST_ROBOTS,
+        description="Further robots in this world, by the names of their deployments, whose "
+        "simulated drivers use the topics of this world.",
+    )
     slip: SlipConfig = Field(SlipConfig(), description="Slip of the wheels.")
     events: tuple[Event, ...] = Field(
         (), description="Events in addition to those of the world file."
@@ -145,12 +159,18 @@ class SimulatedWorld(Component):
         if problems:
             raise CairnError(f"{config.world}: " + "; ".join(problems))
         slip = WheelSlip(config.slip.distance, config.slip.turn, config.slip.turn_per_meter)
-        self._world = World(world, config.radius, slip, self.random)
+        others = [RobotBody(name, one.pose, one.radius) for name, one in config.robots.items()]
+        try:
+            self._world = World(world, config.radius, slip, self.random, self.robot, others)
+        except CairnError as error:
+            raise CairnError(f"{self.name}: robots: {error}") from error
         self._state_file = StateFile(config.state_file) if config.state_file else None
         self._saved_state = RetriedSave(self, "state of the world")
         self._published_version = -1
-        self._started_at = self._wheels_heard_at = self._advanced_to = self._truth_published_at = 0
-        self._speeds = (0.0, 0.0)
+        self._started_at = self._advanced_to = self._truth_published_at = 0
+        self._wheels_heard_at = dict.fromkeys(self._world.robots, 0)
+        self._speeds = dict.fromkeys(self._world.robots, (0.0, 0.0))
+        self._warnings = RateLimitedLog(self.log)
 
     def on_activate(self) -> None:
         """Start, or continue from the saved state after a restart."""
@@ -168,10 +188,19 @@ class SimulatedWorld(Component):
 
     @on("wheel_motion")
     def on_wheel_motion(self, motion: WheelMotion) -> None:
-        """Move the robot as the wheels turned, and let time pass."""
-        self._wheels_heard_at = self.clock.now()
-        moved, contacts = self._world.drive(motion.seconds, motion.forward, motion.turn)
-        self._speeds = (motion.forward if moved else 0.0, motion.turn)
+        """Move a robot as its wheels turned, and let time pass."""
+        robot = motion.robot or self.robot
+        if robot not in self._speeds:
+            known = ", ".join(self._speeds)
+            self._warnings.warn(
+                robot,
+                f"wheels of {robot}: there is no such robot in this world ({known}); add it "
+                "to the parameter robots",
+            )
+            return
+        self._wheels_heard_at[robot] = self.clock.now()
+        moved, contacts = self._world.drive(motion.seconds, motion.forward, motion.turn, robot)
+        self._speeds[robot] = (motion.forward if moved else 0.0, motion.turn)
         self._advance_to(to_ns(motion.header.stamp))
         for contact in contacts:
             self._report(contact)
@@ -192,8 +221,10 @@ class SimulatedWorld(Component):
             self.log.log(INFO if result.succeeded else WARNING, "%s", result.description)
         if self._world.layout.version != self._published_version:
             self._publish_layout()
-        if now - self._wheels_heard_at > _STALE_S * SECOND:
-            self._speeds = (0.0, 0.0)
+        for robot, heard_at in self._wheels_heard_at.items():
+            if now - heard_at > _STALE_S * SECOND:
+                self._speeds[robot] = (0.0, 0.0)
+        if now - max(self._wheels_heard_at.values()) > _STALE_S * SECOND:
             self._advance_to(now)
 
     @every(hz=10)
@@ -243,8 +274,9 @@ class SimulatedWorld(Component):
 
     def _list(self) -> list[dict[str, Any]]:
         world = self._world
-        x, y, theta = world.robot
-        rows = [{"kind": "robot", "name": "robot", "x": x, "y": y, "theta": theta}]
+        rows = [{"kind": "robot", "name": "robot", **_pose_row(world.robot)}]
+        others = [body for body in world.robots.values() if body.name != self.robot]
+        rows += [{"kind": "robot", "name": one.name, **_pose_row(one.pose)} for one in others]
         for name, piece in world.layout.furniture.items():
             rows.append({"kind": "furniture", "name": name, **_pose_row(piece.pose)})
         for name, thing in world.layout.objects.items():
@@ -265,9 +297,21 @@ class SimulatedWorld(Component):
             WorldState(
                 header=header,
                 robot=robot,
-                forward=self._speeds[0],
-                turn=self._speeds[1],
+                forward=self._speeds[self.robot][0],
+                turn=self._speeds[self.robot][1],
                 people=Packed(Point, self._world.people),
+                radius=self.config.radius,
+                others=tuple(
+                    FurtherRobot(
+                        name=body.name,
+                        pose=pose_message(body.pose),
+                        radius=body.radius,
+                        forward=self._speeds[body.name][0],
+                        turn=self._speeds[body.name][1],
+                    )
+                    for body in self._world.robots.values()
+                    if body.name != self.robot
+                ),
             )
         )
         if stamp - self._truth_published_at >= _TRUTH_PERIOD_NS:
@@ -276,7 +320,8 @@ class SimulatedWorld(Component):
 
     def _report(self, contact: Contact) -> None:
         self.log.warning(
-            "collision with %s at (%.2f, %.2f), %.2f m/s",
+            "collision of %s with %s at (%.2f, %.2f), %.2f m/s",
+            contact.robot,
             contact.what,
             contact.x,
             contact.y,
@@ -289,6 +334,7 @@ class SimulatedWorld(Component):
                 x=contact.x,
                 y=contact.y,
                 speed=contact.speed,
+                robot=contact.robot,
             )
         )
 

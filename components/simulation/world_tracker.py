@@ -16,14 +16,17 @@ from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 
 Array = NDArray[np.float64]
 
-_KEPT = 100  # states: two seconds at 50 Hz
+_KEPT_NS = 2 * SECOND  # states
 # The robot's motion is extrapolated for at most this long [s] after the newest state.
 _EXTRAPOLATED_S = 0.1
 
 
 @dataclass(frozen=True)
 class RayTargets:
-    """What rays can hit: segments (m, 4) [m] with surfaces (m,), people (k, 3) x, y, radius [m]."""
+    """What rays can hit: segments (m, 4) [m] with surfaces (m,), people (k, 3) x, y, radius [m].
+
+    Other robots are among the people.
+    """
 
     segments: Array
     surfaces: NDArray[np.uint8]
@@ -45,10 +48,15 @@ class RecognizableObject:
 
 
 class WorldTracker:
-    """The newest geometry and the states of the last two seconds."""
+    """The newest geometry and the states of the last two seconds, as the robot `robot` meets them.
 
-    def __init__(self) -> None:
-        self._states: deque[tuple[int, Pose]] = deque(maxlen=_KEPT)
+    Other robots are people to its sensors. It is the robot of the world file, unless a further one
+    has its name.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._states: deque[tuple[int, Pose]] = deque()
         self._speeds = (0.0, 0.0)
         self._people = np.zeros((0, 3))
         self._segments = np.zeros((0, 4))
@@ -72,9 +80,23 @@ class WorldTracker:
         stamp = to_ns(state.header.stamp)
         if self._states and stamp < self._states[-1][0]:
             self._states.clear()
-        self._states.append((stamp, planar_pose(state.robot)))
-        self._speeds = (state.forward, state.turn)
-        self._people = np.array(state.people.array)
+        while self._states and not stamp - _KEPT_NS < self._states[0][0]:
+            self._states.popleft()
+        if self._states and self._states[-1][0] == stamp:  # another robot has moved
+            self._states.pop()
+        own = next((one for one in state.others if one.name == self._robot), None)
+        circles = [
+            (*planar_pose(one.pose)[:2], one.radius) for one in state.others if one is not own
+        ]
+        if own is None:
+            self._states.append((stamp, planar_pose(state.robot)))
+            self._speeds = (state.forward, state.turn)
+        else:
+            self._states.append((stamp, planar_pose(own.pose)))
+            self._speeds = (own.forward, own.turn)
+            circles.append((*planar_pose(state.robot)[:2], state.radius))
+        robots = np.array(circles, np.float64).reshape(-1, 3)
+        self._people = np.concatenate((np.array(state.people.array).reshape(-1, 3), robots))
 
     @property
     def ray_targets(self) -> RayTargets:
