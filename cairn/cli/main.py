@@ -40,6 +40,8 @@ COMMANDS = (
                 "List the components: state, process, load, losses.", _INSPECT),
     LazyCommand("machines", "cairn.cli.machines:machines",
                 "List the machines of robots, and how their clocks differ.", _INSPECT),
+    LazyCommand("fleet", "cairn.cli.fleet:fleet",
+                "List the robots: health, missions, maps, and what they share.", _INSPECT),
     LazyCommand("view", "cairn.tools.terminal_map:view",
                 "Show map, scan, pose and path of a robot, live.", _INSPECT),
     LazyCommand("console", "cairn.console.cli:console",

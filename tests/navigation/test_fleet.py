@@ -1,0 +1,121 @@
+"""Several robots in one simulated world: they share repairs of the map, and avoid each other."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from cairn.planar.messages import planar_pose
+from cairn.planar.poses import Pose, distance
+from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
+from cairn.schemas.cairn_nav_msgs import Collision
+from cairn.schemas.cairn_sim_msgs import WorldState
+from cairn.testing.lockstep import DeploymentHarness
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+
+
+def fleet(
+    folder: Path, starts: dict[str, Pose], sets: dict[str, list[str]]
+) -> dict[str, DeploymentHarness]:
+    """Return robots in one world, in lockstep; the first one's deployment has the world."""
+    first, *others = starts
+    robots: dict[str, DeploymentHarness] = {}
+    for seed, (name, start) in enumerate(starts.items()):
+        (folder / name).mkdir()
+        chosen = [f"robot={name}", f"report={folder / name}", f"start={_yaml(start)}"]
+        overlays = [DEPLOY / "fleet.yaml"]
+        if name == first:
+            further = ", ".join(f"{one}: {_yaml(starts[one])}" for one in others)
+            chosen.append(f"robots={{{further}}}")
+        else:
+            overlays.append(DEPLOY / "fleet_member.yaml")
+        robots[name] = DeploymentHarness(
+            DEPLOY / "sim.yaml",
+            overlays=overlays,
+            sets=[*chosen, *sets.get(name, [])],
+            seed=seed,
+            beside=robots.get(first),
+        )
+    return robots
+
+
+def start(robots: dict[str, DeploymentHarness]) -> DeploymentHarness:
+    """Start all robots; return the first one."""
+    for one in robots.values():
+        one.start()
+    return next(iter(robots.values()))
+
+
+def shown(one: VisualObject) -> tuple[float, ...]:
+    """Return what is shared of a landmark: not its candidate, nor the evidence of each robot."""
+    return one.object_id, one.x, one.y, *one.covariance.tolist(), one.reliability, one.state
+
+
+def _yaml(pose: Pose) -> str:
+    return f"{{x: {pose[0]}, y: {pose[1]}, theta: {pose[2]}}}"
+
+
+@pytest.mark.slow
+def test_landmark_moved_in_front_of_one_of_five_robots_is_repaired_in_all_maps(
+    tmp_path: Path,
+) -> None:
+    starts = {
+        "robot_1": (1.0, 1.0, 0.0),
+        "robot_2": (3.3, 1.6, 2.9),
+        "robot_3": (7.4, 2.0, 0.5),
+        "robot_4": (5.3, 1.6, -1.57),
+        "robot_5": (4.0, 1.0, 0.0),
+    }
+    # At 1.5 s object 1 is moved by 0.9 m, in front of robot 2 alone, which drives toward it.
+    moved = "components.world.parameters.events=[{at: 1.5, move: object_1, to: {x: 0, y: 1.5}}]"
+    robots = fleet(tmp_path, starts, {"robot_1": [moved], "robot_2": ["mission=[[1.6, 1.6, 2.8]]"]})
+    maps = {name: one.read("visual_map", VisualMap) for name, one in robots.items()}
+    changes = {
+        name: one.read("visual_map_changes", VisualMapChange) for name, one in robots.items()
+    }
+
+    def registered(name: str) -> bool:
+        return any(
+            (one.object_id, one.kind) == (1, VisualMapChange.REGISTERED)
+            for one in changes[name].messages
+        )
+
+    world = start(robots)
+    world.run_until(lambda: registered("robot_2"), limit_s=20.0)
+    world.run_until(lambda: all(map(registered, robots)), limit_s=5.0)
+    for one in robots.values():
+        one.suspend("object_recognizer")  # no further evidence
+    world.run_for(2.1)  # the rest is exchanged once a second
+
+    newest = {name: one.messages[-1].objects for name, one in maps.items()}
+    object_1 = next(one for one in newest["robot_5"] if one.object_id == 1)
+    assert object_1.state == VisualObject.LIVE
+    assert math.hypot(object_1.x, object_1.y - 1.5) < 0.15
+    assert changes["robot_5"].messages[0].reason.startswith("robot_2 found at ")
+    shared = {name: [shown(one) for one in objects] for name, objects in newest.items()}
+    assert shared == dict.fromkeys(robots, shared["robot_1"])
+
+
+@pytest.mark.slow
+def test_two_robots_that_meet_head_on_do_not_collide(tmp_path: Path) -> None:
+    starts = {"robot_1": (1.0, 1.2, 0.0), "robot_2": (6.6, 1.6, 3.14)}
+    missions = {
+        "robot_1": ["mission=[[6.6, 1.6, 0.0]]"],
+        "robot_2": ["mission=[[1.0, 1.2, 3.14]]"],
+    }
+    robots = fleet(tmp_path, starts, missions)
+    collisions = robots["robot_1"].read("collisions", Collision)
+    states = robots["robot_1"].read("world_state", WorldState)
+
+    def poses(state: WorldState) -> tuple[Pose, Pose]:
+        return planar_pose(state.robot), planar_pose(state.others[0].pose)
+
+    def have_arrived() -> bool:
+        one, other = poses(states.messages[-1]) if states.messages else starts.values()
+        return distance(one, (6.6, 1.6, 0.0)) < 0.4 and distance(other, (1.0, 1.2, 0.0)) < 0.4
+
+    start(robots).run_until(have_arrived, limit_s=90.0)
+
+    assert collisions.messages == []
+    assert 0.44 < min(distance(*poses(state)) for state in states.messages) < 1.5  # they have met
