@@ -78,21 +78,40 @@ def test_landmark_moved_in_front_of_one_robot_is_repaired_in_the_maps_of_all(
         assert [one[3] for one in store.history()][2:] == ["REMOVED", "REGISTERED"]
 
 
-def test_robot_that_starts_days_later_receives_everything(map_file: Path) -> None:
+def test_robots_pass_on_what_a_robot_found_out_that_has_left(map_file: Path) -> None:
     world = Lockstep(1000.0)
-    first = builder(world, map_file, "robot_1")
+    first, second = (builder(world, map_file, f"robot_{k}") for k in (1, 2))
     for step in range(4):
         first.publish("object_evidence", frame(step, 0.1 if step == 0 else 0.9, 3.5))
     first.request("deactivate")
-    first.request("shutdown")  # it has left before the other one comes
-    world.run_for(3 * 86_400)
+    first.request("shutdown")
+    world.run_for(60.0)
 
-    second = builder(world, map_file, "robot_2")
-    again = builder(world, map_file, "robot_1")
+    third = builder(world, map_file, "robot_3")
     world.run_for(3.0)
 
-    assert shown(second) == shown(again)
-    assert second.take("visual_map_changes")[-1].kind == VisualMapChange.REGISTERED
+    changes = third.take("visual_map_changes")
+    assert [one.kind for one in changes] == [VisualMapChange.REGISTERED]
+    assert changes[0].reason.startswith("robot_1 registered it at its new position")
+    assert shown(second) == shown(third)
+
+
+def test_lost_messages_are_sent_again(map_file: Path) -> None:
+    world = Lockstep(1000.0)
+    robots = [builder(world, map_file, f"robot_{k}") for k in (1, 2)]
+    robots[1].request("deactivate")  # it receives nothing now
+    for step in range(4):
+        robots[0].publish("object_evidence", frame(step, 0.1 if step == 0 else 0.9, 3.5))
+    world.run_for(2.0)
+
+    robots[1].request("activate")
+    world.run_for(3.0)
+
+    assert shown(robots[0]) == shown(robots[1])
+    newest = [robot.take("shared")[-1] for robot in robots]
+    assert newest[0].contributors == newest[1].contributors != ()
+    world.run_for(20.0)
+    assert not any(one.contributions for robot in robots for one in robot.take("shared"))
 
 
 def test_hostile_contributions_are_rejected_and_counted(map_file: Path) -> None:

@@ -15,13 +15,16 @@ from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.ray_casting import cast
 from cairn.components.simulation.scanner import SimulatedScanner
+from cairn.components.simulation.world_component import SimulatedWorld
 from cairn.components.simulation.world_file import read_world
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose, distance, wrap
+from cairn.schemas.cairn_sim_msgs import WheelMotion
 from cairn.schemas.geometry_msgs import Twist, Vector3
-from cairn.testing.lockstep import ComponentHarness
+from cairn.testing.lockstep import ComponentHarness, Lockstep
 from tests.components.simulation.simulation_harness import (
     EXACT,
+    NO_SLIP,
     OBJECTS,
     TABLE,
     Simulation,
@@ -269,3 +272,54 @@ def test_range_is_never_above_that_of_the_model(simulate: Callable[..., Simulati
 def test_scanner_without_any_range_is_rejected(simulate: Callable[..., Simulation]) -> None:
     with pytest.raises(CairnError, match=r"least range 0\.2 m"):
         simulate().add(SimulatedScanner, model="PBS-03JN", farthest=0.2)
+
+
+def test_further_robots_are_driven_and_seen_by_each_other(simulate: Simulate) -> None:
+    simulation = simulate()
+    robots = {"robot_2": {"x": 5.0, "y": 2.0, "theta": 3.1416, "radius": 0.3}}
+    lockstep = Lockstep(start_s=1.0)
+    world = ComponentHarness(
+        SimulatedWorld,
+        {"world": str(simulation.file), "robots": robots, "slip": NO_SLIP},
+        beside=lockstep,
+        name="world",
+    )
+    shared = {name: f"/robot/{name}" for name in ("world_state", "world_geometry", "wheel_motion")}
+    scanners = [
+        ComponentHarness(
+            SimulatedScanner,
+            {"rate": 10, "dropouts": 0},
+            beside=lockstep,
+            robot=robot,
+            topics={key: shared[key] for key in ("world_state", "world_geometry")},
+        )
+        for robot in ("robot", "robot_2")
+    ]
+    base = ComponentHarness(
+        SimulatedBase,
+        EXACT,
+        beside=lockstep,
+        robot="robot_2",
+        topics={"wheel_motion": shared["wheel_motion"]},
+    )
+    for _ in range(10):
+        base.publish("cmd_vel", Twist(linear=Vector3(x=0.4)))
+        lockstep.run_for(0.1)
+
+    x = world.take("world_state")[-1].others[0].pose.position.x
+    assert 4.6 < x < 4.8
+    ahead = [np.nanmin(scanner.take("scan")[-1].ranges) for scanner in scanners]
+    assert ahead[0] == pytest.approx(x - 3.0 - 0.3, abs=0.1)  # to the other's edge
+    assert ahead[1] == pytest.approx(x - 3.0 - 0.22, abs=0.1)
+    listed = {(row["kind"], row["name"]) for row in world.request("list")}
+    assert listed == {("robot", "robot"), ("robot", "robot_2")}
+
+
+def test_wheels_of_an_unknown_robot_are_reported(
+    simulate: Simulate, caplog: pytest.LogCaptureFixture
+) -> None:
+    simulation = simulate()
+
+    simulation.lockstep.publish("wheel_motion", WheelMotion(robot="robot_9"))
+
+    assert "there is no such robot in this world (robot); add it" in caplog.text

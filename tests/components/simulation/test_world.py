@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cairn import CairnError
 from cairn.components.simulation.ray_casting import clearance
-from cairn.components.simulation.world import Contact, WheelSlip, World
+from cairn.components.simulation.world import Contact, RobotBody, WheelSlip, World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
 from cairn.schemas.cairn_sim_msgs import MOST_OBJECTS
 from tests.components.simulation.worlds import RADIUS, world_of
@@ -205,3 +205,29 @@ def test_impossible_event_is_reported_with_its_reason() -> None:
 
     assert not message.succeeded
     assert_words(message.description, "1 s", "table", "robot", "another position")
+
+
+def test_robots_hold_each_other_back() -> None:
+    other = RobotBody("robot_2", (5.0, 2.0, math.pi), RADIUS)
+    world = world_of(others=[other])
+
+    contacts = driven(world, 10.0, 0.5)
+    contacts += world.drive(0.5, 0.5, 0.0, "robot_2")[1]
+
+    assert [(one.robot, one.what) for one in contacts] == [
+        ("robot", "robot_2"),
+        ("robot_2", "robot"),
+    ]
+    assert 2 * RADIUS <= math.dist(world.robot[:2], other.pose[:2]) < 2 * RADIUS + 0.01
+
+
+def test_nothing_is_put_onto_a_further_robot() -> None:
+    other = RobotBody("robot_2", (5.0, 2.0, 0.0), RADIUS)
+    world = world_of(others=[other], furniture=[TABLE])
+
+    with pytest.raises(CairnError, match="table would stand on robot_2"):
+        world.move("table", (5.0, 2.0, 0.0))
+    with pytest.raises(CairnError, match=r"the robot cannot be at .*: robot_2 stands"):
+        world.kidnap((5.1, 2.0, 0.0))
+    with pytest.raises(CairnError, match=r"robot_3 cannot be at .*: robot stands"):
+        world_of(others=[RobotBody("robot_3", world.robot, RADIUS)])

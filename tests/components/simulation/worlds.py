@@ -1,10 +1,11 @@
 """Small worlds for the tests."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from cairn.components.simulation.world import WheelSlip, World
+from cairn.components.simulation.world import RobotBody, WheelSlip, World
 from cairn.components.simulation.world_file import WorldFile
 
 RADIUS = 0.22
@@ -18,9 +19,10 @@ def box(width: float = 6.0, depth: float = 4.0, **more: Any) -> dict[str, Any]:
     return {"walls": [{"points": corners}], "robot": middle, **more}
 
 
-def world_of(slip: WheelSlip = NO_SLIP, **more: Any) -> World:
-    """A world in such a room."""
-    return World(world_file(**more), RADIUS, slip, np.random.default_rng(0))
+def world_of(slip: WheelSlip = NO_SLIP, others: Sequence[RobotBody] = (), **more: Any) -> World:
+    """A world in such a room, with `others` beside its robot."""
+    random = np.random.default_rng(0)
+    return World(world_file(**more), RADIUS, slip, random, others=others)
 
 
 def world_file(**more: Any) -> WorldFile:
