@@ -22,8 +22,10 @@ from cairn.schemas.message import InvalidMessage, type_name
 
 _LOCALIZATION: Final = "localization"
 _NAVIGATION: Final = "navigation_status"
-# Localizations come several times a second, what is shared once a second, and latched.
-_LIMIT_S: Final = 1.5
+# Localizations come several times a second, what is shared once a second, and latched. A robot need
+# not have had a mission.
+_LIMIT_S: Final = 3.0
+_LEAST_S: Final = 0.5
 _MAX_ROBOTS: Final = 200
 
 
@@ -56,16 +58,19 @@ class FleetRobot:
 
 
 def read_fleet(connection: Connection) -> list[FleetRobot]:
-    """Return the robots on the bus, by name, from what they publish within 1.5 s."""
+    """Return the robots on the bus, by name, from what they publish within 3 s."""
     statuses = connection.statuses()
     names = sorted({full.split("/")[1] for full in statuses})[:_MAX_ROBOTS]
     robots = {name: _with_components(name, statuses) for name in names}
-    topics = {
-        end.topic
-        for end in connection.endpoints()
-        if end.kind == "MP" and end.type_name == type_name(SharedLandmarks)
-    }
-    localized, missions, shared = _receive(connection, topics)
+    published = [end for end in connection.endpoints() if end.kind == "MP"]
+    shares = [end for end in published if end.type_name == type_name(SharedLandmarks)]
+    localizes = [end for end in published if end.topic.endswith(f"/{_LOCALIZATION}")]
+    localized, missions, shared = _receive(
+        connection,
+        {end.topic for end in shares},
+        {end.node.name.split("/")[1] for end in shares},
+        {end.node.name.split("/")[1] for end in localizes},
+    )
     for name, robot in robots.items():
         estimate, mission = localized.get(name), missions.get(name)
         robots[name] = replace(
@@ -86,11 +91,14 @@ def _with_components(name: str, statuses: Mapping[str, Any]) -> FleetRobot:
 
 
 def _receive(
-    connection: Connection, shared_topics: Iterable[str]
+    connection: Connection, shared_topics: Iterable[str], sharing: set[str], localizing: set[str]
 ) -> tuple[
     dict[str, LocalizationEstimate], dict[str, NavigationStatus], dict[str, SharedLandmarks]
 ]:
-    """Return the newest localization, mission and shared landmarks of each robot, by name."""
+    """Return the newest localization, mission and shared landmarks of each robot, by name.
+
+    It waits for the robots that publish them: those `sharing` and those `localizing`.
+    """
     codec, samples = Codec(), SampleQueue()
     localized: dict[str, LocalizationEstimate] = {}
     missions: dict[str, NavigationStatus] = {}
@@ -100,15 +108,19 @@ def _receive(
         (f"/*/{_NAVIGATION}", NavigationStatus),
         *((topic, SharedLandmarks) for topic in sorted(shared_topics)),
     ]
-    deadline = time.monotonic() + _LIMIT_S
+    began = time.monotonic()
     with ExitStack() as stack:
         for topic, kind_of in topics:
             key = keys.message_key(connection.domain, topic, kind_of)
             stack.enter_context(connection.listen(key, latched=True, samples=samples))
-        while (left_s := deadline - time.monotonic()) > 0:
+        while True:
+            complete = sharing <= shared.keys() and localizing <= localized.keys()
+            left_s = began + (_LEAST_S if complete else _LIMIT_S) - time.monotonic()
             try:
-                sample = samples.get(timeout=left_s)
+                sample = samples.get(timeout=max(0.0, left_s))
             except queue.Empty:
+                break
+            if left_s < 0.0:
                 break
             kind = str(sample.key_expr).rsplit("/", 2)[1]
             robot, payload = str(sample.key_expr).split("/")[1], sample.payload.to_bytes()

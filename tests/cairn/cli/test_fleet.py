@@ -1,0 +1,75 @@
+"""`cairn fleet` lists the robots on the bus, and whether what they share has reached all."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from cairn import LATCHED
+from cairn.schemas.cairn_msgs import ComponentStatus, LandmarkContributor, SharedLandmarks
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, NavigationStatus
+from cairn.schemas.std_msgs import Header
+from tests.cairn.bus.network import Network, eventually, node
+from tests.commands import Answer, cairn
+
+pytestmark = pytest.mark.processes
+
+FLEET = "/fleet/landmarks"
+STATUS = ComponentStatus(header=Header(), component="map_builder", state="active")
+SHARED = SharedLandmarks(robot="robot_1", map="a" * 64, map_version=12, landmarks=10)
+
+
+@pytest.fixture
+def network() -> Iterator[Network]:
+    network = Network()
+    yield network
+    network.close()
+
+
+def fleet(network: Network, *options: str) -> Answer:
+    return cairn("fleet", *options, connect=network.endpoint)
+
+
+def test_fleet_lists_robots_with_what_they_share(network: Network) -> None:
+    bus = network.bus()
+    newest = {"robot_1": (5, 3), "robot_2": (2, 3)}  # what each has of both
+    for name, (of_1, of_2) in newest.items():
+        one = node(bus, f"/{name}/map_builder")
+        contributors = (
+            LandmarkContributor(robot="robot_1", newest=of_1, count=1),
+            LandmarkContributor(robot="robot_2", newest=of_2, count=1),
+        )
+        shared = replace(SHARED, robot=name, contributors=contributors)
+        one.advertise(FLEET, SharedLandmarks, LATCHED).publish(shared)
+        one.advertise(f"/{name}/component_status", ComponentStatus, LATCHED).publish(STATUS)
+        estimate = LocalizationEstimate(health=0.75, reason="it is turning")
+        one.advertise(f"/{name}/localization", LocalizationEstimate, LATCHED).publish(estimate)
+    alone = node(bus, "/robot_3/automove")
+    failed = replace(STATUS, component="automove", state="error")
+    alone.advertise("/robot_3/component_status", ComponentStatus, LATCHED).publish(failed)
+    driving = NavigationStatus(state=NavigationStatus.DRIVING)
+    alone.advertise("/robot_3/navigation_status", NavigationStatus, LATCHED).publish(driving)
+
+    def is_complete() -> bool:
+        rows = fleet(network, "--json").json
+        return len(rows) == 3 and all(row["health"] and row["map"] for row in rows[:2])
+
+    assert eventually(is_complete)  # on a busy computer, some robots do not answer in time
+    shown = fleet(network)
+
+    assert (shown.code, shown.err) == (0, "")
+    assert [" ".join(row.split()) for row in shown.out.splitlines()] == [
+        "robot state health mission map version landmarks shared rejected",
+        "robot_1 active 0.75 aaaaaaaa 12 10 in sync 0",
+        "robot_2 active 0.75 aaaaaaaa 12 10 behind robot_1 by 3 0",
+        "robot_3 not active: automove driving no",
+    ]
+    rows = {row["robot"]: row for row in fleet(network, "--json").json}
+    assert rows["robot_2"]["behind"] == {"robot_1": 3}
+    assert rows["robot_1"]["health_reason"] == "it is turning"
+
+
+def test_fleet_without_robots(network: Network) -> None:
+    network.bus()
+
+    assert fleet(network).out.startswith("there is no robot")
