@@ -30,6 +30,7 @@ BENCHMARKS = (
     "navigation",
     "explore",
     "velocity_gate",
+    "sharing",
     "recorder",
     "silent_peers",
     "console",
