@@ -39,8 +39,8 @@ class LockstepRun:
         self, deployment: Deployment, seed: int, beside: "LockstepRun | None" = None
     ) -> None:
         """Raises `CairnError` if the root cannot be constructed."""
-        self.executor = LockstepExecutor() if beside is None else beside.executor
-        self.bus = LockstepBus(self.executor.after) if beside is None else beside.bus
+        self.executor: LockstepExecutor = LockstepExecutor() if beside is None else beside.executor
+        self.bus: LockstepBus = LockstepBus(self.executor.after) if beside is None else beside.bus
         self.simulated = deployment.clock == "simulated"
         self.end: ExitReport | None = None
         context = RunContext(

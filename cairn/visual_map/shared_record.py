@@ -26,8 +26,8 @@ _MOST_ID: Final = 2**32 - 1
 MOST_STAMP_NS: Final = 2**62  # the year 2116
 _MOST_COVARIANCE: Final = 1e14
 # 64 robots that are as certain as a landmark can be (0.98: 3.9) sum up to 250.
-_MOST_LOG_ODDS: Final = 1e3
-_MOST_INFORMATION: Final = 1e15  # 1/m^2
+MOST_LOG_ODDS: Final = 1e3
+MOST_INFORMATION: Final = 1e15  # 1/m^2
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,62}")
 
 
@@ -134,9 +134,9 @@ def check_contribution(one: Contribution) -> None:
     _check("object", one.object_id, 0, _MOST_ID)
     _check("version", one.version, 1, MOST_STAMP_NS)
     _check("stamp", one.stamp_ns, 0, MOST_STAMP_NS)
-    _check("log-odds", one.log_odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
+    _check("log-odds", one.log_odds, -MOST_LOG_ODDS, MOST_LOG_ODDS)
     for value in (found.xx, found.xy, found.yy, found.x, found.y):
-        _check("information", value, -_MOST_INFORMATION, _MOST_INFORMATION)
+        _check("information", value, -MOST_INFORMATION, MOST_INFORMATION)
     if life == ORIGINAL:
         if at is not None:
             raise ValueError("it has a position for the life in the original map")
@@ -218,7 +218,7 @@ class SharedRecord:
         return [one for one in known if one is not None]
 
     def next_version(self, robot: str) -> int:
-        """Return a version that is greater than any that the record has had of the robot."""
+        """Return a version that is greater than those of all contributions of the robot."""
         return min(self._newest.get(robot, 0) + 1, MOST_STAMP_NS)
 
     def merge(self, contributions: Iterable[Contribution]) -> set[int]:
@@ -233,7 +233,6 @@ class SharedRecord:
         return [self._summaries[robot] for robot in self.robots]
 
     def _take(self, one: Contribution) -> bool:
-        self._newest[one.robot] = max(self._newest.get(one.robot, 0), one.version)
         known = self._objects.setdefault(one.object_id, {})
         life = next((other.life for other in known.values()), one.life)
         if one.life < life:
@@ -246,6 +245,7 @@ class SharedRecord:
         if mine is not None and one.rank <= mine.rank:
             return False
         known[one.robot] = one
+        self._newest[one.robot] = max(self._newest.get(one.robot, 0), one.version)
         self._note(one.robot, 1 if mine is None else 0)
         return True
 
@@ -253,7 +253,7 @@ class SharedRecord:
         self._summaries.pop(robot, None)
         self._count[robot] = self._count.get(robot, 0) + added
         if not self._count[robot]:
-            del self._count[robot]
+            del self._count[robot], self._newest[robot]
 
     def _summarize(self, robot: str) -> ContributorSummary:
         digest = hashlib.blake2b(digest_size=8)

@@ -64,6 +64,7 @@ from cairn.visual_map.landmarks import (
     LandmarkState,
     MapPosition,
 )
+from cairn.visual_map.shared_record import check_robot_name
 from cairn.visual_map.sqlite_file import digest_of
 
 # A full map follows its updates after this [s], for readers that start later, and the grid map is
@@ -141,6 +142,13 @@ class MapBuilder(Component):
                     f"({self.others.topic}) have different topics; give both the same one, such as "
                     "/fleet/landmarks, under `topics`"
                 )
+            try:
+                check_robot_name(self.robot)
+            except ValueError as error:
+                raise CairnError(
+                    f"{self.name}: share: {error}; give it one of at most 63 characters, `robot` "
+                    "in the deployment"
+                ) from error
             self._exchange = Exchange(self.robot, digest_of(config.map_file))
         if config.grid_file is not None:
             read_map(config.grid_file)
@@ -266,7 +274,7 @@ class MapBuilder(Component):
         now, record = self.clock.now(), keeper.sharing.record
         if message.robot == self.robot:
             own = {one.robot: one.newest for one in message.contributors}
-            if own.get(self.robot, 0) >= record.next_version(self.robot):
+            if own.get(self.robot, 0) >= keeper.sharing.next_version:
                 self._warnings.warn(
                     "robot's name",
                     f"another robot has the name {self.robot}: it shares contributions that this "
@@ -275,9 +283,9 @@ class MapBuilder(Component):
             return
         if message.map != exchange.map_digest:
             self._warnings.warn(
-                f"map of {message.robot}",
-                f"{message.robot} has another map (digest {message.map[:12]}, not "
-                f"{exchange.map_digest[:12]}): nothing is shared with it; give both the same "
+                "another map",
+                f"robot {message.robot!r} has another map (digest {message.map[:12]!r}, not "
+                f"{exchange.map_digest[:12]!r}): nothing is shared with it; give both the same "
                 "map_file",
             )
             return
@@ -289,7 +297,7 @@ class MapBuilder(Component):
             exchange.reason = f"about object {keeper.refused[0]}: the visual map is full"
         if exchange.rejected > rejected:
             self._warnings.warn(
-                "contribution", f"rejected contribution from {message.robot}, {exchange.reason}"
+                "contribution", f"rejected contribution from {message.robot!r}, {exchange.reason}"
             )
         if changes:
             self._save_landmarks(keeper)

@@ -97,4 +97,9 @@ class MapBuilderConfig(Config):
                 "share requires map_file and working_copy: robots share what differs from the map "
                 "from which all of them started, which must stay as it is"
             )
+        if self.share and not (self.update_objects and self.rule == "reliability"):
+            raise ValueError(
+                "share requires update_objects: true and rule: reliability; what robots find out "
+                "by other rules cannot be combined"
+            )
         return self

@@ -24,6 +24,8 @@ from cairn.visual_map.landmarks import (
     new_landmark,
 )
 from cairn.visual_map.shared_record import (
+    MOST_INFORMATION,
+    MOST_LOG_ODDS,
     MOST_STAMP_NS,
     NO_INFORMATION,
     ORIGINAL,
@@ -35,6 +37,7 @@ from cairn.visual_map.shared_record import (
 
 # A position of smaller determinant [m^4] is exact: observations do not improve it.
 _EXACT = 1e-16
+_NO_LARGER = 1.0 + 1e-6  # up to rounding
 # A difference of positions [m] that is not published as a change; as of a refinement.
 _SAME_M = 0.01
 
@@ -105,6 +108,12 @@ class LandmarkSharing:
         self.robot = robot
         self.record = SharedRecord(contributions)
         self._originals = {one.object_id: one for one in originals}
+        self._version = 0
+
+    @property
+    def next_version(self) -> int:
+        """Return a version that no contribution of this robot has had."""
+        return min(max(self._version + 1, self.record.next_version(self.robot)), MOST_STAMP_NS)
 
     def landmark(self, object_id: int) -> SharedLandmark | None:
         """Return what the record knows about an object, None if nothing."""
@@ -135,11 +144,19 @@ class LandmarkSharing:
         begin = _begin([own], self._original_position(landmark.object_id))
         if landmark.position is not None and landmark.position != now.position and begin:
             whole = _information(begin, landmark.position)
-            if whole is not None:
-                own = replace(own, information=whole.plus(_total(others), -1.0))
+            added = NO_INFORMATION if whole is None else whole.plus(_total(others), -1.0)
+            own = replace(own, information=added)
         if landmark.state is LandmarkState.RELOCATING:
             own = replace(own, removed=True)
-        return None if own == former else self._add(own)
+        if own == former:
+            return None
+        absurd = max(map(abs, astuple(own.information))) > MOST_INFORMATION
+        if (absurd or abs(own.log_odds) > MOST_LOG_ODDS) and landmark.position is not None:
+            # Others would not accept it. It makes up for a contribution that no robot makes, which
+            # a new life ends.
+            own = self._begun(landmark, landmark.position, stamp_ns)
+            own = replace(own, removed=landmark.state is LandmarkState.RELOCATING)
+        return self._add(own)
 
     def adopted(
         self,
@@ -248,7 +265,8 @@ class LandmarkSharing:
         )
 
     def _add(self, one: Contribution) -> Contribution:
-        numbered = replace(one, version=self.record.next_version(self.robot))
+        self._version = self.next_version
+        numbered = replace(one, version=self._version)
         self.record.merge([numbered])
         return numbered
 
@@ -313,6 +331,8 @@ def _improved(begin: MapPosition, added: PositionInformation) -> MapPosition:
     if covariance is None:  # no robot's evidence adds up to that
         return begin
     cxx, cxy, cyy = covariance
+    if cxx > begin.xx * _NO_LARGER or cyy > begin.yy * _NO_LARGER:
+        return begin  # evidence only adds information; forged contributions may remove it
     x = begin.x + cxx * added.x + cxy * added.y
     y = begin.y + cxy * added.x + cyy * added.y
     if not (abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M):

@@ -16,6 +16,7 @@ from hypothesis.extra import numpy as hnp
 
 from cairn import schemas
 from cairn.schemas.cairn_msgs import (
+    LandmarkContribution,
     RecognizedObject,
     RecognizedObjectArray,
     VisualMapChange,
@@ -281,6 +282,14 @@ def _visual_objects() -> st.SearchStrategy[VisualObject]:
     )
 
 
+def _contributions() -> st.SearchStrategy[LandmarkContribution]:
+    nowhere = st.just(math.nan)
+    return st.one_of(
+        _built(LandmarkContribution, x=METERS, y=METERS),
+        _built(LandmarkContribution, x=nowhere, y=nowhere),
+    )
+
+
 def _changes() -> st.SearchStrategy[VisualMapChange]:
     none = st.just(math.nan)
     return st.one_of(
@@ -329,5 +338,6 @@ _WITH_RULES_BETWEEN_FIELDS = {
     RecognizedObjectArray: _recognized_arrays,
     WorldGeometry: _scenes,
     VisualObject: _visual_objects,
+    LandmarkContribution: _contributions,
     VisualMapChange: _changes,
 }

@@ -9,6 +9,7 @@ from cairn import LATCHED, CairnError
 from cairn.components.map_builder.component import MapBuilder
 from cairn.schemas.cairn_msgs import (
     LandmarkContribution,
+    LandmarkContributor,
     SharedLandmarks,
     VisualMap,
     VisualMapChange,
@@ -161,3 +162,26 @@ def test_ports_on_different_topics_are_an_error(map_file: Path) -> None:
 def test_sharing_without_a_working_copy_is_an_error(map_file: Path) -> None:
     with pytest.raises(CairnError, match="share requires map_file and working_copy"):
         ComponentHarness(MapBuilder, {"map_file": str(map_file), "share": True})
+
+
+@pytest.mark.parametrize("wrong", [{"update_objects": False}, {"rule": "paper_rule"}])
+def test_sharing_what_cannot_be_combined_is_an_error(
+    map_file: Path, wrong: dict[str, object]
+) -> None:
+    parameters = {"map_file": str(map_file), "working_copy": f"{map_file}.copy", "share": True}
+
+    with pytest.raises(CairnError, match="cannot be combined"):
+        ComponentHarness(MapBuilder, {**parameters, **wrong})
+
+
+def test_robot_with_a_name_that_another_one_has_is_warned(
+    map_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    world = Lockstep(1000.0)
+    builder(world, map_file, "robot_1")
+    contributors = (LandmarkContributor(robot="robot_1", newest=7, count=1),)
+    message = SharedLandmarks(robot="robot_1", map=digest_of(map_file), contributors=contributors)
+
+    world.publish(FLEET, message, qos=LATCHED)
+
+    assert "another robot has the name robot_1" in caplog.text

@@ -301,6 +301,26 @@ def test_contributions_about_more_objects_than_fit_are_refused(map_file: Path) -
     assert ada.refused == (9,)
 
 
+def test_absurd_contributions_do_not_spoil_the_map(map_file: Path) -> None:
+    absurd = Contribution("eve", 7, 1, 0, ORIGINAL, None, removed=False, log_odds=1000.0)
+    worse = replace(absurd, robot="mallory", information=PositionInformation(-1e4, 0, 1e15, 1e15))
+    mine = replace(absurd, robot="ada", version=2**62, log_odds=0.0)
+    for one in (absurd, worse, mine):
+        check_contribution(one)
+    ada = _keeper(map_file, "ada")
+    ada.merge(5 * S, [absurd, worse, mine])
+
+    for step in range(3):
+        ada.apply((10 + step) * S, [observation(0.1, step, THERE)])
+
+    assert _state(ada) is LandmarkState.RELOCATING
+    for one in ada.take_contributions():
+        check_contribution(one)  # others accept it
+    ada.save()
+    ada.close()
+    assert _shown(_keeper(map_file, "ada"))  # can be read
+
+
 def test_sharing_needs_a_working_copy(map_file: Path) -> None:
     with pytest.raises(CairnError, match="set the parameter working_copy"):
         LandmarkKeeper(map_file, None, 10**18, robot="ada")
