@@ -380,7 +380,9 @@ class DeploymentHarness(Lockstep):
         """
         if not isinstance(deployment, Deployment):
             deployment = load_deployment(Path(deployment), overlays, sets)
-        self.run = LockstepRun(deployment, seed, None if beside is None else beside.run)
+        self.run: LockstepRun = LockstepRun(
+            deployment, seed, None if beside is None else beside.run
+        )
         super().__init__(robot=deployment.robot, executor=self.run.executor, bus=self.run.bus)
         self._started = False
 
