@@ -38,6 +38,8 @@ from cairn.visual_map.shared_record import (
 # A position of smaller determinant [m^4] is exact: observations do not improve it.
 _EXACT = 1e-16
 _NO_LARGER = 1.0 + 1e-6  # up to rounding
+# A landmark within this distance of its position has not moved [m]; as in registration.
+_UNMOVED_M = 0.35
 # A difference of positions [m] that is not published as a change; as of a refinement.
 _SAME_M = 0.01
 
@@ -201,9 +203,13 @@ class LandmarkSharing:
             viewpoints=NO_VIEWPOINTS,
             uncorroborated=0,
         )
-        # As for the robot's own changes: two things that look alike are noticed by both robots.
-        if known.position is not None and known.state is LandmarkState.LIVE:
-            moved = replace(moved, history=record_departure(known.history, known.position, now_s))
+        # As for the robot's own changes: two things that look alike are noticed by both robots. Two
+        # robots that register one object at nearly one position are no such thing.
+        old, both_live = known.position, known.state is shared.state is LandmarkState.LIVE
+        if both_live and old is not None and old.distance(shared.position) <= _UNMOVED_M:
+            return moved, _described(known, shared)
+        if old is not None and known.state is LandmarkState.LIVE:
+            moved = replace(moved, history=record_departure(known.history, old, now_s))
         if shared.state is LandmarkState.LIVE:
             moved = replace(moved, history=record_arrival(moved.history, shared.position, now_s))
         return moved, _described(known, shared)
