@@ -9,7 +9,17 @@ from cairn.bus.endpoints import DOMAIN_VARIABLE, MAX_DOMAIN, parse_domain
 from cairn.cli import completion
 from cairn.deployment.shipped import deployment_file
 
-__all__ = ["DEFAULT_CONNECT", "Connect", "Domain", "File", "Json", "Overlay", "RobotName", "Set"]
+__all__ = [
+    "DEFAULT_CONNECT",
+    "Connect",
+    "Domain",
+    "File",
+    "Json",
+    "Machine",
+    "Overlay",
+    "RobotName",
+    "Set",
+]
 
 Connect = Annotated[
     str,
@@ -68,4 +78,8 @@ Overlay = Annotated[
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", help="Replace one value.", metavar="KEY.PATH=VALUE"),
+]
+Machine = Annotated[
+    str,
+    typer.Option(help="Which one of the deployment's `machines` this computer is.", metavar="NAME"),
 ]

@@ -1,4 +1,7 @@
-"""`cairn service` and `cairn action`: list and use the services and actions on the bus."""
+"""`cairn service` and `cairn action`: list and use the services and actions on the bus.
+
+Below `cairn service` are also the commands that run a deployment as a service of systemd.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import yaml
 
 from cairn.bus.actions import STATUS_TEXT
 from cairn.bus.codec import to_plain
+from cairn.cli import systemd_service
 from cairn.cli.fields import message_of, plain_values
 from cairn.cli.nodes import NODE_SERVICES, marked_all
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
@@ -21,7 +25,13 @@ from cairn.errors import CairnError
 from cairn.schemas.action_msgs.msg import GoalStatus
 from cairn.schemas.interfaces import interface
 
-service = typer.Typer(help="The services on the bus.")
+service = typer.Typer(
+    help="The services on the bus (list, call); a robot as a service of systemd (install, status, "
+    "uninstall)."
+)
+service.command("install")(systemd_service.install)
+service.command("status")(systemd_service.status)
+service.command("uninstall")(systemd_service.uninstall)
 action = typer.Typer(help="The actions on the bus.")
 
 Fields = Annotated[

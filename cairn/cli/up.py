@@ -19,7 +19,7 @@ import typer
 
 from cairn.bus.endpoints import DOMAIN_VARIABLE, default_domain, socket_path
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.cli.options import File, Overlay, Set
+from cairn.cli.options import File, Machine, Overlay, Set
 from cairn.cli.output import RunOutput, note
 from cairn.cli.run_folders import reduce_old, used_folder
 from cairn.cli.runs import log_file, writing_report
@@ -56,12 +56,7 @@ def up(
         ),
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
-    machine: Annotated[
-        str,
-        typer.Option(
-            help="Which one of the deployment's `machines` this computer is.", metavar="NAME"
-        ),
-    ] = "",
+    machine: Machine = "",
     report: Annotated[
         Path | None,
         typer.Option(help="Folder for report and logs; by default one in the user's state folder."),
