@@ -105,6 +105,17 @@ def assemble(
     return Deployment.model_validate(root.plain())
 
 
+def merge(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> DocumentNode:
+    """Return files that were read before as one tree, changed by overlays and assignments.
+
+    References to settings stay as they are written. Raises `DeploymentError` with all problems.
+    """
+    root, problems = _merge_sources(sources, sets)
+    if problems:
+        raise DeploymentError(problems)
+    return root
+
+
 def apply_overlay(base: DocumentNode, over: DocumentNode) -> tuple[DocumentNode, list[Problem]]:
     """Return the base changed by an overlay, and problems; locations are those of the values."""
     problems: list[Problem] = []

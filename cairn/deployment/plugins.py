@@ -1,12 +1,15 @@
 """Plugins: find component classes by entry point of an installed package or as module:Class."""
 
 import importlib
+import importlib.util
+import json
 import sys
 import traceback
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from inspect import getdoc
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cairn.deployment.problems import suggestion
@@ -82,6 +85,30 @@ def find_plugin(reference: str) -> str:
             f"name the class directly: {' or '.join(offers)}",
         )
     return next(iter(offers))
+
+
+def plugin_distribution(reference: str) -> Distribution | None:
+    """Return the installed package of a plugin; None for a module that belongs to none.
+
+    Raises `PluginError` as `find_plugin`.
+    """
+    target = find_plugin(reference)
+    for point in _entry_points():
+        if point.value == target and point.dist is not None:
+            return point.dist
+    package = target.partition(":")[0].partition(".")[0]
+    spec = importlib.util.find_spec(package)
+    places = [] if spec is None else [spec.origin, *(spec.submodule_search_locations or ())]
+    for found in distributions():
+        names = {Path(file).parts[0] for file in found.files or ()}
+        direct = json.loads(found.read_text("direct_url.json") or "{}")
+        folder = direct.get("url", "").removeprefix("file://")
+        if names & {package, f"{package}.py"} or (
+            direct.get("dir_info", {}).get("editable")
+            and any(place and Path(place).is_relative_to(folder) for place in places)
+        ):
+            return found
+    return None
 
 
 def plugin_modules(document: object) -> list[str]:

@@ -57,7 +57,7 @@ def input_files(config: Config) -> list[InputFile]:
     found: dict[Path, None] = {}
     named = path_parameters(config).values()
     for path in named:
-        for file in _with_named(path):
+        for file in files_read_at(path):
             if len(found) < MOST_FILES:
                 found[file] = None
     files = []
@@ -74,6 +74,26 @@ def input_files(config: Config) -> list[InputFile]:
             continue
         files.append(InputFile(str(file), size, digest))
     return files
+
+
+def files_read_at(path: Path) -> Iterator[Path]:
+    """Yield the files at a path, and those that they name; an unreadable folder has none.
+
+    Of a folder with more, those are 2,000 files.
+    """
+    try:
+        if path.is_file():
+            yield path
+            yield from sqlite_files(path)
+            yield from (other for _, other in named_files(path))
+        elif path.is_dir():
+            for count, file in enumerate(sorted(path.rglob("*"))):
+                if count >= MOST_FILES:
+                    return
+                if file.is_file():
+                    yield file
+    except OSError:
+        return
 
 
 def file_digest(file: Path) -> str:
@@ -97,23 +117,6 @@ def _paths(group: BaseModel, prefix: str) -> Iterator[tuple[str, Path]]:
             yield from _paths(value, f"{prefix}{name}.")
         elif isinstance(value, Path):
             yield f"{prefix}{name}", value.absolute()
-
-
-def _with_named(path: Path) -> Iterator[Path]:
-    """Yield the files at a path, and those that they name; an unreadable folder has none."""
-    try:
-        if path.is_file():
-            yield path
-            yield from sqlite_files(path)
-            yield from (other for _, other in named_files(path))
-        elif path.is_dir():
-            for count, file in enumerate(sorted(path.rglob("*"))):
-                if count >= MOST_FILES:
-                    return
-                if file.is_file():
-                    yield file
-    except OSError:
-        return
 
 
 def sqlite_files(path: Path) -> Iterator[Path]:
