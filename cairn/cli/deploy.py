@@ -51,7 +51,6 @@ SshConfig = Annotated[
         show_default="~/.ssh/config",
     ),
 ]
-Keep = Annotated[int, typer.Option(min=1, max=1000, help="Releases that stay on the machine.")]
 Limit = Annotated[float, typer.Option(min=1, help="Limit for the service to become active [s].")]
 
 
@@ -84,7 +83,9 @@ def push_release(
         ),
     ] = "",
     limit: Limit = 240.0,
-    keep: Keep = 5,
+    keep: Annotated[
+        int, typer.Option(min=1, max=1000, help="Releases that stay on the machine.")
+    ] = 5,
     ssh_config: SshConfig = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print what would be copied; connect to no machine.")
@@ -182,7 +183,6 @@ def rollback(
         ),
     ] = "",
     limit: Limit = 240.0,
-    keep: Keep = 5,
     ssh_config: SshConfig = None,
 ) -> None:
     """Go back to an earlier release, and restart the service; a second time undoes it.
@@ -192,7 +192,7 @@ def rollback(
     """
     deployment = load_deployment(file, overlay or (), set_ or (), import_plugins=False)
     found = list(targets(deployment, machine or [], to, folder, ssh_config))
-    _on_each(found, lambda target: roll_back(target, release, keep=keep, limit_s=limit))
+    _on_each(found, lambda target: roll_back(target, release, limit_s=limit))
 
 
 def _on_each(found: list[Target], work: Callable[[Target], str]) -> None:

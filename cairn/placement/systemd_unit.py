@@ -111,7 +111,7 @@ def _network(deployment: Deployment, machine: str) -> list[str]:
 
 
 def _word(text: str) -> str:
-    """Return a word of a command line as systemd.service(5) reads it; raises `CairnError`."""
+    """Return an argument as systemd.service(5) reads it; raises `CairnError`."""
     if not text.isprintable():
         raise CairnError(f"{text!r}: a systemd unit cannot hold this; use printable characters")
     text = text.replace("%", "%%").replace("$", "$$")

@@ -63,10 +63,11 @@ class Robot:
         """Hold the lock of this robot's folder."""
         descriptor = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise Refused("another push or rollback is in progress; wait for it") from error
             yield
-        except BlockingIOError as error:
-            raise Refused("another push or rollback is in progress there; wait for it") from error
         finally:
             os.close(descriptor)
 
@@ -117,14 +118,18 @@ class Robot:
         }
 
     def receive(
-        self, release: str, description: dict[str, Any], environment: dict[str, Any]
+        self, release: str, description: dict[str, Any], environment: dict[str, Any], count: int
     ) -> None:
-        """Unpack a release from stdin, install its packages and check it; remove it on failure."""
+        """Unpack a release of `count` files from stdin, install its packages and check it.
+
+        It is removed on failure.
+        """
         incoming = self.folder / "incoming"
         shutil.rmtree(incoming, ignore_errors=True)
         target = self.releases / release
         try:
-            unpack(sys.stdin.buffer, incoming)
+            if unpack(sys.stdin.buffer, incoming) != count:
+                raise Refused("the connection was lost before all was copied")
             digest = environment["digest"]
             if digest:
                 self.install(digest, environment, incoming / "wheels")
@@ -140,11 +145,8 @@ class Robot:
             description = {**description, "environment": digest or environment["path"]}
             (target / "release.json").write_text(json.dumps(description, indent=2), "utf-8")
             os.sync()
-        except BaseException as error:
+        except BaseException:
             shutil.rmtree(target, ignore_errors=True)
-            self.prune(None)
-            if isinstance(error, OSError):
-                raise Refused(f"{error.filename or self.folder}: {error.strerror}") from error
             raise
         finally:
             shutil.rmtree(incoming, ignore_errors=True)
@@ -170,7 +172,7 @@ class Robot:
 
     def activate(self, release: str, limit_s: float) -> str:
         """Make a release the current one, and restart the service; go back if that fails."""
-        if not self.described(release):
+        if release not in self.ids():
             known = ", ".join(self.ids()) or "none"
             raise Refused(f"there is no release {release}; releases there: {known}")
         before = self.linked("current")
@@ -186,14 +188,14 @@ class Robot:
         if not before:
             raise Refused(f"{failed}\nthere is no earlier release to go back to")
         active, reason = self.service.restart(limit_s)
-        state = f"release {before} is {'active' if active else 'not active either'}: {reason}"
-        raise Refused(f"{failed}\nrolled back: {state}")
+        state = "" if active else ", which is not active either"
+        raise Refused(f"{failed}\nrolled back to release {before}{state}: {reason}")
 
-    def prune(self, keep: int | None) -> None:
+    def prune(self, keep: int) -> None:
         """Remove all but the newest releases and those in use, and what no release needs."""
         ids = self.ids()
         used = {self.linked("current"), self.linked("previous")}
-        for one in ids[: max(0, len(ids) - keep)] if keep is not None else ():
+        for one in ids[: max(0, len(ids) - keep)]:
             if one not in used:
                 shutil.rmtree(self.releases / one, ignore_errors=True)
         for place in self.releases.iterdir():
@@ -248,7 +250,13 @@ class Service:
         """Restart the service, unless it is stopped; return whether that succeeded, and how."""
         state = self.state()
         if state in ("not installed", "runs another deployment", "inactive"):
-            return True, f"{self.unit} {'is stopped' if state == 'inactive' else state}"
+            name = self.unit.removesuffix(".service")
+            words = {
+                "not installed": f"no service {name} is installed",
+                "inactive": f"service {name} is stopped, and was not started",
+                "runs another deployment": f"service {name} runs another deployment",
+            }
+            return True, words[state]
         succeeded, text = run(self._privileged("restart"), limit_s)
         state = self.state()
         if succeeded and state == "active":
@@ -266,21 +274,27 @@ class Service:
         return command if self._options or os.geteuid() == 0 else ["sudo", "-n", *command]
 
 
-def unpack(stream: IO[bytes], folder: Path) -> None:
-    """Write the regular files of an archive below a folder; others are refused."""
+def unpack(stream: IO[bytes], folder: Path) -> int:
+    """Write the regular files of an archive below a folder, refuse others; return their number."""
     folder.mkdir(mode=0o750)
     (folder / "wheels").mkdir()
-    with tarfile.open(fileobj=stream, mode="r|") as archive:
-        for member in archive:
-            path = PurePosixPath(member.name)
-            if not member.isfile() or path.is_absolute() or ".." in path.parts:
-                raise Refused(f"the archive holds {member.name!r}, which is not a plain file")
-            target = folder / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            source = archive.extractfile(member)
-            assert source is not None  # of a regular file
-            with source, target.open("wb") as copy:
-                shutil.copyfileobj(source, copy)
+    count = 0
+    try:
+        with tarfile.open(fileobj=stream, mode="r|") as archive:
+            for member in archive:
+                path = PurePosixPath(member.name)
+                if not member.isfile() or path.is_absolute() or ".." in path.parts:
+                    raise Refused(f"the archive holds {member.name!r}, which is not a plain file")
+                target = folder / path
+                target.parent.mkdir(parents=True, exist_ok=True)
+                source = archive.extractfile(member)
+                assert source is not None  # of a regular file
+                with source, target.open("wb") as copy:
+                    shutil.copyfileobj(source, copy)
+                count += 1
+    except tarfile.TarError as error:
+        raise Refused(f"the connection was lost before all was copied: {error}") from error
+    return count
 
 
 def run(command: list[str], limit_s: float | None) -> tuple[bool, str]:
@@ -304,21 +318,29 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
     action = request["action"]
     if action == "state":
         return robot.state()
+    if action == "push":
+        return {"result": pushed(robot, request)}
+    if not robot.folder.is_dir():
+        raise Refused(f"there is no folder {robot.folder}; push a release first")
+    with robot.locked():
+        return {"result": robot.activate(request["release"], request["limit_s"])}
+
+
+def pushed(robot: Robot, request: dict[str, Any]) -> str:
+    """Receive a release and activate it; return how."""
+    if sys.version_info < _OLDEST_PYTHON and request["environment"]["digest"]:
+        raise Refused(f"python3 there is {sys.version.split()[0]}; install 3.11 or later")
+    release = request["release"]
     robot.prepare()
     with robot.locked():
-        if action == "push":
-            if sys.version_info < _OLDEST_PYTHON and request["environment"]["digest"]:
-                raise Refused(f"python3 there is {sys.version.split()[0]}; install 3.11 or later")
-            robot.receive(request["release"], request["description"], request["environment"])
+        robot.receive(release, request["description"], request["environment"], request["count"])
         try:
-            result = robot.activate(request["release"], request["limit_s"])
+            result = robot.activate(release, request["limit_s"])
         except Refused:
-            if action == "push":
-                shutil.rmtree(robot.releases / request["release"], ignore_errors=True)
-                robot.prune(None)
+            shutil.rmtree(robot.releases / release, ignore_errors=True)
             raise
         robot.prune(request["keep"])
-        return {"result": result}
+    return result
 
 
 def main() -> None:
@@ -329,6 +351,8 @@ def main() -> None:
         found = answer(json.loads(sys.argv[1]))
     except Refused as error:
         found = {"error": str(error)}
+    except OSError as error:
+        found = {"error": f"{error.filename or 'a file'} there: {error.strerror}"}
     with suppress(BrokenPipeError):  # the connection was lost meanwhile
         sys.stdout.write(json.dumps(found))
         sys.stdout.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import ipaddress
 import socket
 import tarfile
 from collections.abc import Callable, Iterator, Mapping
@@ -12,6 +13,8 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, Final
 
+import psutil
+
 from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
 from cairn.releases.contents import Contents
@@ -19,7 +22,6 @@ from cairn.releases.packages import Packages
 from cairn.releases.ssh import Host
 
 _FILE_MODE: Final = 0o640
-_ANY_PORT: Final = 0
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,8 @@ def push(
         return f"unchanged: release {state['current']}; service {state['service']}"
     if digest in known:
         report(f"release {known[digest]} is there already")
-        answer = target.request("activate", release=known[digest], keep=keep, limit_s=limit_s)
-        return f"release {known[digest]}: {answer['result']}"
+        answer = target.request("activate", release=known[digest], limit_s=limit_s)
+        return f"release {known[digest]} is current; {answer['result']}"
     now = datetime.now(UTC)
     release = f"{now:%Y%m%d-%H%M%S}-{digest[:8]}"
     contents = pushed.contents
@@ -94,6 +96,7 @@ def push(
         "push",
         lambda stream: _write(stream, contents, wheels),
         release=release,
+        count=1 + len(contents.files) + len(wheels),
         description={
             "digest": digest,
             "created": now.isoformat(timespec="seconds"),
@@ -110,17 +113,24 @@ def push(
         keep=keep,
         limit_s=limit_s,
     )
-    return f"release {release}: {answer['result']}"
+    if state["service"] == "not installed":
+        current = f"{state['folder']}/current"
+        named = f" --machine {target.machine}" if target.machine else ""
+        report(
+            f"to run it at each boot, on that machine: sudo {current}/environment/bin/cairn "
+            f"service install {current}/{contents.name}{named}"
+        )
+    return f"release {release} is current; {answer['result']}"
 
 
-def roll_back(target: Target, release: str, *, keep: int, limit_s: float) -> str:
+def roll_back(target: Target, release: str, *, limit_s: float) -> str:
     """Activate an earlier release, "" for the one before; return the result in words."""
     if not release:
         release = target.request("state")["previous"]
         if not release:
             raise CairnError(f"{target.label}: there is no release before the current one")
-    answer = target.request("activate", release=release, keep=keep, limit_s=limit_s)
-    return f"release {release}: {answer['result']}"
+    answer = target.request("activate", release=release, limit_s=limit_s)
+    return f"release {release} is current; {answer['result']}"
 
 
 def targets(
@@ -156,17 +166,12 @@ def targets(
 def is_this_computer(address: str) -> bool:
     """Return whether an address, or a host name, is one of this computer's."""
     try:
-        found = socket.getaddrinfo(address, _ANY_PORT, type=socket.SOCK_DGRAM)
+        found = socket.getaddrinfo(address, None, type=socket.SOCK_DGRAM)
     except OSError:
-        return False
-    for family, kind, protocol, _, place in found:
-        with socket.socket(family, kind, protocol) as probe:
-            try:
-                probe.bind(place)
-            except OSError:
-                continue
-            return True
-    return False
+        return False  # ssh reports it
+    own = {one.address.partition("%")[0] for card in psutil.net_if_addrs().values() for one in card}
+    addresses = [str(place[0]).partition("%")[0] for *_, place in found]
+    return any(one in own or ipaddress.ip_address(one).is_loopback for one in addresses)
 
 
 def _write(stream: IO[bytes], contents: Contents, wheels: tuple[Path, ...]) -> None:

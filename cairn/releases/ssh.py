@@ -70,10 +70,7 @@ class Host:
 
     def _answer(self, status: int, output: bytes, reason: str) -> dict[str, Any]:
         if status == _SSH_FAILED:
-            raise CairnError(
-                f"{reason or 'the connection was lost'}; try `ssh {self.destination}`, and "
-                "see what is there: cairn deploy list"
-            )
+            raise CairnError(f"{reason or 'the connection was lost'}; try: ssh {self.destination}")
         if status == _NOT_FOUND:
             raise CairnError("there is no python3 there; install python3 and python3-venv")
         try:

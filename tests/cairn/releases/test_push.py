@@ -132,7 +132,7 @@ def test_release_is_pushed_once_and_a_broken_one_is_rolled_back(there: There) ->
     pushed = there.push("first", "base", "arm")
 
     assert pushed.code == 1  # the other machine does not exist
-    assert "cairn@rover.service not installed" in pushed.out
+    assert "is current; no service cairn@rover is installed" in pushed.out
     assert pushed.err.count("arm: ") == 1
     first = there.current
     release = there.folder / "rover" / "current"
@@ -153,7 +153,7 @@ def test_release_is_pushed_once_and_a_broken_one_is_rolled_back(there: There) ->
     assert crashed.code == 1
     assert "did not become active: cairn@rover.service is failed" in crashed.err
     assert "world: the floor is missing" in crashed.err
-    assert f"rolled back: release {first} is active" in crashed.err
+    assert f"rolled back to release {first}: cairn@rover.service was restarted" in crashed.err
     assert (there.current, there.releases) == (first, 1)
 
     second = there.push("second")

@@ -118,6 +118,20 @@ def test_service_is_restarted_when_its_root_is_killed_or_hangs(
     assert scans_come(), journal()
 
 
+def test_command_installs_and_removes_the_service(service: str) -> None:
+    drop_in = Path("/etc/systemd/system", f"{service}.service.d", "deployment.conf")
+    cairn = str(_INSTALLED / "bin" / "cairn")
+
+    run(cairn, "service", "install", "/etc/cairn/trial.yaml", "--set", "log_level=warning")
+
+    assert "log_level=warning" in of_service("ExecStart")
+    assert (of_service("ActiveState"), of_service("UnitFileState")) == ("active", "enabled")
+    assert scans_come(), journal()
+    run(cairn, "service", "uninstall", "trial")
+    assert of_service("ActiveState") == "inactive"
+    assert not drop_in.exists()
+
+
 def scans_come() -> bool:
     """Whether the scanner's scans are on the bus."""
     done = subprocess.run(
