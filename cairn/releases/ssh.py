@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from cairn.errors import CairnError
+from cairn.files import explain_os_error
 
 _PROGRAM: Final = Path(__file__).with_name("machine_side.py")
 _DESTINATION: Final = re.compile(r"([A-Za-z0-9_][A-Za-z0-9_.-]*@)?[A-Za-z0-9_:][A-Za-z0-9_.:%-]*")
@@ -60,6 +61,11 @@ class Host:
                             write(stream)
                     except BrokenPipeError:
                         pass  # its answer has the reason
+                    except OSError as error:
+                        process.kill()
+                        raise CairnError(
+                            f"{error.filename}: cannot be copied: {explain_os_error(error)}"
+                        ) from error
                     except BaseException:
                         process.kill()
                         raise

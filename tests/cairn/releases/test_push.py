@@ -8,7 +8,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from textwrap import dedent
 
 import pytest
 
+from tests.cairn.releases.tiny_wheel import tiny_wheel
 from tests.commands import Answer, cairn
 
 _SSHD = shutil.which("sshd", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
@@ -39,15 +39,6 @@ ROVER = """
     """
 WORLD = """
     size: [4.0, 3.0]
-    """
-# The package that is installed there: only `cairn check FILE`, which refuses one label.
-CAIRN = """
-    import sys
-
-    def main():
-        assert sys.argv[1] == "check"
-        if "label: refused" in open(sys.argv[2]).read():
-            sys.exit("the label is refused")
     """
 SYSTEMCTL = """\
     #!/bin/sh
@@ -125,7 +116,7 @@ def there(tmp_path: Path) -> Iterator[There]:
     file.write_text(dedent(ROVER))
     (file.parent / "maps" / "hall.yaml").write_text(dedent(WORLD))
     with _sshd(tmp_path, f"{programs}:/usr/bin:/bin") as config:
-        yield There(folder, config, file, _wheel(tmp_path))
+        yield There(folder, config, file, tiny_wheel(tmp_path))
 
 
 def test_release_is_pushed_once_and_a_broken_one_is_rolled_back(there: There) -> None:
@@ -167,23 +158,6 @@ def test_release_is_pushed_once_and_a_broken_one_is_rolled_back(there: There) ->
     assert listed[first] == "current"
     assert sorted(listed.values()) == ["current", "previous"]
     assert there.push("second").out.count("is there already") == 1
-
-
-def _wheel(folder: Path) -> Path:
-    """A package with the name of Cairn, and a program `cairn`."""
-    wheel = folder / "cairn_robotics-9.0-py3-none-any.whl"
-    info = "cairn_robotics-9.0.dist-info"
-    files = {
-        "tiny_cairn.py": dedent(CAIRN),
-        f"{info}/METADATA": "Metadata-Version: 2.1\nName: cairn-robotics\nVersion: 9.0\n",
-        f"{info}/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
-        f"{info}/entry_points.txt": "[console_scripts]\ncairn = tiny_cairn:main\n",
-    }
-    files[f"{info}/RECORD"] = "".join(f"{name},,\n" for name in [*files, f"{info}/RECORD"])
-    with zipfile.ZipFile(wheel, "w") as archive:
-        for name, text in files.items():
-            archive.writestr(name, text)
-    return wheel
 
 
 @contextmanager
