@@ -133,7 +133,8 @@ class Robot:
             digest = environment["digest"]
             if digest:
                 self.install(digest, environment, incoming / "wheels")
-            place = self.environments / digest if digest else Path(environment["path"])
+            given = Path(environment["path"]).expanduser().absolute()
+            place = self.environments / digest if digest else given
             (incoming / "release" / "environment").symlink_to(
                 Path("..") / ".." / "environments" / digest if digest else place
             )
