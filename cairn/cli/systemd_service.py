@@ -127,6 +127,7 @@ def status(
     json: Json = False,
 ) -> None:
     """Show the installed systemd services. Exit status 1 if one of them is not active."""
+    name = _short(name)
     listing = _Manager(name or "robot", for_user=user_unit)
     listing.check(changes=False)
     names = [name] if name else listing.installed()
@@ -156,7 +157,7 @@ def uninstall(
     user_unit: UserUnit = False,
 ) -> None:
     """Stop a systemd service and remove it; its reports, logs and maps stay."""
-    name = name.removeprefix("cairn@").removesuffix(".service")
+    name = _short(name)
     manager = _Manager(name, for_user=user_unit)
     manager.check(changes=True)
     if name not in manager.installed():
@@ -220,8 +221,8 @@ class _Manager:
             *self.units.glob("cairn@*.service.d"),
             *self.units.glob("*.wants/cairn@*.service"),
         ]
-        names = {place.name.removesuffix(".d").removesuffix(".service") for place in places}
-        return sorted(name.removeprefix("cairn@") for name in names)
+        names = {place.name.removesuffix(".d") for place in places}
+        return sorted(map(_short, names))
 
     def states(self) -> dict[str, str]:
         """Return the properties of the service, as systemd has them."""
@@ -272,6 +273,11 @@ def _run(words: Sequence[str], limit_s: float) -> _Done:
     except OSError as error:
         return _Done(False, f"{words[0]}: {error.strerror}")
     return _Done(done.returncode == 0, done.stdout.strip())
+
+
+def _short(name: str) -> str:
+    """Return the name of a service without what all have: of cairn@robot.service, robot."""
+    return name.removeprefix("cairn@").removesuffix(".service")
 
 
 def _program() -> Path:
