@@ -98,7 +98,7 @@ def install(
         return
     manager.check(changes=True)
     if not user_unit:
-        _check_visible([command.program, Path(sys.base_prefix), command.file, *overlays])
+        _warn_of_hidden([command.program, Path(sys.base_prefix), command.file, *overlays])
         _create_user()
     changed = [path for path, text in texts.items() if _write(path, text)]
     if not changed and manager.states()["ActiveState"] == "active":
@@ -288,14 +288,15 @@ def _program() -> Path:
     return Path(sys.prefix) / "bin" / "cairn"
 
 
-def _check_visible(paths: Sequence[Path]) -> None:
-    """Raise `CairnError` for a path that the service would not see."""
+def _warn_of_hidden(paths: Sequence[Path]) -> None:
+    """Warn of paths that the template hides; a drop-in of the user's may show them."""
     for path in paths:
         for hidden in _HIDDEN:
             if path.is_relative_to(hidden) or path.resolve().is_relative_to(hidden):
-                raise CairnError(
-                    f"{path}: a service of the system does not see {hidden}; copy it to "
-                    "/etc/cairn, install Cairn in /opt/cairn, or use --user-unit"
+                note(
+                    f"warning: {path}: a service of the system does not see {hidden}, unless you "
+                    "change that; keep deployments in /etc/cairn and Cairn in /opt/cairn, or use "
+                    "--user-unit"
                 )
 
 

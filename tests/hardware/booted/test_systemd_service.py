@@ -120,16 +120,24 @@ def test_service_is_restarted_when_its_root_is_killed_or_hangs(
 
 def test_command_installs_and_removes_the_service(service: str) -> None:
     drop_in = Path("/etc/systemd/system", f"{service}.service.d", "deployment.conf")
-    cairn = str(_INSTALLED / "bin" / "cairn")
 
-    run(cairn, "service", "install", "/etc/cairn/trial.yaml", "--set", "log_level=warning")
+    of_cairn("service", "install", "/etc/cairn/trial.yaml", "--set", "log_level=warning")
 
     assert "log_level=warning" in of_service("ExecStart")
     assert (of_service("ActiveState"), of_service("UnitFileState")) == ("active", "enabled")
     assert scans_come(), journal()
-    run(cairn, "service", "uninstall", "trial")
+    of_cairn("service", "uninstall", "trial")
     assert of_service("ActiveState") == "inactive"
     assert not drop_in.exists()
+
+
+def of_cairn(*words: str) -> None:
+    """Run a command of the installed Cairn, which has to succeed."""
+    done = subprocess.run(
+        [str(_INSTALLED / "bin" / "cairn"), *words],
+        check=False, capture_output=True, text=True, timeout=_LIMIT_S,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def scans_come() -> bool:
