@@ -25,6 +25,7 @@ from cairn.runtime.launch_request import RunContext
 from cairn.schemas.cairn_msgs import MACHINE_STATUS, MachineChild, MachineLink, MachineStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
+from cairn.supervision.child import ChildUnavailable
 from cairn.supervision.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class RobotMachines:
     def request(
         self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
     ) -> "Future[Any]":
-        """Make a request of the root of a machine; its errors are those of `control.request`."""
+        """Make a request of the root of a machine; see `Machines` of `remote_child`."""
         context = self._context
         component = full_name(context.robot, root_name(machine, context.main_machine))
         answer: Future[Any] = Future()
@@ -111,6 +112,8 @@ class RobotMachines:
                     self._bus.session, context.domain, component, verb, arguments,
                     timeout_s=timeout_s,
                 )  # fmt: skip
+            except control.NoReplyError as error:
+                answer.set_exception(ChildUnavailable(str(error)))
             except CairnError as error:
                 answer.set_exception(error)
             else:

@@ -20,13 +20,18 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any, Protocol
 
-from cairn.bus.control import NoReplyError
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.schemas.cairn_msgs import MachineChild
-from cairn.supervision.child import ChildStatus, StartResult, State, SupervisorHost
+from cairn.supervision.child import (
+    ChildStatus,
+    ChildUnavailable,
+    StartResult,
+    State,
+    SupervisorHost,
+)
 
 _STEP_S = 0.05
 _SLOW_CHECKS = 3  # in a row, of two in a second: then the link is slow
@@ -49,7 +54,10 @@ class Machines(Protocol):
     def request(
         self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
     ) -> "Future[Any]":
-        """Make a request of the root of a machine; its errors are those of `control.request`."""
+        """Make a request of the root of a machine.
+
+        The future raises `ChildUnavailable` if it does not answer, `CairnError` if it refuses.
+        """
         ...
 
     def round_trip_s(self, machine: str) -> float | None:
@@ -121,7 +129,7 @@ class RemoteChild:
         self._loading = None
         try:
             loading.result()
-        except NoReplyError:
+        except ChildUnavailable:
             return self._started_without(machines.silence(self._machine) or self._no_answer("load"))
         except CairnError as error:
             self.reason, self.state = self._without_name(error), "ended"
@@ -209,7 +217,7 @@ class RemoteChild:
             )
             try:
                 request.result()
-            except NoReplyError:
+            except ChildUnavailable:
                 silence = machines.silence(self._machine) or self._no_answer("unload")
             except CairnError as error:
                 self.stop_failure = self._without_name(error)

@@ -8,13 +8,13 @@ from typing import Any
 import pytest
 
 from cairn import CairnError
-from cairn.bus.control import ControlError, NoReplyError
 from cairn.deployment.model import ChildSpec, Fallback, OnLoss
 from cairn.errors import Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.schemas.cairn_msgs import MachineChild
+from cairn.supervision.child import ChildUnavailable
 from cairn.supervision.supervisor import ChildGroup, StartFailed
 
 from .scripted_children import World, fails
@@ -202,14 +202,14 @@ def test_child_that_its_machine_restarts_is_not_touched() -> None:
 
 def test_refused_start_fails_the_supervisor_with_the_reason_of_the_component() -> None:
     one = robot()
-    one.machines.errors["load"] = ControlError("localizer: /maps/room.yaml: no such file")
+    one.machines.errors["load"] = CairnError("localizer: /maps/room.yaml: no such file")
     with pytest.raises(Escalate, match="no such file"):
         one.children.start_all()
 
 
 def test_machine_that_is_lost_during_the_start_is_a_loss() -> None:
     one = robot()
-    one.machines.errors["load"] = NoReplyError("/robot/root_brain: no reply")
+    one.machines.errors["load"] = ChildUnavailable("/robot/root_brain: no reply")
     one.children.start_all()
     assert one.states()["localizer"] == "lost"
 
