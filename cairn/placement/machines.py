@@ -26,7 +26,7 @@ from cairn.schemas.cairn_msgs import MACHINE_STATUS, MachineChild, MachineLink, 
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 from cairn.supervision.child import ChildUnavailable
-from cairn.supervision.supervisor import Supervisor
+from cairn.supervision.supervisor import ChildGroup, Supervisor
 
 if TYPE_CHECKING:
     from cairn.placement.component_host import ComponentHost
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 LOST_AFTER_S: Final = 1.25
 """A machine counts as lost when nothing of it has arrived for so long: five of its messages."""
 
+_PERIOD_S = 0.2  # the main loop turns four times a second, or more often
 _MOST_NAMED = 20  # inputs in one line of the log
 _LONGEST_REASON = 1000
 
@@ -168,6 +169,7 @@ class MachineMonitor:
         self._components = components_by_machine(deployment)
         self._tolerance_s = deployment.clock_tolerance_s
         self._clocks_off: set[str] = set()
+        self._published_at = -math.inf
         self._inputs = [one for one in inputs if one.reader_machine == context.machine]
         self._log = runtime.log
         topic = full_name(context.robot, MACHINE_STATUS)
@@ -185,7 +187,10 @@ class MachineMonitor:
             elif was_lost and not is_lost:
                 self._log.info("machine found: %s", machine)
             self._check_clock(machine)
-        self._publish()
+        now = time.monotonic()
+        if now - self._published_at >= _PERIOD_S:
+            self._published_at = now
+            self._publish()
 
     def _check_clock(self, machine: str) -> None:
         clock = self._machines.clock_offset(machine)
@@ -217,7 +222,7 @@ class MachineMonitor:
                 machine=self._machine,
                 children=tuple(
                     MachineChild(one.name, one.state, one.incarnation, one.reason[:_LONGEST_REASON])
-                    for one in self._children.status()
+                    for one in ChildGroup.status(self._children)  # which is not a call of the root
                 ),
                 links=tuple(self._link(machine, lost) for machine, lost in self._lost.items()),
             )

@@ -28,7 +28,7 @@ from cairn.bus.session import (
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.compilation import before_compilation
 from cairn.deployment.load import SourceDocument
-from cairn.deployment.machines import parents_elsewhere, published_elsewhere
+from cairn.deployment.machines import published_elsewhere
 from cairn.deployment.model import ROOT, ChildSpec, Deployment, root_name
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -125,7 +125,7 @@ def run_processes(
         _check_robot_name_is_free(deployment)
     common = machine_secrets(deployment.robot) if machine else None
     secret = secrets.token_hex(16) if common is None else common.of_sessions()
-    spec = deployment.root(machine)
+    spec = plan.root()
     for one in _in_parent_process(spec, machine):
         load_plugin(one.plugin)  # before the start: importing may take long
     topics, limits = plan.exclusive_topics, plan.topic_limits
@@ -151,7 +151,7 @@ def run_processes(
             session_secret=secret,
             machine=machine,
             main_machine=deployment.main_machine,
-            parents=parents_elsewhere(deployment, machine) if machine else {},
+            parents=plan.parents(),
             clock_tolerance_s=deployment.clock_tolerance_s,
             remote_topics=published_elsewhere(plan.remote_inputs, machine),
             exclusive_topics=topics,

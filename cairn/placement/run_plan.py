@@ -5,7 +5,7 @@ time. The plan is made in a process forked from the zygote, which has imported t
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,12 @@ from cairn.deployment.access_control import access_control, machine_access
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
 from cairn.deployment.load import SourceDocument, assemble
-from cairn.deployment.machines import RemoteInput, check_machine, remote_inputs
+from cairn.deployment.machines import (
+    RemoteInput,
+    check_machine,
+    parents_elsewhere,
+    remote_inputs,
+)
 from cairn.deployment.model import RECORDER, ChildSpec, Deployment, expendable
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
@@ -35,8 +40,9 @@ class RunPlan:
     """A checked deployment, with what follows from its components' ports and requests.
 
     `gateway` is that between the network and the deployment; None if it has no such endpoint.
-    `machine` is the one that the plan is for, `machine_access` what the others may do here, and
-    `remote_inputs` what crosses; all empty for a robot with one computer.
+    `machine` is the one that the plan is for, `machine_access` what the others may do here,
+    `remote_inputs` what crosses, and `added` names the supervisor that is on this machine alone, as
+    its `cairn up` records; all empty for a robot with one computer.
     """
 
     deployment: Deployment
@@ -46,6 +52,23 @@ class RunPlan:
     machine: str = ""
     machine_access: Mapping[str, Any] = field(default_factory=dict)
     remote_inputs: tuple[RemoteInput, ...] = ()
+    added: tuple[str, ...] = ()
+
+    def root(self) -> ChildSpec:
+        """Return the root of the tree on this machine."""
+        root = self.deployment.root(self.machine)
+        children = {
+            name: one.model_copy(update={"load": "at_start"}) if name in self.added else one
+            for name, one in root.children.items()
+        }
+        return root.model_copy(update={"children": children})
+
+    def parents(self) -> dict[str, str]:
+        """Return the parent of each component here that a parent on another machine loads."""
+        if not self.machine:
+            return {}
+        found = parents_elsewhere(self.deployment, self.machine)
+        return {name: parent for name, parent in found.items() if name not in self.added}
 
 
 _PLAN = TypeAdapter(RunPlan)
@@ -81,9 +104,10 @@ def check_and_plan(
     """
     deployment = check_sources(file, sources, sets)
     check_machine(deployment, machine, file.name)
-    if recording is not None:
-        deployment = with_recorder(deployment, recording, machine)
-    return plan_run(deployment, machine)
+    if recording is None:
+        return plan_run(deployment, machine)
+    plan = plan_run(with_recorder(deployment, recording, machine), machine)
+    return replace(plan, added=(_RECORDING,))
 
 
 def check_for_root(argument: Mapping[str, Any]) -> Any:

@@ -12,6 +12,7 @@ Log lines have the form of `cairn.supervision.supervisor`, with these events mor
 | `child found: NAME` | INFO | its machine is reached again, and it is active |
 | `child resting: NAME: REASON` | WARNING | its link is slow; its fallback works instead |
 | `child resumed: NAME: REASON` | INFO | its link is no longer slow |
+| `child hold failed: NAME: REASON` | ERROR | it did not rest or resume as its link requires |
 """
 
 import logging
@@ -37,7 +38,6 @@ _STEP_S = 0.05
 _SLOW_CHECKS = 3  # in a row, of two in a second: then the link is slow
 _QUICK_CHECKS = 6  # in a row: then it is not any more
 _TRANSFER_S = 1.0  # longer than the other root may take, for the request and its answer
-_GONE = ("unloaded", "ended")
 
 
 class Machines(Protocol):
@@ -92,6 +92,7 @@ class RemoteChild:
         self._loading: Future[Any] | None = None
         self._is_slow = False
         self._contrary_checks = 0
+        self._holding: Future[Any] | None = None
 
     def status(self) -> ChildStatus:
         """Return the state of the child, as last reported by its machine."""
@@ -171,7 +172,7 @@ class RemoteChild:
         if loading is not None and (error := loading.exception()) is not None:
             self.reason = self._without_name(error)
             self._log_event(logging.ERROR, "start failed", self.reason)
-        if reported is None or reported.state in _GONE:
+        if reported is None or reported.state == "unloaded":
             if self.target is LifecycleState.ACTIVE:  # its root has been restarted, for example
                 self._request_load()
             return None
@@ -229,6 +230,10 @@ class RemoteChild:
 
     def _check_speed(self, machines: Machines) -> None:
         """Have a component with a fallback rest while its link is slow."""
+        if self._holding is not None and self._holding.done():
+            error, self._holding = self._holding.exception(), None
+            if error is not None:
+                self._log_event(logging.ERROR, "hold failed", self._without_name(error))
         round_trip_s = machines.round_trip_s(self._machine)
         if self.spec.fallback is None or round_trip_s is None:
             return
@@ -240,7 +245,7 @@ class RemoteChild:
         self._is_slow, self._contrary_checks = not self._is_slow, 0
         took = f"round trip {round_trip_s:.2f} s, limit {limit_s:g} s"
         state = "inactive" if self._is_slow else "active"
-        machines.request(
+        self._holding = machines.request(
             self._machine, "hold", {"name": self.name, "state": state}, self.spec.stop_limit_s
         )
         if self._is_slow:

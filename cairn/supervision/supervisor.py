@@ -95,7 +95,9 @@ class Supervisor(Component):
         Those that were loaded by a parent on another machine are served by that parent.
         """
         robot, request = launch.context.robot, self._context.request
-        for name in launch.spec.children.keys() - launch.context.parents.keys():
+        for name in launch.spec.children:
+            if name in launch.context.parents:
+                continue
             child = ChildLifecycle(name, partial(self._lifecycle_of, name), request)
             self._context.serve_node(full_name(robot, name), child.services())
         plugins = {name: spec.plugin for name, spec in launch.spec.children.items()}

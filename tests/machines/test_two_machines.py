@@ -9,6 +9,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from cairn.security.authority import Authority
 from cairn.security.folder import RobotFolder
@@ -35,9 +36,9 @@ def tree(machines: Machines, listener: str = "", talker: str = "") -> str:
     return machines.keys + re.sub("^    ", "", _TREE % (listener, talker), flags=re.MULTILINE)
 
 
-def start(machines: Machines, deployment: str) -> tuple[Run, Run]:
+def start(machines: Machines, deployment: str, *of_brain: str) -> tuple[Run, Run]:
     """Start both machines, the remote one first; return their runs when all is active."""
-    brain = machines.up("brain", deployment)
+    brain = machines.up("brain", deployment, *of_brain)
     brain.await_line("waiting for machine: base")
     base = machines.up("base", deployment)
     base.await_line("root: child active: reader")
@@ -45,7 +46,7 @@ def start(machines: Machines, deployment: str) -> tuple[Run, Run]:
 
 
 def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Machines) -> None:
-    base, brain = start(machines, tree(machines, talker=", parameters: {words: 60}"))
+    base, brain = start(machines, tree(machines, talker=", parameters: {words: 60}"), "--record")
     # The latched message of a component that started long before, and every word from the first.
     brain.await_line("reader: the beacon stands at 4, 2")
     for machine in ("base", "brain"):
@@ -54,6 +55,8 @@ def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Mach
             "root_brain",
             "listener",
             "reader",
+            "recording",
+            "recorder",
         }
         assert rows["listener"]["parent"] == "mobile"
         assert {row["state"] for row in rows.values()} == {"active"}
@@ -63,6 +66,9 @@ def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Mach
     assert base.await_end() == 0  # the talker has finished, which is significant
     brain.await_line("child stopped: listener")
     assert brain.stop() == 0
+    with (brain.report / "recording.mcap").open("rb") as file:
+        words = sum(1 for _ in make_reader(file).iter_messages(topics=["/robot/words"]))
+    assert words == 60
 
 
 def test_cut_cable_is_seen_and_all_goes_on_when_it_is_restored(machines: Machines) -> None:
