@@ -104,7 +104,7 @@ class RobotMachines:
     ) -> "Future[Any]":
         """Make a request of the root of a machine; see `Machines` of `remote_child`."""
         context = self._context
-        component = full_name(context.robot, root_name(machine, context.main_machine))
+        component = full_name(context.robot, root_name(machine, context.machines[0]))
         answer: Future[Any] = Future()
 
         def call() -> None:
@@ -138,6 +138,8 @@ class RobotMachines:
                 continue  # of a foreign publisher
             if status is None:
                 return
+            if status.machine not in self._context.machines:
+                continue  # forged: what is kept must be bounded
             received_ns = time.time_ns()
             self._measure_clock(status, received_ns)
             with self._news:

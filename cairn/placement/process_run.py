@@ -150,7 +150,7 @@ def run_processes(
             storage=deployment.storage,
             session_secret=secret,
             machine=machine,
-            main_machine=deployment.main_machine,
+            machines=tuple(deployment.machines),
             parents=plan.parents(),
             clock_tolerance_s=deployment.clock_tolerance_s,
             remote_topics=published_elsewhere(plan.remote_inputs, machine),

@@ -85,7 +85,8 @@ def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:
     exclusive = exclusive_topics(deployment)
     if not machine:
         return RunPlan(deployment, exclusive, limits, gateway)
-    machine_links(deployment, machine, access := machine_access(deployment, machine))
+    access = machine_access(deployment, machine)
+    machine_links(deployment, machine, access)  # to report what is wrong before anything starts
     inputs = remote_inputs(deployment)
     return RunPlan(deployment, exclusive, limits, gateway, machine, access, inputs)
 

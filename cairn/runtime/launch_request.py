@@ -37,7 +37,8 @@ class RunContext(BaseModel):
     """The deployment as it runs, with all overlays and settings, as JSON."""
     machine: str = ""
     """The machine of the robot on which the component runs; "" if it has only one."""
-    main_machine: str = ""
+    machines: tuple[str, ...] = ()
+    """All machines of the robot, the main one first."""
     parents: Mapping[str, str] = {}
     """The parent of each component that the root starts here for a parent on another machine."""
     clock_tolerance_s: float = 0.1

@@ -4,7 +4,7 @@ The root of that machine starts it, watches it and restarts it; a supervisor her
 it is loaded, held or unloaded. It never counts as failed because its machine cannot be reached: it
 is *lost*, and what follows is its `on_loss` in the deployment. Nothing is killed over a link.
 
-Log lines have the form of `cairn.supervision.supervisor`, with these events more:
+Log lines have the form of `cairn.supervision.supervisor`, with these further events:
 
 | event | level | meaning |
 |---|---|---|
@@ -90,6 +90,7 @@ class RemoteChild:
         self._host = host
         self._log = log
         self._loading: Future[Any] | None = None
+        self._was_lost = False  # and has not been found again
         self._is_slow = False
         self._contrary_checks = 0
         self._holding: Future[Any] | None = None
@@ -122,6 +123,7 @@ class RemoteChild:
             self._host.report_progress(f"waiting for machine {self._machine}")
             machines.wait_for_news(_STEP_S)
         self._host.report_progress(f"loading {self.name} on machine {self._machine}")
+        self.runs = True  # from now on a stop has to unload it
         loading = self._request_load()
         while not loading.done():
             if canceled():
@@ -133,10 +135,11 @@ class RemoteChild:
         except ChildUnavailable:
             return self._started_without(machines.silence(self._machine) or self._no_answer("load"))
         except CairnError as error:
+            self.runs = False
             self.reason, self.state = self._without_name(error), "ended"
             self._log_event(logging.ERROR, "start failed", self.reason)
             return "refused"
-        self.runs, self.state, self.reason = True, "active", ""
+        self.state, self.reason, self._was_lost = "active", "", False
         self._note_reported(machines.child(self._machine, self.name))
         self._log_event(logging.INFO, "active")
         return "active"
@@ -176,10 +179,10 @@ class RemoteChild:
             if self.target is LifecycleState.ACTIVE:  # its root has been restarted, for example
                 self._request_load()
             return None
-        was_lost = self.state == "lost"
         self._note_reported(reported)
         self._check_speed(machines)
-        if was_lost and self.state in ("active", "held"):
+        if self._was_lost and self.state in ("active", "held"):
+            self._was_lost = False
             self._log_event(logging.INFO, "found")
         return None
 
@@ -262,7 +265,7 @@ class RemoteChild:
 
     def _started_without(self, silence: str) -> StartResult:
         if self.spec.on_loss == "stop":
-            self.reason, self.state = silence, "ended"
+            self.runs, self.reason, self.state = False, silence, "ended"
             self._log_event(logging.ERROR, "start failed", self.reason)
             return "unavailable"
         self.runs = True
@@ -273,7 +276,7 @@ class RemoteChild:
         return f"machine {self._machine} has not answered the request to {verb} it"
 
     def _lose(self, silence: str) -> None:
-        self.state, self.reason = "lost", silence
+        self.state, self.reason, self._was_lost = "lost", silence, True
         level = logging.DEBUG if self.spec.on_loss == "ignore" else logging.WARNING
         self._log_event(level, "lost", silence)
 

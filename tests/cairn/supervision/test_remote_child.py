@@ -30,6 +30,7 @@ class ScriptedMachines:
     state: str = "unloaded"
     requests: list[str] = field(default_factory=list)
     errors: dict[str, CairnError] = field(default_factory=dict)
+    unanswered: set[str] = field(default_factory=set)
     took_s: float | None = None
 
     def round_trip_s(self, machine: str) -> float | None:
@@ -48,6 +49,8 @@ class ScriptedMachines:
         assert timeout_s > 0
         self.requests.append(" ".join([verb, *map(str, arguments.values()), "on", machine]))
         answer: Future[Any] = Future()
+        if verb in self.unanswered:
+            return answer
         if verb in self.errors:
             answer.set_exception(self.errors[verb])
             return answer
@@ -91,7 +94,7 @@ def robot(on_loss: OnLoss = "degrade", fallback: Fallback | None = None) -> Robo
     if fallback is not None:
         specs["localizer_fallback"] = here.model_copy(update={"load": "on_request"})
     spec = ChildSpec(plugin="supervisor", children=specs)
-    context = RunContext(machine="base", main_machine="base")
+    context = RunContext(machine="base", machines=("base", "brain"))
     launch = LaunchRequest(name="automove", spec=spec, context=context)
     children = ChildGroup(launch, world, world.log.logger, on_exit=lambda: None)
     return Robot(world, machines, children)
@@ -259,6 +262,29 @@ def test_load_on_request_goes_on_without_the_machine() -> None:
     refused.machines.up = False
     with pytest.raises(StartFailed, match="machine brain cannot be reached"):
         refused.children.load("localizer")
+
+
+def test_stop_during_the_load_unloads_what_the_machine_is_loading() -> None:
+    one = robot()
+    one.machines.unanswered.add("load")
+    one.world.on_step = lambda step: (
+        one.children.request_stop() if step.startswith("loading") else None
+    )
+    one.children.start_all()
+    one.children.stop_all()
+    assert one.machines.requests == ["load localizer on brain", "unload localizer on brain"]
+
+
+def test_machine_is_found_also_if_its_component_is_still_starting_when_it_is_reached() -> None:
+    one = robot()
+    one.children.start_all()
+    one.lose()
+    one.machines.state = "starting"
+    one.find()
+    assert one.states()["localizer"] == "starting"
+    one.machines.state = "active"
+    one.children.check()
+    assert one.world.log.lines[-1] == "INFO child found: localizer"
 
 
 def test_stop_request_ends_the_wait_for_a_machine() -> None:
