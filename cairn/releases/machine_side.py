@@ -23,6 +23,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 _CHECK_LIMIT_S = 300.0
+_INSTALL_LIMIT_S = 3600.0  # a slow board may compile packages
 _SYSTEMD_LIMIT_S = 30.0
 _LONGEST_REASON = 4000  # characters
 _OLDEST_PYTHON = (3, 11)
@@ -166,7 +167,7 @@ class Robot:
             [sys.executable, "-m", "venv", str(place)],
             [python, *pip, *index, "--find-links", str(wheels), *packages],
         ):
-            succeeded, text = run(command, None)
+            succeeded, text = run(command, _INSTALL_LIMIT_S)
             if not succeeded:
                 raise Refused(f"the packages could not be installed there: {text}")
         (place / "complete").touch()
@@ -298,7 +299,7 @@ def unpack(stream: IO[bytes], folder: Path) -> int:
     return count
 
 
-def run(command: list[str], limit_s: float | None) -> tuple[bool, str]:
+def run(command: list[str], limit_s: float) -> tuple[bool, str]:
     """Run a program; return whether it succeeded, and the end of what it printed."""
     try:
         done = subprocess.run(
