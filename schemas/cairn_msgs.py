@@ -355,7 +355,7 @@ class ComponentStatus:
 
 
 MACHINE_STATUS: Final = "machine_status"
-"""The topic on which the roots of a robot's machines publish."""
+"""The topic, below its own name, on which the root of each of a robot's machines publishes."""
 
 
 @message("cairn_msgs/msg/MachineChild")

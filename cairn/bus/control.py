@@ -128,8 +128,9 @@ def request(
         raise NoReplyError(
             f"{component}: no reply to {verb}, and none will arrive, after {waited_s:.1f} s: "
             "the component is not running, has just ended, the link to it was lost, or, over the "
-            f"network, your role does not allow the request{_of_user()}; `cairn ps` lists the "
-            "running components, docs/how-to/connect.md what a role allows"
+            "network or from another machine of the robot, your role does not allow the request"
+            f"{_of_user()}; `cairn ps` lists the running components, docs/how-to/connect.md what a "
+            "role allows"
         )
     raise NoReplyError(
         f"{component}: no reply to {verb} within {timeout_s:g} s: it hangs or is still busy; "

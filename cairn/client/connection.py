@@ -239,12 +239,15 @@ class Connection:
         """Return what each machine that can be reached has published last, by robot."""
         codec = Codec()
         found: dict[str, list[MachineStatus]] = {}
-        everywhere = keys.message_key(self.domain, f"/*/{MACHINE_STATUS}", MachineStatus)
+        everywhere = keys.message_key(self.domain, f"/*/*/{MACHINE_STATUS}", MachineStatus)
         for sample in self.cached(everywhere)[0]:
             if len(sample.payload) <= _STATUS_BYTES:
                 with suppress(InvalidMessage):
                     status = codec.decode(MachineStatus, sample.payload.to_bytes())
-                    found.setdefault(str(sample.key_expr).split("/")[1], []).append(status)
+                    _, robot, root, *_ = str(sample.key_expr).split("/")
+                    # Each is below its root's name, on which no other machine may publish.
+                    if root in ("root", f"root_{status.machine}"):
+                        found.setdefault(robot, []).append(status)
         return found
 
     def router_process(self) -> int | None:

@@ -9,10 +9,11 @@ from pydantic import BaseModel, ConfigDict
 
 from cairn.bus.bus import full_name
 from cairn.deployment.exclusive_topics import ports_of_plugin
-from cairn.deployment.model import Deployment, root_name, view_name
+from cairn.deployment.model import RECORDER, Deployment, root_name, view_name
 from cairn.deployment.problems import Problem, suggestion
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.errors import CairnError
+from cairn.schemas.cairn_msgs import MACHINE_STATUS
 
 
 class RemoteInput(BaseModel):
@@ -50,6 +51,15 @@ def components_by_machine(deployment: Deployment) -> dict[str, tuple[str, ...]]:
     for member in deployment.members():
         found[deployment.machine_of(member.name)].append(member.name)
     return {machine: tuple(names) for machine, names in found.items()}
+
+
+def machine_status_topic(robot: str, machine: str, main_machine: str) -> str:
+    """Return the topic (full name) on which the root of a machine publishes its status.
+
+    It lies below the name of that root, so no other machine may publish on it: see
+    `machine_access`.
+    """
+    return full_name(robot, f"{root_name(machine, main_machine)}/{MACHINE_STATUS}")
 
 
 def parents_elsewhere(deployment: Deployment, machine: str) -> dict[str, str]:
@@ -130,6 +140,13 @@ def machine_problems(root: DocumentNode) -> Iterator[Problem]:
             found = f"{name} is a name that a robot of several machines has already"
             yield Problem(at, dotted(path), found, "give it another name")
         yield from _placement_problems(path, node, moved=machine != above, local=machine == main)
+        plugin = node.find("plugin")
+        if plugin is not None and plugin.value == RECORDER and machine not in ("", main):
+            role = section and section.find(machine, "role")
+            if role is None:
+                found = f"machine {machine} may not read the topics of the others"
+                remedy = f"add `role: view` to machines.{machine}, or run the recorder on {main}"
+                yield Problem(plugin.where, dotted(path), found, remedy)
 
 
 def _placement_problems(

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cairn.bus.endpoints import MAX_DOMAIN, default_domain
 from cairn.bus.keys import ROS_NAMES
+from cairn.bus.roles import Role
 from cairn.deployment.bus_settings import BusSettings
 from cairn.tf.robot_frames import BASE_FRAME
 from cairn.tf.transform import Transform
@@ -269,6 +270,12 @@ class Machine(_Section):
         description="Host name or IP address at which the other machines reach it.",
     )
     port: int = Field(7448, ge=1, le=65535, description="Port for the links of other machines.")
+    role: Role | None = Field(
+        None,
+        description="What its users may do on the other machines, by commands, recordings and the "
+        "console: view, operate or administer. Without one, its components work and `cairn ps` "
+        "shows all. The first machine has `administer` unless it names another one.",
+    )
 
     @property
     def endpoint(self) -> str:
@@ -369,6 +376,15 @@ class Deployment(_Section):
     def main_machine(self) -> str:
         """The machine of the components that name none; "" if the robot has only one computer."""
         return next(iter(self.machines), "")
+
+    def role_of(self, machine: str) -> Role | None:
+        """Return what the users of a machine may do on the others; None: what `cairn ps` needs.
+
+        The first one administers: users on the network connect to it.
+        """
+        return self.machines[machine].role or (
+            "administer" if machine == self.main_machine else None
+        )
 
     def root(self, machine: str = "") -> ChildSpec:
         """Return the root of the tree on a machine: the supervisor of what runs there.

@@ -10,11 +10,12 @@ from cairn.bus.message_limits import (
     default_max_bytes,
 )
 from cairn.deployment.exclusive_topics import ports_of_plugin
+from cairn.deployment.machines import machine_status_topic
 from cairn.deployment.model import Deployment
 from cairn.runtime.rosout import ROSOUT
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
-from cairn.schemas.cairn_msgs import ComponentStatus
+from cairn.schemas.cairn_msgs import ComponentStatus, MachineStatus
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.rosgraph_msgs import Clock
 
@@ -29,6 +30,9 @@ def topic_limits(deployment: Deployment) -> MessageLimits:
         (STATUS_TOPIC, ComponentStatus), (CLOCK_TOPIC, Clock), (ROSOUT, Log),
     ):  # fmt: skip
         longest[full_name(deployment.robot, topic)] = default_max_bytes(message)
+    for machine in deployment.machines:
+        topic = machine_status_topic(deployment.robot, machine, deployment.main_machine)
+        longest[topic] = default_max_bytes(MachineStatus)
     for member in deployment.members():
         for port in ports_of_plugin(member.spec.plugin):
             topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))

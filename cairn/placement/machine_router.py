@@ -19,7 +19,7 @@ import zenoh
 from cairn.bounded_files import read_bounded
 from cairn.bus.discovery import DiscoveryBarrier
 from cairn.bus.session import MachineLinks, close_session
-from cairn.deployment.access_control import admitted
+from cairn.deployment.machine_access import admitted
 from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
 from cairn.files import explain_os_error

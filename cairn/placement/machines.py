@@ -10,19 +10,24 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from cairn.bus import control
-from cairn.bus.bus import Node, full_name
+from cairn.bus.bus import Node, Subscription, full_name
 from cairn.bus.qos import LATCHED, RELIABLE
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.clock import from_ns, to_ns
-from cairn.deployment.machines import RemoteInput, components_by_machine
+from cairn.deployment.machines import (
+    RemoteInput,
+    components_by_machine,
+    machine_status_topic,
+)
 from cairn.deployment.model import Deployment, root_name
 from cairn.errors import CairnError
 from cairn.placement.clock_offset import ClockOffset, ClockOffsetFilter
 from cairn.runtime.launch_request import RunContext
-from cairn.schemas.cairn_msgs import MACHINE_STATUS, MachineChild, MachineLink, MachineStatus
+from cairn.schemas.cairn_msgs import MachineChild, MachineLink, MachineStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 from cairn.supervision.child import ChildUnavailable
@@ -53,9 +58,13 @@ class RobotMachines:
         self._news = threading.Condition()
         self._heard: dict[str, tuple[float, int, MachineStatus]] = {}
         self._clocks: dict[str, ClockOffsetFilter] = {}
-        self._subscription = node.subscribe(
-            full_name(context.robot, MACHINE_STATUS), MachineStatus, RELIABLE, self._receive
-        )
+        self._subscriptions: dict[str, Subscription] = {}
+        for machine in context.machines:
+            if machine != context.machine:
+                topic = machine_status_topic(context.robot, machine, context.machines[0])
+                self._subscriptions[machine] = node.subscribe(
+                    topic, MachineStatus, RELIABLE, partial(self._receive, machine)
+                )
 
     def silent_s(self, machine: str) -> float:
         """Return for how long nothing of a machine has arrived [s]."""
@@ -130,28 +139,28 @@ class RobotMachines:
         with self._news:
             self._news.wait(timeout_s)
 
-    def _receive(self) -> None:
-        while True:
+    def _receive(self, machine: str) -> None:
+        # It may be called before the subscription has been returned: the next one follows soon.
+        subscription = self._subscriptions.get(machine)
+        while subscription is not None:
             try:
-                status = self._subscription.take()
+                status = subscription.take()
             except InvalidMessage:
                 continue  # of a foreign publisher
             if status is None:
                 return
-            if status.machine not in self._context.machines:
-                continue  # forged: what is kept must be bounded
             received_ns = time.time_ns()
-            self._measure_clock(status, received_ns)
+            self._measure_clock(machine, status, received_ns)
             with self._news:
-                self._heard[status.machine] = (self._now(), received_ns, status)
+                self._heard[machine] = (self._now(), received_ns, status)
                 self._news.notify_all()
 
-    def _measure_clock(self, status: MachineStatus, received_ns: int) -> None:
+    def _measure_clock(self, machine: str, status: MachineStatus, received_ns: int) -> None:
         own = next((one for one in status.links if one.machine == self._context.machine), None)
         if own is None or not (t1_ns := to_ns(own.last_sent)):
             return
         t2_ns, t3_ns = to_ns(own.last_received), to_ns(status.header.stamp)
-        clock = self._clocks.setdefault(status.machine, ClockOffsetFilter())
+        clock = self._clocks.setdefault(machine, ClockOffsetFilter())
         clock.add(t1_ns, t2_ns, t3_ns, received_ns, time.monotonic())
 
 
@@ -174,7 +183,7 @@ class MachineMonitor:
         self._published_at = -math.inf
         self._inputs = [one for one in inputs if one.reader_machine == context.machine]
         self._log = runtime.log
-        topic = full_name(context.robot, MACHINE_STATUS)
+        topic = machine_status_topic(context.robot, context.machine, context.machines[0])
         self._publisher = runtime.node.advertise(topic, MachineStatus, LATCHED)
 
     def check(self) -> None:

@@ -13,10 +13,11 @@ from pydantic import TypeAdapter
 
 from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import Gateway
-from cairn.deployment.access_control import access_control, machine_access
+from cairn.deployment.access_control import access_control
 from cairn.deployment.bus_settings import TlsSettings
 from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
 from cairn.deployment.load import SourceDocument, assemble
+from cairn.deployment.machine_access import machine_access
 from cairn.deployment.machines import (
     RemoteInput,
     check_machine,
@@ -144,8 +145,15 @@ def with_recorder(deployment: Deployment, file: Path, machine: str = "") -> Depl
     It runs on `machine`, by default the first one.
 
     It has a supervisor of its own that nothing depends on: however often the recorder fails, the
-    robot continues. Raises `CairnError` if the deployment has a component of such a name.
+    robot continues. Raises `CairnError` if the deployment has a component of such a name, or the
+    machine may not read the topics of the others.
     """
+    if machine and deployment.role_of(machine) is None:
+        raise CairnError(
+            f"machine {machine} may not read the topics of the other machines, which --record "
+            f"needs; add `role: view` to machines.{machine} in the deployment, or record on "
+            f"{deployment.main_machine}"
+        )
     names = {member.name for member in deployment.members()}
     if taken := sorted(names & {_RECORDING, RECORDER}):
         raise CairnError(

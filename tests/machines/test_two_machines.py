@@ -46,7 +46,9 @@ def start(machines: Machines, deployment: str, *of_brain: str) -> tuple[Run, Run
 
 
 def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Machines) -> None:
-    base, brain = start(machines, tree(machines, talker=", parameters: {words: 60}"), "--record")
+    deployment = tree(machines, talker=", parameters: {words: 60}")
+    records = deployment.replace("brain: {", "brain: {role: view, ", 1)
+    base, brain = start(machines, records, "--record")
     # The latched message of a component that started long before, and every word from the first.
     brain.await_line("reader: the beacon stands at 4, 2")
     for machine in ("base", "brain"):

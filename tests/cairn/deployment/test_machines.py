@@ -142,6 +142,11 @@ def test_machine_must_be_named_when_there_are_several(deployment: Deployment) ->
             MACHINES + "components: {root_brain: {plugin: simulated_world}}",
             "root_brain is a name that a robot of several machines has already",
         ),
+        (
+            MACHINES + "components: {diary: {plugin: recorder, machine: brain, "
+            "parameters: {file: /tmp/a.mcap}}}",
+            "machine brain may not read the topics of the others; add `role: view` to machines",
+        ),
         (MACHINES + "bus: {connect: [tcp/10.0.0.1:7447]}", "joins no other one"),
         (
             "machines: {a: {address: 10.0.0.1}, b: {address: 10.0.0.1}}",
