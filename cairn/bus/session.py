@@ -274,6 +274,7 @@ class Gateway:
                 "listen_private_key": self.key,
                 **({"root_ca_certificate": self.ca} if self.ca else {}),
                 "enable_mtls": self.client_certificates,
+                "close_link_on_expiration": self.client_certificates,
                 **TLS_BUFFERS,
             }
         endpoints = ", ".join(self.listen)

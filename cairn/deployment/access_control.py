@@ -56,7 +56,8 @@ Flow = Literal["ingress", "egress"]
 def access_control(deployment: Deployment) -> dict[str, Any]:
     """Return the value of Zenoh's `access_control` for the gateway of a deployment.
 
-    It depends on the deployment and its plugins' classes only.
+    It depends on the deployment and its plugins' classes only. If operators come from the roster
+    of `cairn security` (`bus.tls.identity`), `admitted` adds their certificates.
     """
     topics, requests = operator_topics(deployment), requests_by_role(deployment)
     confidential = confidential_topics(deployment)
@@ -73,9 +74,12 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     }
     subjects = [{"id": LOCAL, "link_protocols": ["unixsock-stream"]}]
     policies = [{"subjects": [LOCAL], "rules": [one["id"] for one in roles["administer"]]}]
+    from_roster = deployment.bus.tls is not None and deployment.bus.tls.identity is not None
     for role in get_args(Role):
-        if members := _members(deployment, role):
+        members = _members(deployment, role)
+        if members:
             subjects.append({"id": role, **members})
+        if members or from_roster:
             rules = [one["id"] for part in granted[role] for one in roles[part]]
             policies.append({"subjects": [role], "rules": rules})
     return {
@@ -85,6 +89,26 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def admitted(
+    access: Mapping[str, Any], common_names: Mapping[str, tuple[str, ...]]
+) -> dict[str, Any]:
+    """Return an access control for certificates with these common names, by subject.
+
+    The subjects of `access` are machines (`machine_access`) or the roles of operators. One without
+    any certificate may do nothing.
+    """
+    subjects = list(access["subjects"])
+    policies = []
+    for policy in access["policies"]:
+        (name,) = policy["subjects"]
+        names = common_names.get(name, ())
+        if names:
+            subjects.append({"id": name, "cert_common_names": list(names)})
+        if names or name == LOCAL:
+            policies.append(policy)
+    return {**access, "subjects": subjects, "policies": policies}
 
 
 def _members(deployment: Deployment, role: Role) -> dict[str, list[str]]:

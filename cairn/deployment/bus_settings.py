@@ -32,8 +32,8 @@ from cairn.errors import CairnError
 from cairn.runtime_folder import check_private, group_id
 
 _REMEDY = (
-    "add `users` with passwords, or `tls` with client certificates and `certificate_roles`, or, "
-    "on loopback, `allow_any_local_user: true`"
+    "add `users` with passwords, or `tls` with `identity` (cairn security), or `tls` with client "
+    "certificates and `certificate_roles`, or, on loopback, `allow_any_local_user: true`"
 )
 
 
@@ -83,6 +83,12 @@ class BusUser(_Section):
 class TlsSettings(_Section):
     """Certificates (PEM files) for encrypted endpoints, tls/HOST:PORT and quic/HOST:PORT."""
 
+    identity: UserName | None = Field(
+        None,
+        description="Identity of `cairn security` on this computer with which `listen` opens. It "
+        "brings certificate and authority; operators connect while the roster has them in force, "
+        "with their roles there.",
+    )
     certificate: FilePath | None = Field(None, description="This deployment's certificate.")
     key: FilePath | None = Field(
         None, description="Private key of `certificate`, which other users may not read."
@@ -99,6 +105,13 @@ class TlsSettings(_Section):
 
     @model_validator(mode="after")
     def _complete(self) -> "TlsSettings":
+        others = [name for name, value in self if name != "identity" and value]
+        if self.identity is not None and others:
+            named = ", ".join(f"`{one}`" for one in others)
+            raise ValueError(
+                "`identity` brings the certificate, the authority and the operators with their "
+                f"roles; remove {named}, or `identity`"
+            )
         if (self.certificate is None) != (self.key is None):
             raise ValueError("`certificate` and `key` belong together; name both or none")
         if self.client_certificates and self.ca is None:
@@ -251,9 +264,12 @@ class BusSettings(_Section):
                 "`users` connect to `listen`, which is empty; add an endpoint to `listen` "
                 "(a Unix socket is opened to others by `group`)"
             )
-        roles = self.tls.certificate_roles if self.tls is not None else {}
-        if roles and self.users:
-            yield ("the roles come either from `users` or from `tls.certificate_roles`; remove one")
+        if self.users and self.tls is not None:
+            for key in ("certificate_roles", "identity"):
+                if getattr(self.tls, key):
+                    yield f"the roles come either from `users` or from `tls.{key}`; remove one"
+        if self.tls is not None and self.tls.identity is not None and not self.listen:
+            yield "`tls.identity` opens the endpoints of `listen`, which is empty; add one"
         if any(map(is_encrypted, self.connect)) and (self.tls is None or self.tls.ca is None):
             yield (
                 "an encrypted endpoint of `connect` needs `tls: {ca: FILE}`, the authority that "
@@ -284,7 +300,7 @@ def _reject(model: type[BaseModel], value: object, reasons: Iterable[str]) -> No
 def _access_problems(endpoint: str, bus: Mapping[str, object]) -> Iterator[str]:
     """Yield why an endpoint would let in users who are not entitled, or none who are."""
     tls, users = bus["tls"], bus["users"]
-    certificate_roles = tls.certificate_roles if isinstance(tls, TlsSettings) else {}
+    certificate_roles = isinstance(tls, TlsSettings) and bool(tls.certificate_roles or tls.identity)
     is_open = not (users or certificate_roles or bus["allow_any_local_user"])
     is_remote = not is_loopback(endpoint) and not bus["allow_remote"]
     if is_remote:
@@ -294,16 +310,18 @@ def _access_problems(endpoint: str, bus: Mapping[str, object]) -> Iterator[str]:
             f"{endpoint} can be reached from other machines{and_open}; listen on 127.0.0.1, or add "
             f"`allow_remote: true`{and_close}"
         )
-    if is_encrypted(endpoint) and not (isinstance(tls, TlsSettings) and tls.certificate):
+    if is_encrypted(endpoint) and not (
+        isinstance(tls, TlsSettings) and (tls.certificate or tls.identity)
+    ):
         yield (
             f"{endpoint} is encrypted and needs a certificate; add "
-            "`tls: {certificate: FILE, key: FILE}`"
+            "`tls: {identity: NAME}` (cairn security), or `tls: {certificate: FILE, key: FILE}`"
         )
     if bus["allow_any_local_user"]:
         if users or certificate_roles:
             yield (
                 "`allow_any_local_user` asks for no password or certificate; remove it, or "
-                "remove `users` and `tls.certificate_roles`"
+                "remove `users`, `tls.certificate_roles` and `tls.identity`"
             )
         if not is_loopback(endpoint):
             yield (
@@ -314,8 +332,8 @@ def _access_problems(endpoint: str, bus: Mapping[str, object]) -> Iterator[str]:
             yield (f"{endpoint}: with `allow_any_local_user` encryption protects nothing; use tcp/")
     elif certificate_roles and not is_encrypted(endpoint):
         yield (
-            f"{endpoint} carries no certificates, by which `tls.certificate_roles` knows clients; "
-            "use a tls/ or quic/ endpoint, or `users`"
+            f"{endpoint} carries no certificates, by which `tls` knows clients; use a tls/ or "
+            "quic/ endpoint, or `users`"
         )
     elif is_open and not is_remote:
         yield f"anyone who reaches {endpoint} could drive the robot; {_REMEDY}"

@@ -10,7 +10,7 @@ another machine may make the requests `load`, `unload` and `hold` of the root th
 component that this root has.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -81,25 +81,6 @@ def machine_access(deployment: Deployment, machine: str) -> dict[str, Any]:
         "subjects": [{"id": LOCAL, "link_protocols": ["unixsock-stream"]}],
         "policies": policies,
     }
-
-
-def admitted(
-    access: Mapping[str, Any], common_names: Mapping[str, tuple[str, ...]]
-) -> dict[str, Any]:
-    """Return the `machine_access` for certificates with these common names, by machine.
-
-    A machine without any may do nothing.
-    """
-    subjects = list(access["subjects"])
-    policies = []
-    for policy in access["policies"]:
-        (name,) = policy["subjects"]
-        names = common_names.get(name, ())
-        if names:
-            subjects.append({"id": name, "cert_common_names": list(names)})
-        if names or name == LOCAL:
-            policies.append(policy)
-    return {**access, "subjects": subjects, "policies": policies}
 
 
 def _machine_rules(deployment: Deployment, machine: str) -> list[dict[str, Any]]:

@@ -8,11 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from cairn.bus.exclusive import KEY_BYTES
 from cairn.errors import CairnError
 from cairn.security.folder import RobotFolder, read_machines_key
+
+if TYPE_CHECKING:
+    from cairn.security.identity import Identity
 
 _SECRET_DIGITS: Final = 32  # as many as `cairn up` draws for a run on one machine
 
@@ -48,19 +51,26 @@ class MachineSecrets:
         return blake2b(purpose.encode(), key=self.key, digest_size=KEY_BYTES).hexdigest()
 
 
+def own_machine(robot: str, name: str) -> Identity:
+    """Return the identity of a machine on this computer; `CairnError` if it is not in force."""
+    # It needs `cryptography`, which no component of a robot with one computer should load.
+    from cairn.security.identity import own_identity
+
+    own = own_identity(RobotFolder.of(robot), name)
+    if own.entry.kind != "machine":
+        raise CairnError(
+            f"{own.certificate}: {name} is an operator, not a machine of {robot}; give the "
+            "machine an identity (cairn security add), or use another name for one of them"
+        )
+    return own
+
+
 def machine_identity(robot: str, machine: str) -> MachineIdentity:
     """Return the identity of this machine; `CairnError` with the reason if it is not in force."""
-    # They need `cryptography`, which no component of a robot with one computer should load.
-    from cairn.security.identity import own_identity
+    own = own_machine(robot, machine)
     from cairn.security.roster import read_roster
 
     folder = RobotFolder.of(robot)
-    own = own_identity(folder, machine)
-    if own.entry.kind != "machine":
-        raise CairnError(
-            f"{own.certificate}: {machine} is an operator, not a machine of {robot}; give the "
-            "machine an identity (cairn security add), or use another name for one of them"
-        )
     common_names: defaultdict[str, list[str]] = defaultdict(list)
     for entry in read_roster(folder).entries:
         if entry.kind == "machine" and entry.is_in_force(time.time()):

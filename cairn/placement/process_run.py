@@ -19,6 +19,7 @@ from cairn.bus.exclusive import KEY_BYTES
 from cairn.bus.graph import read_graph
 from cairn.bus.keys import nodes_pattern
 from cairn.bus.session import (
+    Gateway,
     close_session,
     open_client,
     open_peer,
@@ -32,10 +33,17 @@ from cairn.deployment.machines import published_elsewhere
 from cairn.deployment.model import ROOT, ChildSpec, Deployment, root_name
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
+from cairn.placement.certified_router import (
+    AuthorityPoll,
+    CertifiedRouter,
+    gateway_for_operators,
+    machine_links,
+    opened_for_machines,
+    opened_for_operators,
+)
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
 from cairn.placement.machine_identity import machine_secrets
-from cairn.placement.machine_router import MachineRouter
 from cairn.placement.machines import MachineMonitor
 from cairn.placement.prepared import CODEC
 from cairn.placement.run_plan import RunPlan, argument_of_check, check_for_root, plan_of
@@ -230,9 +238,11 @@ def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
             open_own = partial(open_router, socket, listen, settings.group, limits, secret)
             if plan.machine:
                 # A session of its own, which can be replaced while the root goes on.
-                access = plan.machine_access
-                router = MachineRouter(deployment, plan.machine, access, open_own, secret)
-                stack.enter_context(closing(router))
+                read = partial(machine_links, deployment, plan.machine, plan.machine_access)
+                open_linked = partial(opened_for_machines, open_own, secret)
+                links = "links to other machines"
+                stack.enter_context(closing(CertifiedRouter(links, read, open_linked)))
+                stack.enter_context(closing(AuthorityPoll(deployment.robot, plan.machine)))
                 name = root_name(plan.machine, deployment.main_machine)
                 session = open_peer(
                     endpoints(deployment), peer_socket(folder, name), limits=limits, secret=secret
@@ -248,8 +258,22 @@ def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
             )
         )
         if plan.gateway is not None:
-            stack.enter_context(closing(plan.gateway.open(router_socket(deployment), folder)))
+            _open_gateway(plan, plan.gateway, folder, stack)
         yield bus
+
+
+def _open_gateway(plan: RunPlan, gateway: Gateway, folder: Path, stack: ExitStack) -> None:
+    """Open the gateway between the network and the router until the stack closes."""
+    deployment, router = plan.deployment, router_socket(plan.deployment)
+    tls = deployment.bus.tls
+    if tls is None or tls.identity is None:
+        stack.enter_context(closing(gateway.open(router, folder)))
+        return
+    read = partial(gateway_for_operators, gateway, deployment.robot, tls.identity)
+    open_it = partial(opened_for_operators, router, folder)
+    stack.enter_context(closing(CertifiedRouter("network endpoints", read, open_it)))
+    if tls.identity != plan.machine:  # which is polled for already
+        stack.enter_context(closing(AuthorityPoll(deployment.robot, tls.identity)))
 
 
 def _in_parent_process(spec: ChildSpec, machine: str) -> Iterator[ChildSpec]:

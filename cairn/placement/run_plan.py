@@ -29,7 +29,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
 from cairn.deployment.topic_limits import topic_limits
 from cairn.errors import CairnError
-from cairn.placement.machine_router import machine_links
+from cairn.placement.certified_router import gateway_for_operators, machine_links
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
 
 _RECORDING = "recording"
@@ -79,11 +79,15 @@ _SOURCES = TypeAdapter(list[SourceDocument])
 def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:
     """Return the plan of a deployment that `cairn check` accepts, for one of its machines.
 
-    Raises `CairnError` if the machine has no identity that the others accept.
+    Raises `CairnError` if the machine has no identity that the others accept, or the one of
+    `bus.tls` is not in force.
     """
     limits = topic_limits(deployment)
     gateway = _gateway_of(deployment, limits) if machine == deployment.main_machine else None
     exclusive = exclusive_topics(deployment)
+    tls = deployment.bus.tls
+    if gateway is not None and tls is not None and tls.identity is not None:
+        gateway_for_operators(gateway, deployment.robot, tls.identity)  # to report what is wrong
     if not machine:
         return RunPlan(deployment, exclusive, limits, gateway)
     access = machine_access(deployment, machine)

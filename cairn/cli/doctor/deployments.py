@@ -120,6 +120,8 @@ def who_may_connect(file: Path, deployment: Deployment) -> Iterator[Finding]:
             yield Finding(topic, endpoint, "warn", found, remedy)
             continue
         found = f"by {by}: " + ", ".join(f"{name} ({role})" for name, role in roles.items())
+        if bus.tls is not None and bus.tls.identity is not None:
+            found = "by certificate: the operators in the roster (cairn security list)"
         if is_loopback(endpoint) or is_encrypted(endpoint):
             yield Finding(topic, endpoint, "ok", found)
         else:

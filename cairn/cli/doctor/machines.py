@@ -1,4 +1,4 @@
-"""A robot of several machines: whether this computer has an identity, and for how long."""
+"""Identities of `cairn security` that a deployment needs: whether they are here, and how long."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ _FEW_DAYS: Final = 14  # a machine renews its certificate by itself long before
 
 
 def machines(file: Path, deployment: Deployment) -> Iterator[Finding]:
-    """Check the identities of a deployment's machines that are on this computer."""
-    if not deployment.machines:
+    """Check the identities that a deployment's machines and gateway need on this computer."""
+    tls = deployment.bus.tls
+    gateway = tls and tls.identity
+    names = [*deployment.machines, *([gateway] if gateway else [])]
+    if not names:
         return
     from cairn.security.identity import own_names
 
     topic, folder = f"machines of {file.name}", RobotFolder.of(deployment.robot)
     try:
-        here = [name for name in own_names(folder) if name in deployment.machines]
+        here = [name for name in own_names(folder) if name in names]
     except CairnError as error:
         found, _, remedy = str(error).partition("; ")
         yield Finding(topic, str(folder.path), "fail", found, remedy)
         return
     if not here:
-        found = f"no identity of {', '.join(deployment.machines)} is on this computer"
+        found = f"no identity of {', '.join(dict.fromkeys(names))} is on this computer"
         remedy = "enroll it: cairn security enroll TOKEN (docs/how-to/security.md)"
         yield Finding(topic, str(folder.path), "fail", found, remedy)
     for name in here:

@@ -341,8 +341,9 @@ CASES = {
             "bus.listen",
             "tcp/0.0.0.0:7447 can be reached from other machines, and anyone who reaches it could "
             "drive the robot; listen on 127.0.0.1, or add `allow_remote: true`; in both cases add "
-            "`users` with passwords, or `tls` with client certificates and `certificate_roles`, "
-            "or, on loopback, `allow_any_local_user: true`; "
+            "`users` with passwords, or `tls` with `identity` (cairn security), or `tls` with "
+            "client certificates and `certificate_roles`, or, on loopback, "
+            "`allow_any_local_user: true`; "
             "expected Network endpoints on which the router listens as well",
         ),
     ),

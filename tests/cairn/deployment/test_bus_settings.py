@@ -23,6 +23,7 @@ MUTUAL = {
     "client_certificates": True,
     "certificate_roles": {"tablet": "view"},
 }
+IDENTITY = {"identity": "base"}
 LOCAL = ["tcp/127.0.0.1:7447"]
 REMOTE = ["tls/0.0.0.0:7447"]
 
@@ -50,7 +51,7 @@ REMOTE = ["tls/0.0.0.0:7447"]
         ),
         (
             {"listen": REMOTE, "allow_remote": True, "users": USERS},
-            "is encrypted and needs a certificate; add `tls: {certificate: FILE, key: FILE}`",
+            "is encrypted and needs a certificate; add `tls: {identity: NAME}` \\(cairn security",
         ),
         (
             {"listen": REMOTE, "allow_remote": True, "tls": {"certificate": "c", "key": "k"}},
@@ -58,6 +59,17 @@ REMOTE = ["tls/0.0.0.0:7447"]
         ),
         ({"listen": LOCAL, "tls": MUTUAL}, "carries no certificates"),
         ({"listen": ["tls/127.0.0.1:1"], "tls": MUTUAL, "users": USERS}, "roles come either from"),
+        ({"listen": LOCAL, "tls": IDENTITY}, "carries no certificates"),
+        (
+            {"listen": ["tls/127.0.0.1:1"], "tls": IDENTITY, "users": USERS},
+            "or from `tls.identity`",
+        ),
+        ({"listen": ["tls/127.0.0.1:1"], "tls": MUTUAL | IDENTITY}, "remove `certificate`, `key`"),
+        ({"tls": IDENTITY}, "opens the endpoints of `listen`, which is empty"),
+        (
+            {"listen": ["tls/127.0.0.1:1"], "tls": IDENTITY, "allow_any_local_user": True},
+            "asks for no password or certificate",
+        ),
         ({"listen": ["/run/cairn/a.sock"], "users": USERS}, "is a Unix socket; name it under"),
         ({"users": USERS}, "`users` connect to `listen`, which is empty"),
         ({"tls": {"certificate": "c"}}, "`certificate` and `key` belong together"),
@@ -93,6 +105,7 @@ def test_what_would_let_anyone_in_or_has_no_effect_is_refused(
         {"listen": LOCAL, "allow_any_local_user": True},
         {"listen": LOCAL, "users": USERS},
         {"listen": ["tls/127.0.0.1:7447"], "tls": MUTUAL},
+        {"listen": REMOTE, "allow_remote": True, "tls": IDENTITY},
         {"listen": REMOTE, "allow_remote": True, "users": USERS,
          "tls": {"certificate": "c", "key": "k"}},
         {"connect": ["tls/a.example:7447"], "tls": {"ca": "ca.pem"}, "user": "anna",
