@@ -119,6 +119,9 @@ MAX_GOALS: Final = 1000
 MAX_COORDINATE: Final = 1e5
 """Coordinates of goals are at most so large [m]."""
 
+MAX_POSITION: Final = 1e7
+"""Coordinates of the robot are at most so large [m], like those of a visual map."""
+
 MAX_MOTION: Final = 1e6
 """The longest motion without a map [m], [rad]."""
 
@@ -384,6 +387,12 @@ class LocalizationEstimate:
     particles: UInt32 = 0
     reason: String = ""
     reason_code: ReasonNumber = 0
+
+    def __post_init__(self) -> None:
+        """Check that the position is on a map: distances from it must be numbers, too."""
+        at = self.pose.pose.position
+        if max(abs(at.x), abs(at.y)) > MAX_POSITION:
+            reject(self, "position", (at.x, at.y), f"must be within {MAX_POSITION:g} m")
 
 
 @message("cairn_nav_msgs/msg/Relocalization")

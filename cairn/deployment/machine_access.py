@@ -142,7 +142,8 @@ def _rights(deployment: Deployment, machine: str, names: Collection[str]) -> _Ri
     """Return what the nodes of a machine need, and what its role adds."""
     domain, robot = deployment.domain, deployment.robot
     rights = _Rights()
-    own = [f"{domain}/{robot}/{name}/**" for name in names]
+    # Names below those of the nodes: a topic itself may have the name of a component.
+    own = [f"{domain}/{robot}/{name}/*/*/*/**" for name in names]
     rights.publish += [
         *own,
         *(f"{domain}{topic}/*/*" for topic in (ROSOUT, "/parameter_events")),
@@ -162,7 +163,7 @@ def _rights(deployment: Deployment, machine: str, names: Collection[str]) -> _Ri
             rights.read.append(f"{domain}{one.source}/*/*")
             rights.publish.append(f"{domain}{one.target}/*/*")
         for service in ros_services(deployment):
-            rights.answer.append(f"{domain}{service.name}/**")
+            rights.answer.append(f"{domain}{service.name}/*/*")
             rights.request.append(f"{domain}{service.server}/*/*")
     for other in deployment.machines:
         if other != machine and set(parents_elsewhere(deployment, other).values()) & set(names):
@@ -180,29 +181,31 @@ def _add_ports(rights: _Rights, deployment: Deployment, member: Member) -> set[s
     def name_of(port: str) -> str:
         return full_name(deployment.robot, member.spec.topics.get(port, port))
 
-    def key_of(topic: str, port: PortSpec) -> str:
-        return f"{domain}{topic}/{keys.dds_type(type_name(port.message))}/*"
-
-    for port in ports_of(cls).values():
-        topic = name_of(port.name)
+    def add_topic(topic: str, port: PortSpec) -> None:
+        key = f"{domain}{topic}/{keys.dds_type(type_name(port.message))}/*"
         if port.direction == "in":
             used.add(topic)
-        (rights.read if port.direction == "in" else rights.publish).append(key_of(topic, port))
+            rights.read.append(key)
+        else:
+            rights.publish.append(key)
+
+    for port in ports_of(cls).values():
+        add_topic(name_of(port.name), port)
     for service in services_of(cls).values():
         name = name_of(service.name)
         rights.publish.append(f"{domain}{name}/{SERVICE_EVENT_TOPIC}/*/*")
         if service.role == "server":
-            rights.answer.append(f"{domain}{name}/**")
+            rights.answer.append(f"{domain}{name}/*/*")
         else:
             rights.request.append(f"{domain}{name}/*/*")
     for action in actions_of(cls).values():
         name = name_of(action.name)
         if action.role == "server":
-            rights.publish.append(f"{domain}{name}/_action/**")
-            rights.answer.append(f"{domain}{name}/**")
+            rights.answer += [f"{domain}{name}/{part}/*/*" for part in action.services()]
         else:
             rights.request += [f"{domain}{name}/{part}/*/*" for part in action.services()]
-            rights.read += [key_of(f"{name}/{part}", one) for part, one in action.topics().items()]
+        for part, topic_port in action.topics().items():
+            add_topic(f"{name}/{part}", topic_port)
     return used
 
 

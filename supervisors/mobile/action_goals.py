@@ -61,6 +61,8 @@ _ERROR_CODES: Final = {
 }
 """The error codes of Nav2 with the same meaning: its navigators pass on those of their servers."""
 
+_LONGEST_M: Final = 1e9
+"""Longest distance in feedback [m]."""
 _KNOWN: Final = frozenset(map(int, ReasonCode))
 
 
@@ -332,7 +334,8 @@ def _common(status: NavigationStatus, pose: PoseStamped) -> dict[str, Any]:
         "navigation_time": duration_message(status.elapsed),
         "estimated_time_remaining": duration_message(status.time_left),
         "number_of_recoveries": min(status.recoveries, 2**15 - 1),
-        "distance_remaining": status.distance_left,
+        # A float32, where the status has a float64, and may come from another machine.
+        "distance_remaining": min(status.distance_left, _LONGEST_M),
     }
 
 

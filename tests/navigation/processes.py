@@ -151,14 +151,19 @@ def robot_in(
     deployment: Path = SIM,
     overlays: Sequence[Path] = (),
     until: str = UNTIL_READY,
+    machine: str = "",
 ) -> Iterator[ObservedRobot]:
-    """Start the deployment, wait for a line of its output, and stop all of it at the end."""
+    """Start the deployment, wait for a line of its output, and stop all of it at the end.
+
+    `machine` is the one of the robot that runs, if it has several.
+    """
     with launching(folder) as launch:
         endpoint = new_endpoint()
         state_file = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
         changes = [f"bus.socket={endpoint}", state_file, *sets]
         arguments = [str(deployment), *(word for one in changes for word in ("--set", one))]
         arguments += [word for one in overlays for word in ("--overlay", str(one))]
+        arguments += ["--machine", machine] if machine else []
         run = Run(arguments, folder / "report", endpoint, {}, None, umask=0)
         launch.runs.append(run)
         run.await_line(until)

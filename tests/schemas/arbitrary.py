@@ -22,10 +22,10 @@ from cairn.schemas.cairn_msgs import (
     VisualMapChange,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import ExplorationStatus, Plan, Zone, Zones
+from cairn.schemas.cairn_nav_msgs import ExplorationStatus, LocalizationEstimate, Plan, Zone, Zones
 from cairn.schemas.cairn_sim_msgs import WorldGeometry
 from cairn.schemas.field_types import Array, Covariance2, Covariance3, Scalar, Text, finite, mark_of
-from cairn.schemas.geometry_msgs import Point, Pose
+from cairn.schemas.geometry_msgs import Point, Pose, PoseWithCovariance
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.message import type_name
 from cairn.schemas.nav_msgs import MapMetaData, OccupancyGrid
@@ -225,6 +225,12 @@ def _plans() -> st.SearchStrategy[Plan]:
     )
 
 
+def _estimates() -> st.SearchStrategy[LocalizationEstimate]:
+    position = _built(Point, x=METERS, y=METERS)
+    pose = _built(PoseWithCovariance, pose=_built(Pose, position=position))
+    return _built(LocalizationEstimate, pose=pose)
+
+
 def _explorations() -> st.SearchStrategy[ExplorationStatus]:
     none = st.just(math.nan)
     return st.one_of(
@@ -330,6 +336,7 @@ _WITH_RULES_BETWEEN_FIELDS = {
     Image: _images,
     OccupancyGrid: _grids,
     OccupancyGridUpdate: _grid_updates,
+    LocalizationEstimate: _estimates,
     ExplorationStatus: _explorations,
     Plan: _plans,
     Zone: zones,
