@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -20,8 +20,9 @@ from cairn.client import NodeInfo, Topic
 from cairn.client import connect as connect_to
 from cairn.client.connection import check_robot
 from cairn.client.graph import read_nodes
+from cairn.client.machines import components_of_lost, machine_of_router
 from cairn.runtime.rosout import render
-from cairn.schemas.cairn_msgs import ComponentStatus, MachineLink, MachineStatus
+from cairn.schemas.cairn_msgs import ComponentStatus, MachineLink
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header
@@ -66,12 +67,15 @@ def ps(
         if not robot or full.split("/")[1] == robot
     }
     tree = list(itertools.islice(_as_tree(found), _MAX_ROWS))
-    own = {
-        (full.split("/")[1], one.machine)
-        for full, one in answered.items()
-        if not one.parent and one.pid == router
+    by_robot: dict[str, list[ComponentStatus]] = {}
+    for full, one in answered.items():
+        by_robot.setdefault(full.split("/")[1], []).append(one)
+    own = {name: machine_of_router(of_robot, router) for name, of_robot in by_robot.items()}
+    lost = {
+        f"/{name}/{component}": machine
+        for name, of_robot in machines.items()
+        for component, machine in components_of_lost(of_robot).items()
     }
-    lost = _components_of_lost(machines)
     rows = [
         _row(full, answered[full], depth, own)
         if full in answered
@@ -214,18 +218,6 @@ def _as_tree(statuses: Mapping[str, ComponentStatus | None]) -> Iterator[tuple[s
             yield from below(full, 0)
 
 
-def _components_of_lost(machines: Mapping[str, Sequence[MachineStatus]]) -> dict[str, str]:
-    """Return the machine of each component (full name) that is on one that another one has lost."""
-    return {
-        f"/{robot}/{name}": link.machine
-        for robot, statuses in machines.items()
-        for status in statuses
-        for link in status.links
-        if not link.is_up
-        for name in link.components
-    }
-
-
 def _described_link(machine: str, link: MachineLink) -> str:
     missing = "; ".join(link.inputs[:_MAX_NAMES]) or "nothing"
     return (
@@ -238,9 +230,9 @@ def _row(
     full: str,
     status: ComponentStatus,
     depth: int,
-    own: Collection[tuple[str, str]] = (),
+    own: Mapping[str, str | None] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Return the row of a component; `own` are the robots and their machines on this computer."""
+    """Return the row of a component; `own` has each robot's machine on this computer, or None."""
     handler = f"{status.handler} for {status.handler_s:.1f} s" if status.handler else ""
     inputs = [port for port in status.ports if port.direction == port.IN]
     return {
@@ -261,7 +253,7 @@ def _row(
         "refused": sum(port.refused for port in inputs),
         "reason": status.reason,
         "note": "; ".join(filter(None, (handler, status.reason))),
-        **_load(status.pid if (full.split("/")[1], status.machine) in own else None),
+        **_load(status.pid if own.get(full.split("/")[1]) == status.machine else None),
     }
 
 

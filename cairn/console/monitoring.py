@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, Final
 import psutil
 
 from cairn.bus.codec import Codec
+from cairn.client.machines import components_of_lost, described_links, machine_of_router
 from cairn.clock import SECOND, to_ns
 from cairn.console.browser import Browser, BrowserSubscription
 from cairn.console.protocol import SubscribeRequest
 from cairn.console.source import Channel, ConnectionGraph, Message
-from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
+from cairn.schemas.cairn_msgs import ComponentStatus, MachineStatus, PortStatus
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.std_msgs import Header
 
@@ -24,9 +25,12 @@ if TYPE_CHECKING:
     from cairn.console.hub import Hub
 
 _STATUS_TYPE: Final = type_name(ComponentStatus)
+_MACHINE_TYPE: Final = type_name(MachineStatus)
+_MOST_MACHINES: Final = 100  # of all robots, likewise
 _MOST_COMPONENTS: Final = 1000  # of all robots; further ones, of forged statuses, are not shown
 _LONGEST_STATUS: Final = 64 << 10  # one port takes about 100 bytes
 _SILENT_NS: Final = 3 * SECOND  # statuses arrive four times a second
+_LOST_NS: Final = SECOND  # so long a component is silent that another machine has lost
 _MAX_FOREIGN: Final = 20  # names of one topic that pages get
 _LENGTH: Final = struct.Struct("<I")
 _STAMP_END: Final = 12  # of the header, after 4 bytes of encapsulation
@@ -71,8 +75,17 @@ class _Component:
     )
 
 
+@dataclass
+class _Machine:
+    """The last status of a machine; `payload` is a newer one that is not decoded yet."""
+
+    payload: bytes | None
+    received_ns: int
+    status: MachineStatus | None = None
+
+
 class StatusMonitor:
-    """Keeps the newest status of each component, and describes components and topics by them.
+    """Keeps the newest status of each component and machine, and describes them and topics by it.
 
     `arrival` returns the time [ns] at which a message arrives.
     """
@@ -81,17 +94,21 @@ class StatusMonitor:
         self._arrival = arrival
         self._codec = Codec()
         self._components: dict[tuple[str, str], _Component] = {}
+        self._machines: dict[tuple[str, str], _Machine] = {}
+        self._own: dict[str, str | None] = {}  # machine on this computer, by robot of several
         self._awaited: dict[tuple[str, str], int] = {}  # announced without a status, since when
 
     def clear(self) -> None:
         """Forget everything: the link was lost, or a recording was moved to another time."""
         self._components.clear()
+        self._machines.clear()
+        self._own.clear()
         self._awaited.clear()
 
     def receive(self, robot: str, message: Message) -> None:
         """Keep a status; it is decoded only when it is shown."""
         payload, now = message.payload, self._arrival(message)
-        name = _component_name(payload)
+        name = _sender(payload)
         if name is None or len(payload) > _LONGEST_STATUS:
             return
         known = self._components.get((robot, name))
@@ -100,8 +117,20 @@ class StatusMonitor:
         elif len(self._components) < _MOST_COMPONENTS:
             self._components[robot, name] = _Component(payload, now)
 
-    def update(self) -> None:
-        """Decode what has arrived, and count."""
+    def receive_machine(self, robot: str, message: Message) -> None:
+        """Keep a status of a machine, likewise."""
+        payload, now = message.payload, self._arrival(message)
+        name = _sender(payload)
+        if name is None or len(payload) > _LONGEST_STATUS:
+            return
+        known = self._machines.get((robot, name))
+        if known is not None:
+            known.payload, known.received_ns = payload, now
+        elif len(self._machines) < _MOST_MACHINES:
+            self._machines[robot, name] = _Machine(payload, now)
+
+    def update(self, router: int | None = None) -> None:
+        """Decode what has arrived, and count; `router` is the process id of the one here."""
         for key, one in list(self._components.items()):
             payload, one.payload = one.payload, None
             if payload is None:
@@ -114,11 +143,45 @@ class StatusMonitor:
             stamp = to_ns(one.status.header.stamp)
             for port in one.status.ports:
                 one.counters[port.port, port.direction].update(port.messages, stamp)
+        for key, machine in list(self._machines.items()):
+            payload, machine.payload = machine.payload, None
+            if payload is None:
+                continue
+            try:
+                machine.status = self._codec.decode(MachineStatus, payload)
+            except InvalidMessage:
+                del self._machines[key]
+        self._own = {}
+        for robot in {robot for robot, _ in self._machines}:
+            found = [one.status for (name, _), one in self._components.items() if name == robot]
+            self._own[robot] = machine_of_router(filter(None, found), router)
 
     def pids(self) -> list[int]:
-        """Return the process ids of all components that have sent a status."""
-        found = {one.status.pid for one in self._components.values() if one.status is not None}
+        """Return the process ids of the components that may run on this computer."""
+        found = {
+            one.status.pid
+            for (robot, _), one in self._components.items()
+            if one.status is not None and self._may_run_here(robot, one.status)
+        }
         return sorted(found - {0})
+
+    def machines(self, robot: str, now: int) -> list[dict[str, Any]]:
+        """Return how the machines of a robot that can be reached see each other."""
+        return described_links(self._machine_statuses(robot, now))
+
+    def _machine_statuses(self, robot: str, now: int) -> list[MachineStatus]:
+        return [
+            one.status
+            for (of_robot, _), one in self._machines.items()
+            if of_robot == robot and one.status is not None and now - one.received_ns <= _SILENT_NS
+        ]
+
+    def _may_run_here(self, robot: str, status: ComponentStatus) -> bool:
+        """Return whether a component's process may be on this computer.
+
+        For a robot of one machine, its process has to show that: see `ProcessMonitor`.
+        """
+        return not status.machine or status.machine == self._own.get(robot)
 
     def components(
         self, robot: str, graph: ConnectionGraph, loads: Mapping[int, ProcessLoad], now: int
@@ -135,42 +198,55 @@ class StatusMonitor:
         """
         topic = f"/{robot}/component_status"
         alive = {node.rpartition("/")[2] for node in graph.publishers.get(topic, ())}
+        lost = components_of_lost(self._machine_statuses(robot, now))
         rows: dict[str, dict[str, Any]] = {}
         parents: dict[str, str] = {}
-        for (of_robot, name), one in list(self._components.items()):
-            status = one.status
-            if of_robot != robot or status is None:
-                continue
-            is_silent = now - one.received_ns > _SILENT_NS
-            if status.state == "finalized" or (is_silent and name not in alive):
+        known = {
+            name: (one, one.status)
+            for (of_robot, name), one in self._components.items()
+            if of_robot == robot and one.status is not None
+        }
+        # A component that a root starts for a parent on another machine is a child of both: that
+        # parent comes later.
+        for name, (one, status) in sorted(known.items(), key=lambda item: item[1][1].parent != ""):
+            silent_ns = now - one.received_ns
+            if name in lost and silent_ns > _LOST_NS:
+                state = "lost"
+            elif status.state == "finalized" or (silent_ns > _SILENT_NS and name not in alive):
                 state = "not loaded"
             else:
-                state = "no answer" if is_silent else str(status.state)
-            rows[name] = _row(
-                status, state, loads.get(status.pid) if state != "not loaded" else None
-            )
+                state = "no answer" if silent_ns > _SILENT_NS else str(status.state)
+            is_measured = state != "not loaded" and self._may_run_here(robot, status)
+            rows[name] = _row(status, state, loads.get(status.pid) if is_measured else None)
             if state != "not loaded":
-                parents |= dict.fromkeys(status.children, name)
+                for child in status.children:
+                    parents.pop(child, None)
+                    parents[child] = name
         for name, row in list(rows.items()):
             if row["state"] == "not loaded" and name not in parents:
                 del rows[name]  # its supervisor is gone as well
                 del self._components[robot, name]
         awaited = {}
-        for name in [*parents, *sorted(alive)]:
+        for name in dict.fromkeys([*parents, *sorted(alive), *lost]):
             if name in rows:
                 continue
+            parent = parents.get(name, "")
             since = now
             if name in alive:  # its first status may be on its way
                 since = awaited[robot, name] = self._awaited.get((robot, name), now)
-            if now - since > _SILENT_NS:
-                rows[name] = _empty_row(name, parents.get(name, ""), "no answer")
+            if name in lost and name not in alive:
+                rows[name] = _empty_row(name, parent, "lost", lost[name])
+            elif now - since > _SILENT_NS:
+                rows[name] = _empty_row(name, parent, "no answer")
             elif name in parents:
-                rows[name] = _empty_row(name, parents[name], "not loaded")
+                rows[name] = _empty_row(name, parent, "not loaded")
         others = {key: since for key, since in self._awaited.items() if key[0] != robot}
         self._awaited = others | awaited
         # As in the deployment; statuses arrive in any order.
         order = {name: number for number, name in enumerate(parents)}
-        return sorted(rows.values(), key=lambda row: (order.get(row["name"], -1), row["name"]))
+        order |= {name: -1 for name in known if name not in order}
+        last = len(order)
+        return sorted(rows.values(), key=lambda row: (order.get(row["name"], last), row["name"]))
 
     def topics(self, channels: Iterable[Channel], graph: ConnectionGraph) -> list[dict[str, Any]]:
         """Return all topics with their rates [Hz] and ages [s], None where no port counts them."""
@@ -236,13 +312,18 @@ class StatusReader(Browser):
             return
         known = {one.channel.id for one in self.subscriptions.values()}
         for channel in hub.channels.values():
-            if channel.type_name == _STATUS_TYPE and channel.id not in known:
+            is_status = channel.type_name in (_STATUS_TYPE, _MACHINE_TYPE)
+            if is_status and channel.id not in known:
                 self._last_id += 1
                 hub.subscribe(self, SubscribeRequest(id=self._last_id, channel_id=channel.id))
 
     def offer(self, subscription: BrowserSubscription, message: Message) -> None:
         """Pass a status on."""
-        self._monitor.receive(subscription.channel.robot, message)
+        channel = subscription.channel
+        if channel.type_name == _MACHINE_TYPE:
+            self._monitor.receive_machine(channel.robot, message)
+        else:
+            self._monitor.receive(channel.robot, message)
 
 
 async def _send_nothing(_: str | bytes) -> None:
@@ -250,7 +331,7 @@ async def _send_nothing(_: str | bytes) -> None:
 
 
 class StateEvents:
-    """Sends the events `components` and `topics` of all robots to the consoles of a hub."""
+    """Sends the events `components`, `machines` and `topics` to the consoles of a hub."""
 
     def __init__(self, hub: Hub, arrival: Callable[[Message], int]) -> None:
         """`arrival` returns the time [ns] at which a message arrives."""
@@ -263,13 +344,14 @@ class StateEvents:
         """Forget all statuses: a recording continues at another time."""
         self._monitor.clear()
 
-    def update(self) -> list[int]:
+    def update(self, router: int | None = None) -> list[int]:
         """Take what has arrived since; return the process ids of the components.
 
-        If no console is connected, nothing is subscribed.
+        `router` is the process id of the router, if it is on this computer. If no console is
+        connected, nothing is subscribed.
         """
         self._reader.follow(self._hub, is_wanted=self._is_wanted)
-        self._monitor.update()
+        self._monitor.update(router)
         return self._monitor.pids()
 
     def send(self, loads: Mapping[int, ProcessLoad], now: int) -> None:
@@ -284,6 +366,8 @@ class StateEvents:
             rows = self._monitor.components(robot, graph, loads, now)
             value = {"robot": robot, "components": rows}
             self._last[f"components {robot}"] = ("components", value)
+            links = {"robot": robot, "machines": self._monitor.machines(robot, now)}
+            self._last[f"machines {robot}"] = ("machines", links)
         topics = self._monitor.topics(hub.channels.values(), hub.graph)
         self._last["topics"] = ("topics", topics)
         for key, (name, value) in self._last.items():
@@ -339,8 +423,11 @@ class ProcessMonitor:
         return found
 
 
-def _component_name(payload: bytes) -> str | None:
-    """Return the component in a status (CDR) without decoding the rest; None if there is none."""
+def _sender(payload: bytes) -> str | None:
+    """Return the component or machine in a status (CDR), its first text; None if there is none.
+
+    The rest is not decoded.
+    """
     if payload[:2] != b"\0\1":  # little endian, as all components write
         return None
     at = _STAMP_END
@@ -360,6 +447,7 @@ def _row(status: ComponentStatus, state: str, load: ProcessLoad | None) -> dict[
     return {
         "name": status.component,
         "parent": status.parent,
+        "machine": status.machine,
         "plugin": status.plugin,
         "placement": status.placement,
         "state": state,
@@ -388,7 +476,7 @@ def _row(status: ComponentStatus, state: str, load: ProcessLoad | None) -> dict[
     }
 
 
-def _empty_row(name: str, parent: str, state: str) -> dict[str, Any]:
+def _empty_row(name: str, parent: str, state: str, machine: str = "") -> dict[str, Any]:
     """Return the row of a component without a status."""
-    status = ComponentStatus(header=Header(), component=name, parent=parent)
+    status = ComponentStatus(header=Header(), component=name, parent=parent, machine=machine)
     return {**_row(status, state, None), "pid": None}

@@ -562,7 +562,8 @@ class Operations:
         for robot in self._hub.robots:
             for browser in self._hub.browsers:
                 self._send_lease(browser, robot)
-        pids = self._state.update()
+        connection = self._connection_now()
+        pids = self._state.update(connection.router_process() if connection is not None else None)
         loads = await asyncio.to_thread(self._processes.loads, pids) if pids else {}
         self._state.send(loads, time.monotonic_ns())
         await self._check_role()

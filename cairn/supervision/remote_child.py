@@ -139,8 +139,8 @@ class RemoteChild:
             self.reason, self.state = self._without_name(error), "ended"
             self._log_event(logging.ERROR, "start failed", self.reason)
             return "refused"
+        # What its root has reported last may be older than the answer.
         self.state, self.reason, self._was_lost = "active", "", False
-        self._note_reported(machines.child(self._machine, self.name))
         self._log_event(logging.INFO, "active")
         return "active"
 
@@ -280,9 +280,7 @@ class RemoteChild:
         level = logging.DEBUG if self.spec.on_loss == "ignore" else logging.WARNING
         self._log_event(level, "lost", silence)
 
-    def _note_reported(self, reported: MachineChild | None) -> None:
-        if reported is None:
-            return
+    def _note_reported(self, reported: MachineChild) -> None:
         self.reason = reported.reason
         states: dict[str, State] = {
             "starting": "starting", "active": "active", "held": "held", "stopping": "stopping",

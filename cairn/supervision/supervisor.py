@@ -106,6 +106,15 @@ class Supervisor(Component):
         )
         self._context.serve_node(full_name(robot, self.name), container.services())
 
+    @property
+    def fallbacks(self) -> frozenset[str]:
+        """Children that work instead of another one while its machine is lost or slow.
+
+        They are loaded and unloaded as that requires; a derived supervisor leaves them alone.
+        """
+        specs = self._launch.spec.children.items()
+        return frozenset(fallback_name(name) for name, spec in specs if spec.fallback is not None)
+
     def _lifecycle_of(self, name: str) -> str:
         status = {status.name: status for status in self.children.status()}[name]
         return status.held_in or status.state

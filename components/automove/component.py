@@ -33,6 +33,7 @@ from cairn.schemas.cairn_nav_msgs import (
     ReasonCode,
 )
 from cairn.schemas.std_msgs import Header
+from cairn.supervision.child import ChildStatus
 
 # The command is repeated so often, so that its readers know that AutoMove is alive [ns].
 _REPEAT_NS = SECOND // 2
@@ -114,7 +115,7 @@ class AutoMove(Supervisor):
         self._activated_ns = self.clock.now()
         super().on_activate()
         if self.config.load_plugins == "on_activation":
-            for child in self.children.status():
+            for child in self._plugins():
                 self._load(child.name)
 
     @on("navigate_goal")
@@ -219,7 +220,7 @@ class AutoMove(Supervisor):
     def _load_plugins(self, navigator: NavigatorStateMachine | MotionMission) -> None:
         """Load the children that are not loaded yet, and publish which one is being loaded."""
         try:
-            for child in self.children.status():
+            for child in self._plugins():
                 if child.state != "active":
                     navigator.reason = Reason(ReasonCode.LOADING, child.name)
                     self._published = None
@@ -230,6 +231,10 @@ class AutoMove(Supervisor):
             navigator.fail(Reason(ReasonCode.LOADING_FAILED, reason))
         else:
             navigator.on_plugins_loaded(self.clock.now() / SECOND)
+
+    def _plugins(self) -> list[ChildStatus]:
+        """Return the children that a mission needs."""
+        return [one for one in self.children.status() if one.name not in self.fallbacks]
 
     def _load(self, name: str) -> None:
         try:

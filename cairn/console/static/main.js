@@ -166,7 +166,7 @@ function Banners() {
   return html`
     <div class="banners">
       ${status.phase !== "open" && html`<${ConnectionBanner} status=${status} />`}
-      ${status.phase === "open" && html`<${LinkBanner} />`} ${mode === "live" && html`<${StoppedBanner} />`}
+      ${status.phase === "open" && html`<${LinkBanner} /><${MachinesBanner} />`} ${mode === "live" && html`<${StoppedBanner} />`}
     </div>`;
 }
 
@@ -202,6 +202,18 @@ function LinkBanner() {
       <${Icon} name="link" />
       <span><strong>The console has no connection to the robot.</strong> ${" "} ${sentence(link.reason)} What you see is old.</span>
     </div>`;
+}
+
+/** Machines of the robot that another one, which the console reaches, has lost. */
+function MachinesBanner() {
+  const lost = (useEvent("machines", { ofRobot: true })?.machines ?? []).filter((one) => one.state === "lost");
+  return lost.map((one) => html`
+    <div class="banner bad" role="alert" key=${`${one.machine} ${one.seen_from}`}>
+      <${Icon} name="link" />
+      <span><strong>Machine ${one.machine} cannot be reached from ${one.seen_from}.</strong> ${" "}
+        ${["Nothing is", "One topic is"][one.missing.length] ?? `${one.missing.length} topics are`} missing there.</span>
+      <button class="button small" onClick=${() => showPanel("components")}>Components</button>
+    </div>`);
 }
 
 const sentence = (words) => (words ? words[0].toUpperCase() + words.slice(1) + (words.endsWith(".") ? "" : ".") : "");

@@ -10,7 +10,7 @@ from cairn import SECOND, from_ns
 from cairn.bus.codec import Codec
 from cairn.console.monitoring import ProcessLoad, ProcessMonitor, StatusMonitor
 from cairn.console.source import Channel, ConnectionGraph, Message
-from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
+from cairn.schemas.cairn_msgs import ComponentStatus, MachineLink, MachineStatus, PortStatus
 from cairn.schemas.std_msgs import Header
 
 STATUS_TOPIC = "/robot/component_status"
@@ -88,6 +88,46 @@ def test_siblings_are_in_the_order_of_the_deployment_whichever_reports_first() -
     rows = bench.rows(graph_of("boss", "base", "localizer"), 1.0)
 
     assert list(rows) == ["boss", "absent", "base", "localizer"]
+
+
+def test_components_of_a_lost_machine_are_lost_and_never_measured_here() -> None:
+    bench = Bench()
+    root = replace(SUPERVISOR, component="root", machine="one", pid=1, children=("base", "seer"))
+    base = replace(BASE, parent="root", machine="one")
+    far = replace(root, component="root_two", machine="two", pid=2, children=("seer",))
+    seer = replace(base, component="seer", machine="two")  # whose pid is that of base
+    unseen = ("seer", "reader")
+
+    def receive_machine(link: MachineLink, at_s: float) -> None:
+        at = round(at_s * SECOND)
+        status = MachineStatus(Header(stamp=from_ns(at)), "one", links=(link,))
+        bench.monitor.receive_machine("robot", Message(at, Codec().encode(status)))
+
+    receive_machine(MachineLink("two", is_up=True, silent_s=0.1), 1.0)
+    for one in (seer, far, base, root):
+        bench.receive(one, 1.0)
+    bench.monitor.update(router=1)
+    rows = bench.rows(graph_of("root", "base", "root_two", "seer"), 1.0)
+    assert (rows["base"]["cpu_percent"], rows["seer"]["cpu_percent"]) == (12.5, None)
+    assert (rows["seer"]["machine"], rows["seer"]["parent"]) == ("two", "root")
+    assert bench.monitor.pids() == [1, 8]
+
+    receive_machine(MachineLink("two", silent_s=2.0, components=unseen, inputs=("/a (seer)",)), 3.0)
+    for one in (base, root):
+        bench.receive(one, 3.0)
+    rows = bench.rows(graph_of("root", "base"), 3.0)
+    assert {name: (row["machine"], row["state"]) for name, row in rows.items()} == {
+        "root_two": ("two", "active"), "root": ("one", "active"), "base": ("one", "active"),
+        "seer": ("two", "lost"), "reader": ("two", "lost"),
+    }  # fmt: skip
+    (link,) = bench.monitor.machines("robot", 3 * SECOND)
+    assert (link["machine"], link["seen_from"], link["state"]) == ("two", "one", "lost")
+    assert (link["silent_s"], link["clock_offset_ms"], link["missing"]) == (
+        2.0,
+        None,
+        ["/a (seer)"],
+    )
+    assert bench.monitor.machines("robot", 10 * SECOND) == []  # it is silent itself
 
 
 def test_rates_and_ages_follow_from_the_counters_also_after_a_restart() -> None:

@@ -1,13 +1,13 @@
 // The components of the robot as a tree: state, load, losses and reasons; restart, load and unload.
 
 import { html, useState } from "../vendor/preact-htm.js";
-import { toast, useAction, useRobot } from "../hooks.js";
+import { toast, useAction, useEvent, useRobot } from "../hooks.js";
 import { Badge, Empty, Icon, duration, size } from "../ui.js";
 import { Confirm, Name, ReadOnlyNote, SearchField, shortName, useComponents, useOpenPanel, useReadOnly, useRequest } from "./shared.js";
 
 const SLOW_HANDLER_S = 1;
 const ACTION_LIMIT_MS = 60_000; // a localizer that compiles kernels takes its time
-const TONES = { active: "ok", error: "bad", "no answer": "bad", inactive: "warning", unconfigured: "warning" };
+const TONES = { active: "ok", error: "bad", "no answer": "bad", lost: "bad", inactive: "warning", unconfigured: "warning" };
 
 const DONE = { restart: "Restarted", load: "Loaded", unload: "Unloaded" };
 const LOSSES = [["drops", "dropped"], ["invalid", "invalid"], ["refused", "refused"]];
@@ -102,13 +102,14 @@ export function Components() {
     return html`<div class="panel"><${Empty} icon="components" title="No components yet">
       They appear within a second when a deployment runs; start one with cairn up.<//></div>`;
   const words = text.toLowerCase();
-  const rows = asTree(components).filter(([one]) => `${one.name} ${one.plugin} ${one.state} ${one.reason}`.toLowerCase().includes(words));
+  const rows = asTree(components).filter(([one]) => `${one.name} ${one.machine} ${one.plugin} ${one.state} ${one.reason}`.toLowerCase().includes(words));
   const loaded = components.filter(isLoaded);
   const cpu = loaded.reduce((sum, one) => sum + (one.cpu_percent ?? 0), 0);
   const memory = loaded.reduce((sum, one) => sum + (one.memory_bytes ?? 0), 0);
   return html`
     <div class="panel">
       <${ReadOnlyNote} readOnly=${readOnly} />
+      <${Machines} />
       <div class="row">
         <${SearchField} label="Filter components" value=${text} onInput=${setText} />
         <span class="muted">${loaded.length} of ${components.length} loaded · ${cpu.toFixed(0)} % CPU · ${size(memory)}</span>
@@ -122,6 +123,29 @@ export function Components() {
     </div>`;
 }
 
+const milliseconds = (value) => (value === null ? "–" : `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(1)}`);
+
+/** The machines of a robot that has several, as each of them sees the others. */
+function Machines() {
+  const links = useEvent("machines", { ofRobot: true })?.machines ?? [];
+  if (links.length === 0) return null;
+  return html`
+    <table class="data" aria-label="Machines">
+      <thead><tr><th>machine</th><th>seen from</th><th>state</th>
+        <th class="number" title="Since its last message arrived">silent</th>
+        <th class="number" title="How far its clock is ahead, and within which error this is known">clock [ms]</th></tr></thead>
+      <tbody>${links.map((one) => html`
+        <tr key=${`${one.machine} ${one.seen_from}`}>
+          <td>${one.machine}</td><td>${one.seen_from}</td>
+          <td><${Badge} tone=${one.state === "up" ? "ok" : "bad"}>${one.state}<//></td>
+          <td class="number">${duration(one.silent_s)}</td>
+          <td class="number">${milliseconds(one.clock_offset_ms)}${one.clock_error_ms === null ? "" : ` ± ${one.clock_error_ms.toFixed(1)}`}</td>
+        </tr>
+        ${one.missing.length > 0 && html`<tr key=${`${one.machine} ${one.seen_from} missing`}>
+          <td class="tone-warning wrap" colspan="5">missing on ${one.seen_from}: ${one.missing.join("; ")}</td></tr>`}`)}</tbody>
+    </table>`;
+}
+
 function Row({ one, depth, components, readOnly, open, onToggle }) {
   const absent = one.state === "not loaded";
   const tone = TONES[one.state] ?? "";
@@ -130,6 +154,7 @@ function Row({ one, depth, components, readOnly, open, onToggle }) {
     <li class=${`component ${absent ? "absent" : ""} ${isFailed(one) ? "failed" : ""}`} style=${{ "--depth": depth }}>
       <button class="component-row" aria-expanded=${open} onClick=${onToggle}>
         <span class="component-name">${one.name}</span>
+        ${one.machine && html`<span class="muted component-machine">${one.machine}</span>`}
         <${Badge} tone=${tone}>${one.state}<//>
         <span class="component-figures">
           ${one.restarts > 0 && html`<span class="tone-warning"><${Icon} name="restart" size=${13} />${one.restarts} restart${one.restarts > 1 ? "s" : ""}</span>`}
@@ -180,6 +205,7 @@ function Details({ one, components, readOnly }) {
       <dl class="pairs">
         ${one.plugin && html`<dt>Plugin</dt><dd class="mono">${one.plugin}</dd>`}
         ${one.parent && html`<dt>Supervisor</dt><dd>${one.parent}</dd>`}
+        ${one.machine && html`<dt>Machine</dt><dd>${one.machine}</dd>`}
         ${one.pid > 0 && loaded && html`<dt>Process</dt><dd>${one.pid}</dd>`}
         ${one.handler && html`<dt>Handler</dt><dd>${one.handler}, for ${duration(one.handler_s ?? 0)}</dd>`}
       </dl>
