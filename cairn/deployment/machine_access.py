@@ -37,6 +37,7 @@ from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.service_events import SERVICE_EVENT_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
 from cairn.schemas.cairn_msgs import MACHINE_STATUS
+from cairn.schemas.lifecycle_msgs.srv import GetState
 from cairn.schemas.message import type_name
 
 _REMOTE_REQUESTS: Final = ("load", "unload", "hold")
@@ -166,9 +167,21 @@ def _rights(deployment: Deployment, machine: str, names: Collection[str]) -> _Ri
             rights.answer.append(f"{domain}{service.name}/*/*")
             rights.request.append(f"{domain}{service.server}/*/*")
     for other in deployment.machines:
-        if other != machine and set(parents_elsewhere(deployment, other).values()) & set(names):
+        children = [
+            child
+            for child, parent in parents_elsewhere(deployment, other).items()
+            if parent in names
+        ]
+        if other != machine and children:
             root = full_name(robot, root_name(other, deployment.main_machine))
             rights.request += [keys.control_key(domain, root, verb) for verb in _REMOTE_REQUESTS]
+            # A supervisor serves the life cycle of its children, wherever they run.
+            rights.answer += [
+                keys.private_services_key(
+                    domain, full_name(robot, f"{child}/get_state"), type_name(GetState)
+                )
+                for child in children
+            ]
     _add_role(rights, deployment, machine, used)
     return rights
 

@@ -63,6 +63,13 @@ def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Mach
         assert rows["listener"]["parent"] == "mobile"
         assert {row["state"] for row in rows.values()} == {"active"}
         assert (rows["listener"]["memory_mib"] is None) == (machine == "base")
+        # Served by its parent on base and by itself on brain; that of reader by the root of base.
+        for service in ("listener/get_state", "reader/get_state"):
+            answer = machines.cairn(machine, "service", "call", service, "--json")
+            assert answer.code == 0, (machine, answer)
+            assert answer.json["current_state"]["label"] == "active"
+        names = machines.cairn(machine, "service", "call", "listener/list_parameters", "--json")
+        assert "log_level" in names.json["result"]["names"]
     assert machines.cairn("base", "param", "get", "listener", "log_level").code == 0
     brain.await_line("listener: received 60, the last was 60")
     assert base.await_end() == 0  # the talker has finished, which is significant
