@@ -125,6 +125,8 @@ def up(
             else:
                 plan = checked_plan(zygote, file, sources, sets, recording, machine)
                 deployment = plan.deployment
+                if plan.added and deployment.call_log is None:
+                    note(_NO_CALL_LOG)
         logs = stack.enter_context(used_folder(folder))
         with writing_report(folder, "--report"):
             (folder / _CLOSING_TABLE).unlink(missing_ok=True)
@@ -167,6 +169,12 @@ def up(
             output.line(f"ended: {end.reason}; logs and report: {folder} (took {took:.1f} s)")
     if not (end.normal and end.success):
         raise CairnError(f"{file.name} failed: {end.reason.rstrip('.')}; logs: {logs}")
+
+
+_NO_CALL_LOG = (
+    "the recording has no call log of the components on other machines, which `cairn rerun` needs: "
+    "set `call_log: true` in the deployment of all machines"
+)
 
 
 def _new_recording(folder: Path) -> Path:

@@ -172,7 +172,8 @@ class SupervisorHost(Protocol):
 class ChildStatus:
     """The state of a child; `reason` is that of its last end or failure, "" if it had none.
 
-    `held_in` is the state of its life cycle in which it is held, "" if it is not held.
+    `held_in` is the state of its life cycle in which it is held, "" if it is not held. A child that
+    is the fallback of another one, `fallback_of`, is loaded while that one cannot be used.
     """
 
     name: str
@@ -180,6 +181,7 @@ class ChildStatus:
     incarnation: int
     reason: str
     held_in: str = ""
+    fallback_of: str = ""
 
 
 class Child:

@@ -26,6 +26,7 @@ Level DEBUG adds `child starting` and `child stopping`. Children on other machin
 import logging
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
 
@@ -105,15 +106,6 @@ class Supervisor(Component):
             robot, plugins, lambda name: self._state_of(name) != "unloaded", request
         )
         self._context.serve_node(full_name(robot, self.name), container.services())
-
-    @property
-    def fallbacks(self) -> frozenset[str]:
-        """Children that work instead of another one while its machine is lost or slow.
-
-        They are loaded and unloaded as that requires; a derived supervisor leaves them alone.
-        """
-        specs = self._launch.spec.children.items()
-        return frozenset(fallback_name(name) for name, spec in specs if spec.fallback is not None)
 
     def _lifecycle_of(self, name: str) -> str:
         status = {status.name: status for status in self.children.status()}[name]
@@ -228,10 +220,18 @@ class ChildGroup:
             else Child(name, launch, host, log, on_exit)
             for name, spec in launch.spec.children.items()
         }
+        self._fallbacks = {
+            fallback_name(name): name
+            for name, spec in launch.spec.children.items()
+            if spec.fallback is not None
+        }
 
     def status(self) -> list[ChildStatus]:
         """Return the states of all children in start order."""
-        return [child.status() for child in self._children.values()]
+        return [
+            replace(child.status(), fallback_of=self._fallbacks.get(child.name, ""))
+            for child in self._children.values()
+        ]
 
     def request_stop(self, limit_s: float | None = None) -> None:
         """Start nothing any more, here and below, and cut short the starts in progress.

@@ -234,7 +234,7 @@ class AutoMove(Supervisor):
 
     def _plugins(self) -> list[ChildStatus]:
         """Return the children that a mission needs."""
-        return [one for one in self.children.status() if one.name not in self.fallbacks]
+        return [one for one in self.children.status() if not one.fallback_of]
 
     def _load(self, name: str) -> None:
         try:

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from cairn.security.authority import Authority
 from cairn.security.folder import RobotFolder
 from cairn.testing.launching import Run
+from tests.commands import cairn
 from tests.machines.conftest import Machines
 from tests.machines.network import eventually
 from tests.patience import LIMIT_S
@@ -78,6 +79,20 @@ def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Mach
     with (brain.report / "recording.mcap").open("rb") as file:
         words = sum(1 for _ in make_reader(file).iter_messages(topics=["/robot/words"]))
     assert words == 60
+
+
+def test_components_of_both_machines_are_re_run_from_one_recording(machines: Machines) -> None:
+    deployment = tree(machines, talker=", parameters: {words: 20}") + "call_log: true\n"
+    brain = machines.up("brain", deployment)
+    base = machines.up("base", deployment, "--record")
+    brain.await_line("listener: received 20, the last was 20")
+    assert base.await_end() == 0
+    assert brain.stop() == 0
+    recording = str(base.report / "recording.mcap")
+    components = ("talker", "listener", "mobile")
+    answer = cairn("rerun", recording, *(f"--component={name}" for name in components))
+    for name in components:
+        assert re.search(rf"^{name}: equal: \d", answer.out, re.MULTILINE), answer
 
 
 def test_cut_cable_is_seen_and_all_goes_on_when_it_is_restored(machines: Machines) -> None:
