@@ -297,9 +297,14 @@ class ZenohClient:
         post: Callable[[Callable[[], None]], None],
         deliver: Callable[[Callable[[], None]], None],
         on_close: Callable[[], None] = lambda: None,
+        on_available: Callable[[], None] = lambda: None,
     ) -> None:
-        """Call the service `name` at its key; `gid` is the identity of this client."""
+        """Call the service `name` at its key; `gid` is the identity of this client.
+
+        `on_available` is called on Zenoh's thread when there is a server.
+        """
         self._on_close = on_close
+        self._on_available = on_available
         self.sent = 0
         request, self._response = service.Request, service.Response
         self.name = name
@@ -406,11 +411,13 @@ class ZenohClient:
             self._post(done)
 
     def _matching_changed(self, status: Any) -> None:
-        """End the calls that wait for the last server soon after it has gone.
+        """Report a server; end the calls that wait for the last one soon after it has gone.
 
         Zenoh 1.10 does not end a query that it sends while it closes the connection to the server.
         """
         self._is_matched = status.matching
+        if status.matching:
+            self._on_available()
         if status.matching or self._closed or not self._pending:
             return
         with self._gone_lock:

@@ -29,7 +29,6 @@ Result = TypeVar("Result")
 Feedback = TypeVar("Feedback")
 
 _DISCOVERY_S = 2.0  # until what a router knows of servers has arrived
-_POLL_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,13 +75,19 @@ def find_services(connection: Connection) -> tuple[list[ServiceInfo], list[Servi
 
 
 def service_client(
-    connection: Connection, name: str, service: type[Service[Any, Any]]
+    connection: Connection,
+    name: str,
+    service: type[Service[Any, Any]],
+    on_available: Callable[[], None] = lambda: None,
 ) -> ZenohClient:
-    """Return a client of a service (full name), whose answers arrive on Zenoh's threads."""
+    """Return a client of a service (full name), whose answers arrive on Zenoh's threads.
+
+    So does the news that there is a server, `on_available`.
+    """
     key = keys.data_key(connection.domain, name, type_name(service), type_hash(service))
     return ZenohClient(
         connection.session, Codec(), name, key, secrets.token_bytes(16), service,
-        make_at_once, make_at_once,
+        make_at_once, make_at_once, on_available=on_available,
     )  # fmt: skip
 
 
@@ -94,9 +99,12 @@ def call_service(
     timeout_s: float,
 ) -> Response:
     """Call a service (full name) and return its response; raises `ServiceError`."""
-    client = service_client(connection, name, service)
+    changed = threading.Event()
+    client = service_client(connection, name, service, changed.set)
     try:
-        await_server(connection, name, type_name(service), lambda: client.is_available, timeout_s)
+        await_server(
+            connection, name, type_name(service), lambda: client.is_available, changed, timeout_s
+        )
         outcome: queue.Queue[Any] = queue.Queue()
         client.call(request, outcome.put, outcome.put, timeout_s)
         try:
@@ -115,15 +123,18 @@ def await_server(
     name: str,
     kind: str,
     is_available: Callable[[], bool],
+    changed: threading.Event,
     timeout_s: float,
 ) -> None:
-    """Wait until a server is known here; `ServiceError` with what there is if there is none."""
+    """Wait until a server is known here; `ServiceError` with what there is if there is none.
+
+    `changed` is set when `is_available` may have become true.
+    """
     deadline = time.monotonic() + min(timeout_s, _DISCOVERY_S)
-    pause = threading.Event()
     while not is_available():
-        if time.monotonic() > deadline:
+        if not changed.wait(max(0.0, deadline - time.monotonic())):
             raise ServiceError(_no_server(connection, name, kind))
-        pause.wait(_POLL_S)
+        changed.clear()
 
 
 def _no_server(connection: Connection, name: str, kind: str) -> str:
@@ -160,10 +171,11 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
         self._timeout_s = timeout_s
         self._seen = 0
         self._closed = False
+        changed = threading.Event()
         self._caller: ActionCaller[Goal, Result, Feedback] = ActionCaller(
             name,
             action,
-            lambda one, service: service_client(connection, one, service),
+            lambda one, service: service_client(connection, one, service, changed.set),
             self._notify,
         )
         key = keys.message_key(
@@ -181,7 +193,12 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
         self._subscriber = connection.subscriber(key, receive, latched=False)
         try:
             await_server(
-                connection, name, type_name(action), lambda: self._caller.is_available, timeout_s
+                connection,
+                name,
+                type_name(action),
+                lambda: self._caller.is_available,
+                changed,
+                timeout_s,
             )
         except BaseException:
             self.close()

@@ -171,8 +171,8 @@ def chosen_starts(
         if not any(one.component == name for one in known):
             choice = ", ".join(dict.fromkeys(one.component for one in known)) or "none"
             why = (
-                "the recording has no call log of it: it drives a device, or its deployment, or that "
-                "of its machine, has no `call_log: true`"
+                "the recording has no call log of it: it drives a device, or the deployment on "
+                "its machine has no `call_log: true`"
                 if any(node.rsplit("/", 1)[-1] == name for node in nodes)
                 else "it is not in the recording"
             )

@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from cairn.cli.options import Json
+from cairn.cli.options import Json, Overlay, Set
 from cairn.cli.output import line, note, show
+from cairn.deployment.shipped import deployment_file
 from cairn.errors import CairnError
 from cairn.security.folder import RobotFolder, known_robots, security_folder
 from cairn.security.roster import Entry, read_roster
 
 if TYPE_CHECKING:
+    from cairn.deployment.model import Deployment
     from cairn.security.authority import Authority
     from cairn.security.identity import Identity
 
@@ -79,6 +81,15 @@ Grace = Annotated[
         show_default="24h",
     ),
 ]
+DeploymentFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--deployment",
+        metavar="FILE",
+        parser=deployment_file,
+        help="Take the robot's name, and its machines with their addresses, from this deployment.",
+    ),
+]
 _DAYS: Final = 90
 _GRACE: Final = "24h"
 
@@ -87,7 +98,10 @@ _GRACE: Final = "24h"
 def init(
     robot: Annotated[
         str, typer.Option("--robot", metavar="ROBOT", help="Name of the robot (`robot:`).")
-    ],
+    ] = "",
+    deployment: DeploymentFile = None,
+    overlay: Overlay = None,
+    set_: Set = None,
     machine: Annotated[
         list[str] | None,
         typer.Option(
@@ -113,10 +127,27 @@ def init(
     """
     from cairn.security.authority import Authority, members_of
 
-    machines = {name: tuple(text.split(",")) for name, text in _pairs(machine, "--machine")}
+    machines: dict[str, tuple[str, ...]] = {
+        name: tuple(text.split(",")) for name, text in _pairs(machine, "--machine")
+    }
     operators: dict[str, Any] = {
         name: _role(name, text) for name, text in _pairs(operator, "--operator")
     }
+    loaded = _loaded(deployment, overlay, set_)
+    if loaded is not None:
+        if robot not in ("", loaded.robot):
+            raise CairnError(
+                f"--robot {robot}: the robot of {deployment} is {loaded.robot}; leave out --robot"
+            )
+        robot = loaded.robot
+        of_deployment: dict[str, tuple[str, ...]] = {
+            name: (one.address,) for name, one in loaded.machines.items()
+        }
+        for name, further in machines.items():
+            of_deployment[name] = (*of_deployment.get(name, ()), *further)
+        machines = of_deployment
+    if not robot:
+        raise CairnError("give the name of the robot by --robot, or its deployment by --deployment")
     folder = RobotFolder.of(robot)
     authority = Authority.create(folder, members_of(machines, operators), days, authority_days)
     line(f"authority of {robot}: {folder.path}")
@@ -124,11 +155,18 @@ def init(
     line(f"keep {folder.ca_key} secret, and a copy of the folder in a safe place")
     for entry in authority.roster().entries:
         line(_described(entry))
+    note(
+        "next: run `cairn security serve --listen ADDRESS:7449` here, at an address that the "
+        "others reach; then for each of them `cairn security token NAME` here, and `cairn security "
+        "enroll -` there"
+    )
 
 
 @app.command("add")
 def add(
-    name: IdentityName,
+    name: Annotated[
+        str, typer.Argument(metavar="[NAME]", help="Name of the machine or operator.")
+    ] = "",
     address: Annotated[
         list[str] | None,
         typer.Option(
@@ -136,12 +174,26 @@ def add(
         ),
     ] = None,
     role: Annotated[RoleName | None, typer.Option(help="It is an operator with this role.")] = None,
+    deployment: DeploymentFile = None,
+    overlay: Overlay = None,
+    set_: Set = None,
     days: Days = _DAYS,
     robot: Robot = "",
 ) -> None:
-    """Add a machine or operator."""
+    """Add a machine or operator; with --deployment, all its machines that have no identity yet."""
     from cairn.security.authority import members_of
 
+    loaded = _loaded(deployment, overlay, set_)
+    if loaded is not None:
+        if name or address or role is not None or robot:
+            raise CairnError(
+                "--deployment has the robot and its machines; leave out NAME, --address, --role "
+                "and --robot"
+            )
+        _add_machines(loaded, days)
+        return
+    if not name:
+        raise CairnError("give the NAME of a machine or operator, or --deployment")
     if bool(address) == (role is not None):
         raise CairnError(
             f"{name}: give --address for a machine, or --role for an operator, and not both"
@@ -150,6 +202,45 @@ def add(
     operators: dict[str, Any] = {name: role.value} if role is not None else {}
     (member,) = members_of(machines, operators)
     line(_described(_authority(robot).add(member, days)))
+    note(_ENROLLS)
+
+
+_ENROLLS: Final = (
+    "next: `cairn security token NAME` here, while the service runs (cairn security serve), and "
+    "`cairn security enroll -` on its computer"
+)
+
+
+def _add_machines(deployment: Deployment, days: int) -> None:
+    """Add the machines of a deployment that have no identity, and note what else differs."""
+    from cairn.security.authority import members_of
+
+    authority = _authority(deployment.robot)
+    roster = authority.roster()
+    machines = {name: one.address for name, one in deployment.machines.items()}
+    known = {name: entry for name in machines if (entry := roster.current(name)) is not None}
+    missing = {name: (address,) for name, address in machines.items() if name not in known}
+    for member in members_of(missing, {}):
+        line(_described(authority.add(member, days)))
+    if missing:
+        note(_ENROLLS)
+    else:
+        line("all machines of the deployment have an identity")
+    for name, entry in known.items():
+        if entry.kind != "machine":
+            note(f"{name}: it is an operator; rename the machine, or revoke the operator")
+        elif machines[name] not in entry.addresses:
+            note(
+                f"{name}: its address is {machines[name]} in the deployment, and "
+                f"{', '.join(entry.addresses)} in its certificate, so the other machines refuse "
+                f"it; revoke it (cairn security revoke {name}), and run this command again"
+            )
+    for entry in roster.entries:
+        if entry.kind == "machine" and entry.is_current and entry.name not in machines:
+            note(
+                f"{entry.name}: the deployment has no such machine; if it is no longer used: cairn "
+                f"security revoke {entry.name}"
+            )
 
 
 @app.command("list")
@@ -382,6 +473,25 @@ def _folder(robot: str) -> RobotFolder:
             f"{security_folder()}: it has several robots; give one by --robot: {', '.join(robots)}"
         )
     return RobotFolder.of(robots[0])
+
+
+def _loaded(
+    file: Path | None, overlay: list[Path] | None, set_: list[str] | None
+) -> Deployment | None:
+    """Return the deployment in a file, which runs on several machines; None without a file."""
+    from cairn.deployment.load import load_deployment
+
+    if file is None:
+        if overlay or set_:
+            raise CairnError("--overlay and --set change a deployment; give it by --deployment")
+        return None
+    found = load_deployment(file, overlay or (), set_ or (), import_plugins=False)
+    if not found.machines:
+        raise CairnError(
+            f"{file}: it has no `machines`, so it runs on one computer; add them, or name the "
+            "overlay that has them by --overlay"
+        )
+    return found
 
 
 def _authority(robot: str) -> Authority:

@@ -121,3 +121,31 @@ def test_robot_has_to_be_named_among_several(tmp_path: Path) -> None:
 
         assert_words(refused("list"), "--robot", "digger, rover")
         assert done("list", "--robot", "digger", "--json").json[0]["name"] == "base"
+
+
+def test_identities_follow_from_a_deployment_and_are_added_with_its_machines(
+    tmp_path: Path,
+) -> None:
+    robot, machines = tmp_path / "rover.yaml", tmp_path / "machines.yaml"
+    robot.write_text("cairn: 1\nrobot: rover\ncomponents: {talker: {plugin: test_talker}}\n")
+    machines.write_text("machines: {base: {address: 10.0.0.1}, brain: {address: 10.0.0.2}}\n")
+    of_robot = ("--deployment", str(robot), "--overlay", str(machines))
+    with computer(tmp_path / "laptop"):
+        assert_words(refused("init", "--deployment", str(robot)), "no `machines`", "--overlay")
+        assert_words(refused("init", "--robot", "cart", *of_robot), "is rover; leave out --robot")
+        assert_words(refused("init", "--robot", "rover", "--set", "x=1"), "give it by --deployment")
+        answer = done("init", *of_robot, "--machine", "brain=brain.local", "--operator", "al=view")
+        assert_words(answer.out, "machine base (10.0.0.1)", "machine brain (10.0.0.2, brain.local)")
+        assert_words(answer.err, "next: ", "cairn security serve", "cairn security token")
+
+        machines.write_text("machines: {base: {address: 10.0.0.9}, arm: {address: 10.0.0.3}}\n")
+        assert_words(refused("add", "arm", *of_robot), "leave out NAME")
+        answer = done("add", *of_robot)
+        assert_words(answer.out, "machine arm (10.0.0.3)")
+        assert_words(answer.err, "base: its address is 10.0.0.9", "cairn security revoke base")
+        assert_words(answer.err, "brain: the deployment has no such machine")
+        done("revoke", "base")
+        assert_words(done("add", *of_robot).out, "machine base (10.0.0.9)")
+        assert states() == {name: ["in force"] for name in ("arm", "base", "brain", "al")} | {
+            "base": ["in force", "revoked"]
+        }
