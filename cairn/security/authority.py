@@ -46,7 +46,7 @@ GRACE_S: Final = 86_400.0
 _MOST_IN_FORCE: Final = 4
 """Certificates of one identity in force: a machine that renews without end is refused."""
 
-_HOST_NAME: Final = re.compile(r"(?!.*\.\.)[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?", re.IGNORECASE)
+_HOST_NAME: Final = re.compile(r"(?!.*\.\.)[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 
 
 @dataclass(frozen=True)
@@ -95,13 +95,18 @@ def check_addresses(name: str, addresses: Iterable[str]) -> tuple[str, ...]:
         try:
             address = ip_address(text)
         except ValueError:
-            looks_numeric = not re.search("[a-z]", text, re.IGNORECASE)
+            looks_numeric = not re.search("[A-Za-z]", text)
             if looks_numeric or not _HOST_NAME.fullmatch(text):
                 raise CairnError(
                     f"machine {name}: {text[:100]!r} is not an IP address or host name; write one, "
                     "without port"
                 ) from None
         else:
+            if "%" in text:  # a scope is a name that only this computer has, and not in X.509
+                raise CairnError(
+                    f"machine {name}: {text[:100]!r} is an address on a link of this computer; "
+                    "give a host name, or an address that is valid everywhere"
+                )
             if address.is_unspecified:
                 raise CairnError(
                     f"machine {name}: {text} stands for all addresses; give those at which other "
@@ -215,10 +220,8 @@ class Authority:
                     f"{name}: its key is on its own computer; run `cairn security renew {name}` "
                     "there, or enroll it again (`cairn security token`)"
                 )
-            certificate = self._replace(roster, current, key.public_key(), days, grace_s)
+            certificate, entry = self._replace(roster, current, key.public_key(), days, grace_s)
             write_identity(self.folder, name, certificate, certificates.key_pem(key))
-        entry = self.roster().current(name)
-        assert entry is not None
         return entry
 
     def revoke(self, name: str) -> int:
@@ -253,8 +256,8 @@ class Authority:
     ) -> tuple[bytes, bytes]:
         """Use up a token; return the identity's new certificate (PEM) and the roster.
 
-        Earlier certificates of the identity are no longer in force: their keys may be elsewhere.
-        Raises `TokenRefused`.
+        Its other tokens count no more, and its earlier certificates are no longer in force: they
+        and their keys may be elsewhere. Raises `TokenRefused`.
         """
         with self.folder.locked():
             roster = self.roster()
@@ -262,7 +265,8 @@ class Authority:
             if entry is None:
                 raise TokenRefused
             redeem(self.folder, name, entry.kind, entry.role, secret, time.time())
-            certificate = self._replace(roster, entry, public_key, days, 0.0)
+            discard_tokens(self.folder, name)
+            certificate, _ = self._replace(roster, entry, public_key, days, 0.0)
             remove_identity(self.folder, name)
             return certificate, self.roster_file()
 
@@ -285,8 +289,8 @@ class Authority:
                     f"{holder.name}: it has {len(in_force)} certificates in force already; wait "
                     "until the replaced ones end, or revoke it and enroll again"
                 )
-            current = roster.current(holder.name) or holder
-            certificate = self._replace(roster, current, public_key, days, grace_s)
+            current = self._current(roster, holder.name)
+            certificate, _ = self._replace(roster, current, public_key, days, grace_s)
             return certificate, self.roster_file()
 
     def service_certificate(self, addresses: Sequence[str], days: int) -> tuple[bytes, bytes]:
@@ -314,8 +318,8 @@ class Authority:
         public_key: ec.EllipticCurvePublicKey,
         days: int,
         grace_s: float,
-    ) -> bytes:
-        """Issue a new certificate of an identity; earlier ones end after `grace_s`."""
+    ) -> tuple[bytes, Entry]:
+        """Issue a new certificate (PEM) of an identity; earlier ones end after `grace_s`."""
         member = Member(entry.name, entry.role, entry.addresses)
         made, new = _certify((self.ca, self._key), roster.robot, member, public_key, days)
         end = int(time.time() + grace_s)
@@ -326,7 +330,7 @@ class Authority:
             for one in roster.entries
         ]
         self._write(roster, (*entries, new))
-        return certificates.certificate_pem(made)
+        return certificates.certificate_pem(made), new
 
     def _write(self, roster: Roster, entries: tuple[Entry, ...]) -> None:
         """Sign and write the next version, without certificates that no longer matter."""

@@ -9,7 +9,7 @@ from ipaddress import ip_address
 from typing import Final
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -27,7 +27,7 @@ _USAGES: Final = {
     "authority": (ExtendedKeyUsageOID.SERVER_AUTH,),
 }
 _PURPOSE: Final = ec.ECDSA(hashes.SHA256())
-_UNREADABLE: Final = (ValueError, TypeError)
+_UNREADABLE: Final = (ValueError, TypeError, UnsupportedAlgorithm)
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:

@@ -54,6 +54,8 @@ _CLOSE_LIMIT_S: Final = 2
 _OWN_DAYS: Final = 7
 """The service's own certificate is valid for so long, and made again every day."""
 _DAY_S: Final = 86_400.0
+_CHECK_S: Final = 60.0
+"""How often it looks whether a day has passed: a timer stops while a laptop is suspended."""
 _WRONG_ATTEMPTS: Final = 5
 """So many tokens of an address may be wrong, and so many of its refusals are reported, in
 `_WINDOW_S`. Only enrollment is limited: otherwise one program could keep others of its address from
@@ -140,6 +142,11 @@ class Service:
         Raises:
             CairnError: it cannot listen, or no name is given for an address that stands for all.
         """
+        if not names and host in ("0.0.0.0", "::"):
+            raise CairnError(
+                f"--listen {host}: it stands for all addresses of this computer; give the one that "
+                "the machines use by --name ADDRESS"
+            )
         self._names = check_addresses("authority", names or (host,))
         self._authority, self._days, self._grace_s = authority, days, grace_s
         self._report = report
@@ -162,7 +169,7 @@ class Service:
 
     async def run(self) -> None:
         """Serve until `stop` is called."""
-        renewing = asyncio.create_task(self._renew_daily())
+        renewing = asyncio.create_task(self._keep_renewed())
         try:
             await self._server.serve(sockets=[self._socket])
         finally:
@@ -175,13 +182,19 @@ class Service:
         """End `run`."""
         self._server.should_exit = True
 
-    async def _renew_daily(self) -> None:
+    async def _keep_renewed(self) -> None:
         while True:
-            await asyncio.sleep(_DAY_S)
-            try:
-                self._renew_certificate()
-            except CairnError as error:
-                self._report(f"the service's certificate cannot be renewed: {error}")
+            await asyncio.sleep(_CHECK_S)
+            self.renew_if_due(time.time())
+
+    def renew_if_due(self, now: float) -> None:
+        """Renew the service's own certificate if it was made a day ago; `now` [s since 1970]."""
+        if abs(now - self._renewed_at) < _DAY_S:  # the clock may have been set back
+            return
+        try:
+            self._renew_certificate()
+        except CairnError as error:
+            self._report(f"the service's certificate cannot be renewed: {error}")
 
     def _renew_certificate(self) -> None:
         """Present a new certificate on the connections that follow."""
@@ -189,6 +202,7 @@ class Service:
         path = self._authority.folder.path / "service.pem"  # `ssl` takes files only
         write_secret(path, certificate + key)
         self._context.load_cert_chain(path)
+        self._renewed_at = time.time()
 
     def _config(self) -> uvicorn.Config:
         app = Starlette(

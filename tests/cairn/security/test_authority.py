@@ -136,8 +136,10 @@ def test_certificates_end_with_their_authority(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "address", ["", "192.168.1.300", "0.0.0.0", "::", "a b", "robot:7447", "-x", "*.local", "a..b"]
-)
+    "address",
+    ["", "192.168.1.300", "0.0.0.0", "::", "a b", "robot:7447", "-x", "*.local", "a..b",
+     "fe80::1%eth0", "\u212a.local"],
+)  # fmt: skip
 def test_wrong_addresses_are_refused(address: str) -> None:
     with pytest.raises(CairnError, match="machine brain"):
         check_addresses("brain", [address])

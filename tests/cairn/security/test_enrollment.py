@@ -1,9 +1,11 @@
 """Enrollment with a token; roster and renewal for those whose identity is in force."""
 
+import base64
 import http.client
 import json
 import ssl
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -44,6 +46,11 @@ from tests.wording import words_in_order
 def running(authority: Authority) -> Iterator[Service]:
     with serving(authority) as running:
         yield running
+
+
+def request_for(name: str) -> str:
+    """Return a request for a certificate (PEM)."""
+    return certificates.new_request(certificates.new_key(), name).decode()
 
 
 def post(running: Service, path: str, body: Any, ca: Path, **headers: str) -> tuple[int, str]:
@@ -96,6 +103,18 @@ def test_token_is_used_once_also_at_the_same_time(
         thread.join(LIMIT_S)
 
     assert sorted(answers) == [200, 403, 403, 403]
+
+
+def test_token_that_was_lost_counts_no_more_once_another_one_was_used(
+    authority: Authority, running: Service, tmp_path: Path
+) -> None:
+    lost, other = (token_for(authority, running, name) for name in ("brain", "base"))
+    with computer(tmp_path / "brain"):
+        enroll(token_for(authority, running, "brain").encode())
+    with computer(tmp_path / "thief"), pytest.raises(AuthorityRefused, match="used already"):
+        enroll(lost.encode())
+    with computer(tmp_path / "base"):
+        enroll(other.encode())
 
 
 def changed(token: Token, **values: str) -> str:
@@ -262,6 +281,28 @@ def test_requests_that_are_not_valid_are_refused(authority: Authority, running: 
     assert answer(b" " * 20_000) == 413
     assert answer(whole, **{"Content-Type": "text/plain"}) == 415
     assert post(running, "/tokens", whole, authority.folder.ca)[0] == 404
+    # A key of a kind that nothing knows: the last byte of id-ecPublicKey (RFC 5480) is another one.
+    der = base64.b64decode("".join(request_for("brain").splitlines()[1:-1]))
+    unknown = der.replace(bytes.fromhex("2a8648ce3d0201"), bytes.fromhex("2a8648ce3d0277"))
+    text = base64.encodebytes(unknown).decode()
+    pem = f"-----BEGIN CERTIFICATE REQUEST-----\n{text}-----END CERTIFICATE REQUEST-----\n"
+    assert answer({**whole, "request": pem}) == 400
+
+
+def test_service_certificate_is_renewed_after_a_day_of_the_clock(
+    authority: Authority, running: Service
+) -> None:
+    file = authority.folder.path / "service.pem"
+    before, now = file.read_bytes(), time.time()
+    running.renew_if_due(now + 86_000)
+    assert file.read_bytes() == before
+    running.renew_if_due(now + 8 * 86_400)  # the computer was suspended for a week
+    assert file.read_bytes() != before
+
+
+def test_address_that_stands_for_all_needs_a_name(authority: Authority) -> None:
+    with pytest.raises(CairnError, match=words_in_order("0.0.0.0", "by --name ADDRESS")):
+        Service(authority, "0.0.0.0", 0)
 
 
 def test_request_that_does_not_arrive_is_given_up(
