@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,11 +25,14 @@ from cairn.cli.run_folders import reduce_old, used_folder
 from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LogWatch, PlainView, View, Watch
 from cairn.clock import from_ns
-from cairn.deployment.load import read_sources
+from cairn.deployment.load import SourceDocument, assemble, read_sources
+from cairn.deployment.machines import check_machine
 from cairn.deployment.model import Deployment, LogLevel, root_name, view_name
 from cairn.deployment.plugins import plugin_modules
+from cairn.deployment.problems import DeploymentError
 from cairn.errors import CairnError
 from cairn.placement.lockstep import LockstepRun
+from cairn.placement.machine_identity import machine_identity
 from cairn.placement.process_run import checked_plan, endpoints, run_processes, started_zygote
 from cairn.placement.run_plan import RunPlan, check_sources, with_recorder
 from cairn.placement.systemd_notify import ServiceManager, service_manager
@@ -108,15 +111,19 @@ def up(
     began = time.monotonic()
     sources = read_sources(file, overlay or ())
     documents = [source.node.plain() for source in sources if source.node is not None]
+    recording = _new_recording(folder) if record else None
+    reported = _report_setting(documents, folder)
+    level = [f"log_level={log_level}"] if log_level is not None else []
+    sets = [*reported, *level, *(set_ or ())]
+    if not lockstep and (
+        machine or any(isinstance(one, dict) and "machines" in one for one in documents)
+    ):
+        _check_this_machine(file, sources, sets, machine)
     with ExitStack() as stack:
         if not lockstep:
             plugins = [*documents, {"plugin": "recorder"}] if record else documents
             modules = [name for document in plugins for name in plugin_modules(document)]
             zygote = stack.enter_context(started_zygote(modules))
-        recording = _new_recording(folder) if record else None
-        reported = _report_setting(documents, folder)
-        level = [f"log_level={log_level}"] if log_level is not None else []
-        sets = [*reported, *level, *(set_ or ())]
         with _announced_long_import():
             if lockstep:
                 deployment = check_sources(file, sources, sets)
@@ -175,6 +182,22 @@ _NO_CALL_LOG = (
     "the recording has no call log of the components on other machines, which `cairn rerun` needs: "
     "set `call_log: true` in the deployment of all machines"
 )
+
+
+def _check_this_machine(
+    file: Path, sources: Sequence[SourceDocument], sets: Sequence[str], machine: str
+) -> None:
+    """Raise `CairnError` if this computer is no machine of the robot, or cannot prove that it is.
+
+    The plan of the run needs the plugins, whose import may take minutes after an installation.
+    """
+    try:
+        deployment = assemble(sources, sets, import_plugins=False)
+    except DeploymentError:
+        return  # the plan reports these problems, together with those that only plugins know
+    check_machine(deployment, machine, file.name)
+    if machine:
+        machine_identity(deployment.robot, machine)
 
 
 def _new_recording(folder: Path) -> Path:

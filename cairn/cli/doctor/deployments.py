@@ -17,6 +17,7 @@ import psutil
 from cairn.bus.endpoints import domain_socket, endpoint_for, is_encrypted, is_loopback, socket_path
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.devices import access, connected_to
+from cairn.cli.doctor.machines import links
 from cairn.client import connect
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment, Member
@@ -25,6 +26,7 @@ from cairn.deployment.problems import DeploymentError
 from cairn.driver.device_names import TCP, devices_named
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config, ReadPathMark, marked_parameters
+from cairn.schemas.cairn_msgs import MachineStatus
 from cairn.supervision.orphan_cleanup import MARK
 
 _TOPIC = "deployments"
@@ -36,8 +38,11 @@ _ENDING_LIMIT_S = 5.0
 
 def running(endpoint: str, domain: int) -> Iterator[Finding]:
     """Report what listens at the router's endpoint, and processes without their deployment."""
-    yield _router(endpoint, domain)
+    machines: dict[str, list[MachineStatus]] = {}
+    yield _router(endpoint, domain, machines)
     yield _leftovers()
+    for robot, statuses in sorted(machines.items()):
+        yield from links(robot, statuses)
 
 
 def loaded(
@@ -129,7 +134,8 @@ def who_may_connect(file: Path, deployment: Deployment) -> Iterator[Finding]:
             yield Finding(topic, endpoint, "warn", f"{found}; not encrypted", remedy)
 
 
-def _router(given: str, domain: int) -> Finding:
+def _router(given: str, domain: int, machines: dict[str, list[MachineStatus]]) -> Finding:
+    """Report what is at an endpoint; add the statuses of the machines of robots there."""
     try:
         endpoint = endpoint_for(given, domain)
     except CairnError as error:
@@ -140,6 +146,7 @@ def _router(given: str, domain: int) -> Finding:
     try:
         with connect(endpoint, domain) as client:
             names = sorted(client.connection.statuses())
+            machines |= client.connection.machine_statuses()
     except CairnError:
         owner = _listener(endpoint)
         remedy = (

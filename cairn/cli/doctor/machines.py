@@ -1,17 +1,20 @@
-"""Identities of `cairn security` that a deployment needs: whether they are here, and how long."""
+"""Identities of `cairn security` on this computer, and the links of a robot that runs."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 from cairn.cli.doctor import Finding
+from cairn.client.machines import described_links
 from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
+from cairn.schemas.cairn_msgs import MachineStatus
 from cairn.security.folder import RobotFolder
 
+_CLOCK_MS: Final = 100.0  # the default of `clock_tolerance_s`
 _DAY_S: Final = 86_400
 _FEW_DAYS: Final = 14  # a machine renews its certificate by itself long before
 
@@ -38,6 +41,31 @@ def machines(file: Path, deployment: Deployment) -> Iterator[Finding]:
         yield Finding(topic, str(folder.path), "fail", found, remedy)
     for name in here:
         yield _identity(topic, folder, name)
+
+
+def links(robot: str, statuses: Iterable[MachineStatus]) -> Iterator[Finding]:
+    """Report how the machines of a running robot see each other, and their clocks."""
+    for link in described_links(statuses):
+        machine, subject = link["machine"], f"{link['machine']} seen from {link['seen_from']}"
+        topic = f"machines of {robot}"
+        if link["state"] == "lost":
+            found = f"lost: nothing of it has arrived for {link['silent_s']:.0f} s"
+            remedy = (
+                f"start `cairn up ... --machine {machine}` there, and check the cable and that "
+                f"its port and certificate are accepted: see its log"
+            )
+            yield Finding(topic, subject, "fail", found, remedy)
+            continue
+        offset, error = link["clock_offset_ms"], link["clock_error_ms"]
+        if offset is None:
+            yield Finding(topic, subject, "ok", "up; how far its clock differs is not known yet")
+            continue
+        found = f"up; its clock is {offset:.1f} ms ahead, within {error:.1f} ms"
+        if abs(offset) - error > _CLOCK_MS:
+            remedy = "synchronize the clocks with chrony: docs/how-to/machines.md has its settings"
+            yield Finding(topic, subject, "warn", found, remedy)
+        else:
+            yield Finding(topic, subject, "ok", found)
 
 
 def _identity(topic: str, folder: RobotFolder, name: str) -> Finding:

@@ -20,6 +20,9 @@ import pytest
 from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer
 from cairn.cli.doctor.devices import cameras
+from cairn.cli.doctor.machines import links
+from cairn.schemas.cairn_msgs import MachineLink, MachineStatus
+from cairn.schemas.std_msgs import Header
 from cairn.security.authority import Authority, Member
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.supervision.orphan_cleanup import MARK
@@ -373,3 +376,19 @@ def test_identities_of_machines_are_checked(
     row = row_of(cairn("doctor", str(file), "--json"), "base")
     assert row["state"] == "fail"
     assert_words(row["found"], "other users may read")
+
+
+def test_links_and_clocks_of_machines_are_checked() -> None:
+    seen = (
+        MachineLink("brain", is_up=True, clock_offset=0.0012, clock_error=0.0003),
+        MachineLink("arm", is_up=True, clock_offset=-2.0, clock_error=0.01),
+        MachineLink("lift", silent_s=12.0),
+        MachineLink("cart", is_up=True),
+    )
+    found = list(links("robot", [MachineStatus(Header(), "base", links=seen)]))
+    assert [one.state for one in found] == ["ok", "warn", "fail", "ok"]
+    assert_words(found[0].found, "1.2 ms ahead, within 0.3 ms")
+    assert_words(found[1].remedy, "chrony")
+    assert_words(found[2].found, "lost", "12 s")
+    assert_words(found[2].remedy, "--machine lift")
+    assert found[3].subject == "cart seen from base"
