@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Generic, TypeVar, get_args
+from typing import Any, Final, Generic, TypeAlias, TypeVar, get_args
 
 import zenoh
 
@@ -26,8 +26,6 @@ from cairn.errors import CairnError
 from cairn.files import explain_os_error
 from cairn.placement.machine_identity import machine_identity, own_machine
 from cairn.security.folder import PEM_BYTES, RobotFolder
-
-_log = logging.getLogger("cairn.root")
 
 _FETCH_S: Final = 2.0
 """So often the roster is fetched, and a second later at most it is in force: within 5 s."""
@@ -103,6 +101,7 @@ class CertifiedRouter(Generic[Links]):
 
         Raises `CairnError` as `read` and `open_router`.
         """
+        self.log = _root_log()
         self._what = what
         self._read: Callable[[], Links] = read
         self._open_router: Callable[[Links | None], Callable[[], None]] = open_router
@@ -135,19 +134,19 @@ class CertifiedRouter(Generic[Links]):
         if (links, certificate) == (self._links, self._certificate) and self._close is not None:
             return
         if links is None and self._links is not None:
-            _log.critical("%s closed: %s", self._what, reason)
+            self.log.critical("%s closed: %s", self._what, reason)
         self._links, self._certificate = links, certificate
         self._close_router()
         try:
             self._close = self._open_router(links)
         except CairnError as error:  # the next turn tries it again
             if str(error) != self._problem:
-                _log.error("%s: the router cannot be opened again: %s", self._what, error)
+                self.log.error("%s: the router cannot be opened again: %s", self._what, error)
             self._problem = str(error)
         else:
             self._problem = ""
             if links is not None:  # they were interrupted for a moment
-                _log.warning("%s opened again: other certificates are in force", self._what)
+                self.log.warning("%s opened again: other certificates are in force", self._what)
 
     def _close_router(self) -> None:
         close, self._close = self._close, None
@@ -164,6 +163,7 @@ class AuthorityPoll:
 
     def __init__(self, robot: str, name: str) -> None:
         """Start, as the identity of this name, if the computer knows an authority's service."""
+        self.log = _root_log()
         self._folder = RobotFolder.of(robot)
         self._name = name
         self._renew_after = 0.0
@@ -181,7 +181,7 @@ class AuthorityPoll:
         while not self._closed.wait(_FETCH_S):
             problem = self._ask()
             if problem and problem != self._problem:
-                _log.error("certificates of %s: %s", self._name, problem)
+                self.log.error("certificates of %s: %s", self._name, problem)
             self._problem = problem
 
     def _ask(self) -> str:
@@ -212,6 +212,10 @@ class AuthorityPoll:
         return ""
 
 
+Certified: TypeAlias = CertifiedRouter[Any] | AuthorityPoll
+"""What keeps certificates current; `log` is replaced by that of the root when it has one."""
+
+
 def opened_for_machines(
     open_router: Callable[[MachineLinks | None], zenoh.Session],
     secret: str,
@@ -240,6 +244,10 @@ def opened_for_operators(router: Path, folder: Path, gateway: Gateway | None) ->
         return lambda: None
     session = gateway.open(router, folder)
     return lambda: close_session(session, _CLOSE_LIMIT_S)
+
+
+def _root_log() -> logging.Logger | logging.LoggerAdapter[logging.Logger]:
+    return logging.getLogger("cairn.root")
 
 
 def _content(links: MachineLinks | Gateway) -> bytes:

@@ -35,6 +35,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.placement.certified_router import (
     AuthorityPoll,
+    Certified,
     CertifiedRouter,
     gateway_for_operators,
     machine_links,
@@ -173,9 +174,11 @@ def run_processes(
         },
     )
     zygote_log = ExitLog(log_folder / "zygote.log")
-    with _opened_bus(plan, folder, secret) as bus:
+    with _opened_bus(plan, folder, secret) as (bus, certified):
         root = ComponentHost(launch, bus)
         root.start()
+        for one in certified:
+            one.log = root.runtime.log  # so that it is shown, and reaches other machines
         loop = MainLoop(root)
         monitor = _Monitor(make_view(bus, loop.wake_up), zygote, loop)
         machines = MachineMonitor(root, plan.deployment, plan.remote_inputs) if machine else None
@@ -219,10 +222,16 @@ def run_processes(
 
 
 @contextmanager
-def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
-    """Open the bus of the root: the deployment's router and gateway, or a link to a router."""
+def _opened_bus(
+    plan: RunPlan, folder: Path, secret: str
+) -> Iterator[tuple[ZenohBus, list[Certified]]]:
+    """Open the bus of the root: the deployment's router and gateway, or a link to a router.
+
+    Also yield what keeps the certificates of the routers current.
+    """
     deployment, limits = plan.deployment, plan.topic_limits
     settings = deployment.bus
+    certified: list[Certified] = []
     with ExitStack() as stack:
         if settings.connect:
             session = open_peer(
@@ -240,9 +249,10 @@ def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
                 # A session of its own, which can be replaced while the root goes on.
                 read = partial(machine_links, deployment, plan.machine, plan.machine_access)
                 open_linked = partial(opened_for_machines, open_own, secret)
-                links = "links to other machines"
-                stack.enter_context(closing(CertifiedRouter(links, read, open_linked)))
-                stack.enter_context(closing(AuthorityPoll(deployment.robot, plan.machine)))
+                links = CertifiedRouter("links to other machines", read, open_linked)
+                certified.append(stack.enter_context(closing(links)))
+                poll = AuthorityPoll(deployment.robot, plan.machine)
+                certified.append(stack.enter_context(closing(poll)))
                 name = root_name(plan.machine, deployment.main_machine)
                 session = open_peer(
                     endpoints(deployment), peer_socket(folder, name), limits=limits, secret=secret
@@ -258,12 +268,17 @@ def _opened_bus(plan: RunPlan, folder: Path, secret: str) -> Iterator[ZenohBus]:
             )
         )
         if plan.gateway is not None:
-            _open_gateway(plan, plan.gateway, folder, stack)
-        yield bus
+            _open_gateway(plan, plan.gateway, folder, stack, certified)
+        yield bus, certified
 
 
-def _open_gateway(plan: RunPlan, gateway: Gateway, folder: Path, stack: ExitStack) -> None:
-    """Open the gateway between the network and the router until the stack closes."""
+def _open_gateway(
+    plan: RunPlan, gateway: Gateway, folder: Path, stack: ExitStack, certified: list[Certified]
+) -> None:
+    """Open the gateway between the network and the router until the stack closes.
+
+    What keeps its certificates current is added to `certified`.
+    """
     deployment, router = plan.deployment, router_socket(plan.deployment)
     tls = deployment.bus.tls
     if tls is None or tls.identity is None:
@@ -271,9 +286,11 @@ def _open_gateway(plan: RunPlan, gateway: Gateway, folder: Path, stack: ExitStac
         return
     read = partial(gateway_for_operators, gateway, deployment.robot, tls.identity)
     open_it = partial(opened_for_operators, router, folder)
-    stack.enter_context(closing(CertifiedRouter("network endpoints", read, open_it)))
+    operators = CertifiedRouter("network endpoints", read, open_it)
+    certified.append(stack.enter_context(closing(operators)))
     if tls.identity != plan.machine:  # which is polled for already
-        stack.enter_context(closing(AuthorityPoll(deployment.robot, tls.identity)))
+        poll = AuthorityPoll(deployment.robot, tls.identity)
+        certified.append(stack.enter_context(closing(poll)))
 
 
 def _in_parent_process(spec: ChildSpec, machine: str) -> Iterator[ChildSpec]:

@@ -61,6 +61,11 @@ def export_identity(folder: RobotFolder, name: str, path: Path) -> Identity:
 
     Raises `CairnError` if the identity is not in force, or the file exists.
     """
+    if not folder.key(name).exists():
+        raise CairnError(
+            f"{name}: its key is not on this computer: it has enrolled on its own, or has no "
+            "identity; `cairn security list` lists those in force"
+        )
     identity = own_identity(folder, name)
     roster = folder.read(folder.roster, ROSTER_BYTES, "run: cairn security fetch")
     is_machine = identity.entry.kind == "machine"

@@ -150,9 +150,10 @@ def test_without_the_other_machine_the_robot_starts_after_its_time_limit(
 
 
 def test_machine_with_a_revoked_certificate_is_shut_out(machines: Machines) -> None:
-    base, _ = start(machines, tree(machines))
+    base, brain = start(machines, tree(machines))
     Authority(RobotFolder.of("robot")).revoke("brain")
     base.await_line("machine lost: brain")
+    brain.await_line("root_brain: links to other machines closed: .*brain.pem: no such file")
     refused = machines.launch(tree(machines), "--machine", "brain", preexec_fn=machines.brain.enter)
     assert refused.await_end() == 1
     refused.await_line("brain.pem: no such file; enroll brain on this computer")
