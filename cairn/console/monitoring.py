@@ -167,6 +167,9 @@ class StatusMonitor:
 
     def machines(self, robot: str, now: int) -> list[dict[str, Any]]:
         """Return how the machines of a robot that can be reached see each other."""
+        for key, one in list(self._machines.items()):  # a forged one makes room as well
+            if key[0] == robot and now - one.received_ns > _SILENT_NS:
+                del self._machines[key]
         return described_links(self._machine_statuses(robot, now))
 
     def _machine_statuses(self, robot: str, now: int) -> list[MachineStatus]:
