@@ -14,7 +14,7 @@ from pydantic import Field
 
 from cairn.bus.keys import Attachment
 from cairn.campaign.faults import Fault, Injection, SkippedFault
-from cairn.campaign.process_faults import Duration, Patterns
+from cairn.campaign.parameters import Duration, Patterns
 from cairn.campaign.robot import CampaignRobot
 from cairn.runtime.parameters import Config
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +15,8 @@ from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.campaign.faults import FAULTS
 from cairn.campaign.invariants import INVARIANTS
 from cairn.campaign.kinds import instance_of
+from cairn.deployment.load import assemble, read_sources
+from cairn.deployment.model import Deployment
 from cairn.deployment.shipped import deployment_file
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
@@ -133,18 +136,29 @@ class Campaign(Config):
             instance_of(INVARIANTS, invariant.kind, invariant.parameters)
         return self
 
-    def deployment_path(self, folder: Path) -> Path:
-        """Return the file of the deployment; relative paths begin at `folder`.
+    def read(self, folder: Path) -> CampaignDeployment:
+        """Return the deployment; relative paths begin at `folder`.
 
-        Raises `CairnError` if there is neither a file nor a shipped deployment of that name.
+        Raises `DeploymentError` if it cannot be read; `CairnError` if it is neither a file nor a
+        shipped deployment.
         """
-        return _path("deployment", self.deployment, folder)
-
-    def arguments(self, folder: Path) -> list[str]:
-        """Return the further arguments of `cairn up`; raises `CairnError` as `deployment_path`."""
+        file = _path("deployment", self.deployment, folder)
         overlays = [_path("overlays", one, folder) for one in self.overlays]
+        # Recordings that can be re-run need the call log.
+        sets = [*self.sets, *([] if self.recording is None else ["call_log=true"])]
         words = [word for one in overlays for word in ("--overlay", str(one))]
-        return words + [word for one in self.sets for word in ("--set", one)]
+        words += [word for one in sets for word in ("--set", one)]
+        deployment = assemble(read_sources(file, overlays), sets, import_plugins=False)
+        return CampaignDeployment(file, tuple(words), deployment)
+
+
+@dataclass(frozen=True)
+class CampaignDeployment:
+    """A deployment as it was read, with the file and the arguments of `cairn up` that give it."""
+
+    file: Path
+    arguments: tuple[str, ...]
+    deployment: Deployment
 
 
 def read_campaign(file: Path) -> Campaign:

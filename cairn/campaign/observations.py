@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 _LINE: Final = re.compile(
     r"(?:\d+:\d+:\d+\.\d+ )?(?P<level>[A-Z]+) +(?P<logger>[^ :]+): (?P<text>.*)"
@@ -18,6 +18,9 @@ _CHILD: Final = re.compile(
 
 ROOT: Final = "root"
 ZYGOTE: Final = "zygote"
+
+Role = Literal["root", "zygote", "component", "helper"]
+"""What a process is; a process that a component has forked is a helper, whatever its name."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +55,16 @@ class LogLine:
 class ProcessSample:
     """A process of the run at one time.
 
-    `name` is that of the component, `root`, `zygote`, or else its command line; `parent` the name
-    of the parent process, "" if that does not belong to the run. A process that a component has
-    forked is not the component, though it has its name. `created_s` is the time of its creation
-    [s since 1970]: with the pid it identifies the process.
+    `name` is that of the component, `root`, `zygote`, or else its command line; on further machines
+    it is `root_MACHINE` and `zygote_MACHINE`. `parent` is the name of the parent process, "" if
+    that does not belong to the run. `created_s` is the time of its creation [s since 1970]: with
+    the pid it identifies the process.
     """
 
     pid: int
     name: str
     parent: str
-    is_component: bool
+    role: Role
     created_s: float
     memory_mib: float
     descriptors: int
@@ -91,12 +94,14 @@ class GoalEnded:
 class DeploymentEnded:
     """The end of `cairn up`: expected if the campaign has stopped or killed it.
 
-    `left` are processes of the run that were still there 10 s later; they were killed.
+    `code` and `last_lines` are those of the machine on which it has ended first, `reports` the
+    report folders of all machines, the main one first. `left` are processes of the run that were
+    still there 10 s later; they were killed.
     """
 
     at_s: float
     expected: bool
     code: int
-    report: Path
+    reports: tuple[Path, ...]
     left: tuple[str, ...]
     last_lines: tuple[str, ...]

@@ -10,50 +10,18 @@ from random import Random
 from typing import Annotated, Any
 
 import psutil
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from cairn.bus.control import ControlError, NoReplyError
 from cairn.campaign.faults import Fault, Injection, SkippedFault
-from cairn.campaign.observations import ROOT, ZYGOTE
+from cairn.campaign.parameters import Duration, Targets, TargetsForTime, matching
 from cairn.campaign.robot import CampaignRobot
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
 
-Patterns = Annotated[tuple[str, ...], Field(max_length=100)]
-
 _REQUEST_S = 5.0
 _UNDO_TRIES = 6
 _COMMAND_S = 10.0
-
-
-class Targets(Config):
-    """The components that may be drawn as target."""
-
-    components: Patterns = Field(
-        ("*",), description="Names of components with a process of their own, as patterns."
-    )
-    exclude: Patterns = Field((), description="Names not to draw, as patterns.")
-
-
-class Duration(Config):
-    """How long a fault lasts, drawn uniformly."""
-
-    shortest_s: float = Field(1.0, gt=0, le=3600, description="Shortest duration [s].")
-    longest_s: float = Field(10.0, gt=0, le=3600, description="Longest duration [s].")
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Duration:
-        if self.shortest_s > self.longest_s:
-            raise ValueError(f"shortest_s = {self.shortest_s:g} exceeds {self.longest_s:g}")
-        return self
-
-    def draw(self, random: Random) -> float:
-        """Return a duration [s]."""
-        return round(random.uniform(self.shortest_s, self.longest_s), 2)
-
-
-class TargetsForTime(Targets, Duration):
-    """Targets, and for how long."""
 
 
 class Kill(Fault):
@@ -73,7 +41,7 @@ class Kill(Fault):
 
 
 class KillRoot(Fault):
-    """Kill the root of the deployment (`cairn up`) or its zygote: all processes end."""
+    """Kill the root of a machine (`cairn up`) or its zygote: all processes there end."""
 
     config_type = Config
     ends_deployment = True
@@ -81,7 +49,7 @@ class KillRoot(Fault):
     @contextmanager
     def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
         """Kill one of the two."""
-        name = random.choice((ROOT, ZYGOTE))
+        name = random.choice([*robot.roots.values(), *robot.zygotes.values()])
         process = robot.process(name)
         with running(name):
             process.kill()
@@ -149,7 +117,7 @@ class Hold(Fault):
 
 
 class DiskFull(Fault):
-    """Let no file of the deployment grow, as on a full disk (RLIMIT_FSIZE of all processes)."""
+    """Let no file of a machine grow, as on a full disk (RLIMIT_FSIZE of all processes)."""
 
     config_type = Duration
     config: Duration
@@ -158,15 +126,17 @@ class DiskFull(Fault):
     def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
         """Limit the files of all processes, and of those that they start meanwhile, to 0 bytes."""
         lasts_s = self.config.draw(random)
-        count = len(_limit_files(robot, 0))
+        machine = random.choice(robot.machines)
+        count = _limit_files(robot, machine, 0)
         if not count:
             raise SkippedFault("the disk is full already")
+        effect = f"no file of {count} processes grows for {lasts_s:g} s"
         try:
-            yield Injection(ROOT, f"no file of {count} processes grows for {lasts_s:g} s", lasts_s)
+            yield Injection(robot.roots[machine], effect, lasts_s)
         finally:
             # The limit that all of them have inherited from this process.
             before, _ = resource.getrlimit(resource.RLIMIT_FSIZE)
-            while _limit_files(robot, before):
+            while _limit_files(robot, machine, before):
                 pass  # what was forked meanwhile has inherited the other limit
 
 
@@ -267,7 +237,7 @@ class Command(Fault):
 
 def drawn(robot: CampaignRobot, targets: Targets, random: Random) -> str:
     """Return the name of a component; raises `SkippedFault` if none matches."""
-    names = robot.matching(targets.components, targets.exclude)
+    names = matching(robot.components, targets.components, targets.exclude)
     if not names:
         raise SkippedFault(f"no component matches {', '.join(targets.components)}")
     return random.choice(names)
@@ -282,17 +252,18 @@ def running(name: str) -> Iterator[None]:
         raise SkippedFault(f"{name} has just ended") from error
 
 
-def _limit_files(robot: CampaignRobot, size: int) -> list[int]:
-    """Limit each file of all processes to `size` [bytes]; return the processes that had another."""
-    changed = []
-    if not robot.has_ended():
-        # The root and the zygote first, so that what they fork next inherits the limit.
-        for process in sorted(robot.run.processes(), key=lambda one: one.create_time()):
-            with suppress(psutil.NoSuchProcess, psutil.AccessDenied):  # a helper with setuid
-                soft, hard = process.rlimit(psutil.RLIMIT_FSIZE)
-                if soft != size:
-                    process.rlimit(psutil.RLIMIT_FSIZE, (size, hard))
-                    changed.append(process.pid)
+def _limit_files(robot: CampaignRobot, machine: str, size: int) -> int:
+    """Limit each file of a machine's processes to `size` [bytes]; return how many had another."""
+    if robot.has_ended():
+        return 0
+    changed = 0
+    # The root and the zygote first, so that what they fork next inherits the limit.
+    for process in sorted(robot.runs[machine].processes(), key=lambda one: one.create_time()):
+        with suppress(psutil.NoSuchProcess, psutil.AccessDenied):  # a helper with setuid
+            soft, hard = process.rlimit(psutil.RLIMIT_FSIZE)
+            if soft != size:
+                process.rlimit(psutil.RLIMIT_FSIZE, (size, hard))
+                changed += 1
     return changed
 
 

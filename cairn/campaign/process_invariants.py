@@ -11,14 +11,7 @@ from pydantic import Field
 
 from cairn.campaign.growth import growth
 from cairn.campaign.invariants import Invariant
-from cairn.campaign.observations import (
-    ROOT,
-    ZYGOTE,
-    DeploymentEnded,
-    LogLine,
-    Processes,
-    ProcessSample,
-)
+from cairn.campaign.observations import DeploymentEnded, LogLine, Processes, ProcessSample
 from cairn.deployment.model import Deployment
 from cairn.runtime.parameters import Config
 
@@ -84,18 +77,19 @@ class NoOrphan(Invariant):
 
     @staticmethod
     def _problem(process: ProcessSample, processes: Processes) -> str:
-        if process.name == ROOT:
+        if process.role == "root":
             return ""
         if not process.parent:
             return "has lost its parent, and does not end"
-        if process.is_component:
+        if process.role == "component":
             twins = [
                 one.pid
                 for one in processes.values()
                 if one.name == process.name and one.created_s < process.created_s
             ]
             return f"runs beside {twins[0]}, an earlier one of the same component" if twins else ""
-        if process.parent == ZYGOTE and process.name != ZYGOTE:
+        zygotes = {one.name for one in processes.values() if one.role == "zygote"}
+        if process.role == "helper" and process.parent in zygotes:
             return "belongs to no component that runs"
         return ""
 
@@ -141,7 +135,11 @@ class EndsHaveReasons(Invariant):
 
     def on_processes(self, at_s: float, processes: Processes) -> Iterable[str]:
         """Find the processes that have ended since the last sample; judge the earlier ones."""
-        now = {(one.pid, one.created_s): one.name for one in processes.values() if one.is_component}
+        now = {
+            (one.pid, one.created_s): one.name
+            for one in processes.values()
+            if one.role == "component"
+        }
         gone = [(at_s, name, key[0]) for key, name in self._running.items() if key not in now]
         self._ended += gone
         self._running = now
@@ -229,7 +227,7 @@ class BoundedGrowth(Invariant):
         self._sampled_s = at_s
         alive = set()
         for process in processes.values():
-            if not process.is_component and process.name not in (ROOT, ZYGOTE):
+            if process.role == "helper":
                 continue
             key = process.pid, process.created_s
             alive.add(key)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from cairn.campaign.growth import growth
-from cairn.campaign.observations import ROOT, ZYGOTE, Processes
+from cairn.campaign.observations import Processes
 
 PLOT_NAME = "memory.png"
 _PERIOD_S = 5.0
@@ -44,7 +44,7 @@ class Resources:
         is_kept = at_s - self._kept_s >= _PERIOD_S
         self._kept_s = at_s if is_kept else self._kept_s
         for process in processes.values():
-            if not process.is_component and process.name not in (ROOT, ZYGOTE):
+            if process.role == "helper":
                 continue
             use = self.uses.setdefault(process.name, ProcessUse())
             identity = process.pid, process.created_s

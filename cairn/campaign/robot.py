@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +17,24 @@ from cairn.bus import keys
 from cairn.bus.bus import full_name
 from cairn.bus.codec import Codec
 from cairn.campaign.faults import SkippedFault
+from cairn.campaign.model import CampaignDeployment
+from cairn.campaign.network import Network
 from cairn.campaign.observations import (
     ROOT,
+    ZYGOTE,
     DeploymentEnded,
     LogLine,
     Processes,
     ProcessSample,
+    Role,
 )
+from cairn.campaign.parameters import Patterns, matching
 from cairn.campaign.programs import Programs
-from cairn.deployment.load import assemble, read_sources
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import root_name
 from cairn.errors import CairnError
 from cairn.schemas.message import InvalidMessage
 from cairn.supervision.orphan_cleanup import set_parent_death_signal
-from cairn.testing.launching import Launching, Run, title_of
+from cairn.testing.launching import Launching, Run, await_any_end, title_of
 
 _START_LIMIT_S = 180.0
 _POLL_S = 0.2
@@ -42,49 +45,62 @@ _TITLE = "cairn: "
 
 
 class CampaignRobot:
-    """A deployment that runs, its processes, its topics, and a client connected to it."""
+    """A deployment that runs, its processes, its topics, and a client connected to it.
+
+    A deployment with `machines` runs with all of them on this computer.
+    """
 
     def __init__(
         self,
         launch: Launching,
-        file: Path,
-        arguments: list[str],
-        report: Path,
+        deployment: CampaignDeployment,
+        folder: Path,
         programs: Programs,
+        network: Network,
     ) -> None:
-        """`file` and `arguments` are those of `cairn up`; nothing is launched yet.
+        """Take what runs; nothing is launched yet.
 
-        Raises `DeploymentError` if the deployment cannot be read.
+        The folder gets the report folder of `cairn up`, `run`, and its logs; those of a further
+        machine have its name at the end.
         """
         self._launch = launch
-        self._file = file
-        self._arguments = arguments
-        self.report = report
-        """The report folder of the deployment: of all its launches."""
-        self.deployment = read_deployment(file, arguments)
+        self._file = deployment.file
+        self._arguments = deployment.arguments
+        self._folder = folder
+        self.deployment = deployment.deployment
+        self.machines = network.machines
+        """The machines, the main one first; "" is that of a deployment without machines."""
+        self.roots = {one: root_name(one, self.machines[0]) for one in self.machines}
+        """The name of the root on each machine."""
+        self.zygotes = {one: root.replace(ROOT, ZYGOTE, 1) for one, root in self.roots.items()}
+        """The name of the zygote on each machine."""
         self.components = tuple(
             member.name
             for member in self.deployment.members()
             if member.spec.placement == "process"
         )
         """The components that have a process of their own, in start order."""
+        self._loggers = self._loggers_by_machine()
         self.programs = programs
         """The programs that run beside it."""
+        self.network = network
+        """The links between its machines."""
+        self.runs: dict[str, Run] = {}
+        """The present launch: `cairn up` on each machine; empty if it is not launched."""
         self._launches = 0
+        self._first_ended: Run | None = None
         self._overdue: list[str] = []
-        self._run: Run | None = None
         self._client: cairn.client.Robot | None = None
-        self._lines = 0
+        self._lines: dict[str, int] = {}
         self._topics: list[keys.EndpointEntity] = []
         self._subscribers: list[Any] = []
         self.forgers: set[bytes] = set()
         """The identities (gid) under which faults publish: `observe` leaves out their messages."""
 
     @property
-    def run(self) -> Run:
-        """The present launch."""
-        assert self._run is not None, "the deployment is not launched"
-        return self._run
+    def endpoint(self) -> str:
+        """Where clients connect to the present launch: the router of the main machine."""
+        return self.runs[self.machines[0]].endpoint
 
     @property
     def client(self) -> cairn.client.Robot:
@@ -93,27 +109,32 @@ class CampaignRobot:
         return self._client
 
     def launch(self, connected: Callable[[], None] = lambda: None) -> None:
-        """Launch the deployment, again in the same report folder, until all components are active.
+        """Launch the deployment, again in the same report folders, until all roots are active.
 
         `connected` is called as soon as `client` is connected. Raises `CairnError` with the last
         line of `cairn up` if they do not become active.
         """
-        self._run = self._launch(
-            self._file,
-            "--plain",
-            *self._arguments,
-            report=self.report,
-            process_group=0,  # Ctrl-C is for the campaign, which stops the deployment itself
-            preexec_fn=lambda: set_parent_death_signal(signal.SIGTERM),
-        )
-        self._lines = 0
+        for machine in self.machines:
+            self.runs[machine] = self._launch(
+                self._file,
+                "--plain",
+                *self._arguments,
+                *self.network.arguments(machine),
+                report=self._folder_of("run", machine),
+                environment=self.network.environment,
+                process_group=0,  # Ctrl-C is for the campaign, which stops the deployment itself
+                preexec_fn=lambda: set_parent_death_signal(signal.SIGTERM),
+            )
+        self._lines.clear()
         deadline = time.monotonic() + _START_LIMIT_S
         while not self._is_active(connected):
-            if self.run.process.poll() is not None:
-                raise CairnError(f"the deployment does not start: {self._last_line()}")
+            for run in self.runs.values():
+                if run.process.poll() is not None:
+                    raise CairnError(f"the deployment does not start: {_last_line(run)}")
             if time.monotonic() > deadline:
+                logs = ", ".join(str(run.logs) for run in self.runs.values())
                 raise CairnError(
-                    f"the deployment is not active after {_START_LIMIT_S:g} s; see {self.run.logs}"
+                    f"the deployment is not active after {_START_LIMIT_S:g} s; see {logs}"
                 )
             time.sleep(_POLL_S)
         self._topics = sorted(
@@ -124,120 +145,104 @@ class CampaignRobot:
     @property
     def is_launched(self) -> bool:
         """Whether it was launched, and its end is not handled yet by `close`."""
-        return self._run is not None
+        return bool(self.runs)
 
     def has_ended(self) -> bool:
-        """Return whether `cairn up` has ended."""
-        return self._run is None or self._run.process.poll() is not None
+        """Return whether `cairn up` has ended on one of the machines, or is not launched."""
+        return not self.runs or self._ended() is not None
 
     def stop(self) -> None:
-        """Stop the deployment, as Ctrl-C does."""
-        self.run.process.send_signal(signal.SIGINT)
+        """Stop the deployment, as Ctrl-C on the main machine does, and then on the others."""
+        self.runs[self.machines[0]].process.send_signal(signal.SIGINT)
         self.await_end()
 
+    def await_end(self) -> None:
+        """Wait until `cairn up` has ended, and all that it has printed is in `new_lines`.
+
+        When it has ended on one machine, it is stopped on the others. What does not end in time is
+        killed, and counts as left in `close`.
+        """
+        deadline = time.monotonic() + _END_LIMIT_S
+        await_any_end([run.process.pid for run in self.runs.values()], _END_LIMIT_S)
+        self._first_ended = self._ended()
+        for run in self.runs.values():
+            if self._first_ended is not None and run.process.poll() is None:
+                run.process.send_signal(signal.SIGINT)
+            try:
+                run.await_end(max(0.0, deadline - time.monotonic()))
+            except AssertionError:
+                self._overdue.append(f"{run.process.pid} cairn up, within {_END_LIMIT_S:g} s,")
+                run.process.kill()
+                run.await_end()
+
     def close(self, at_s: float, *, expected: bool) -> DeploymentEnded:
-        """Disconnect from a deployment that has ended; return how, with the processes it left."""
+        """Disconnect from a deployment after `await_end`; return how it has ended."""
         self._subscribers.clear()  # they end with their session
         if self._client is not None:
             with suppress(CairnError, zenoh.ZError):
                 self._client.close()
             self._client = None
-        run, self._run = self.run, None
-        left, self._overdue = [*self._overdue, *run.kill_left(_LEFT_LIMIT_S)], []
-        code = run.await_end()
+        left, self._overdue = self._overdue, []
         self._launches += 1
-        if run.logs.is_dir():  # the next launch would begin new ones
-            run.logs.rename(self.report.with_name(f"logs{self._launches}"))
-        last = tuple(line.rstrip("\n") for line in run.lines[-_LAST_LINES:])
-        return DeploymentEnded(at_s, expected, code, run.report, tuple(left), last)
-
-    def await_end(self) -> None:
-        """Wait until `cairn up` has ended, and all that it has printed is in `new_lines`.
-
-        If it does not end in time it is killed, and counts as left in `close`.
-        """
-        run = self.run
-        try:
-            run.await_end(_END_LIMIT_S)
-        except AssertionError:
-            self._overdue.append(f"{run.process.pid} cairn up, within {_END_LIMIT_S:g} s,")
-            run.process.kill()
-            run.await_end()
+        for machine, run in self.runs.items():
+            left += run.kill_left(_LEFT_LIMIT_S)
+            if run.logs.is_dir():  # the next launch would begin new ones
+                run.logs.rename(self._folder_of(f"logs{self._launches}", machine))
+        first = self._first_ended or self.runs[self.machines[0]]
+        end = DeploymentEnded(
+            at_s,
+            expected,
+            code=first.await_end(),
+            reports=tuple(run.report for run in self.runs.values()),
+            left=tuple(left),
+            last_lines=tuple(line.rstrip("\n") for line in first.lines[-_LAST_LINES:]),
+        )
+        self.runs.clear()
+        return end
 
     def new_lines(self, at_s: float) -> list[LogLine]:
-        """Return what `cairn up` has printed since the last call."""
-        if self._run is None:
-            return []
-        lines = self._run.lines[self._lines :]
-        self._lines += len(lines)
-        return [LogLine.parsed(at_s, line) for line in lines if line.strip()]
+        """Return what `cairn up` has printed since the last call, on all machines.
 
-    def processes(self) -> Processes:
-        """Return a sample of all processes of the run."""
-        found: dict[int, ProcessSample] = {}
-        if self._run is None:
-            return found
-        names: dict[int, str] = {}
-        listed = self._run.processes()
-        for process in listed:
-            names[process.pid] = self._name_of(process)
-        for process in listed:
-            with suppress(psutil.NoSuchProcess), process.oneshot():
-                name, parent = names[process.pid], names.get(process.ppid(), "")
-                found[process.pid] = ProcessSample(
-                    pid=process.pid,
-                    name=name,
-                    parent=parent,
-                    is_component=name in self.components and parent != name,
-                    created_s=process.create_time(),
-                    memory_mib=process.memory_info().rss / 2**20,
-                    descriptors=process.num_fds(),
-                    threads=process.num_threads(),
-                )
+        `cairn up` prints what is logged on the machines that it reaches; a record is taken from its
+        own machine alone.
+        """
+        found = []
+        for machine, run in self.runs.items():
+            lines = run.lines[self._lines.get(machine, 0) :]
+            self._lines[machine] = self._lines.get(machine, 0) + len(lines)
+            parsed = (LogLine.parsed(at_s, line) for line in lines if line.strip())
+            found += [one for one in parsed if self._loggers.get(one.logger, machine) == machine]
         return found
 
+    def processes(self) -> Processes:
+        """Return a sample of all processes of the run, on all machines."""
+        return {one.pid: one for machine in self.runs for one in self._sample(machine)}
+
     def process(self, name: str) -> psutil.Process:
-        """Return the process of a component, the `root` or the `zygote`.
+        """Return the process of a component, a root or a zygote.
 
         Raises `SkippedFault` if it does not run, or is just being forked.
         """
-        if name == ROOT:
-            return psutil.Process(self.run.process.pid)
-        names = {one.pid: self._name_of(one) for one in self.run.processes()}
-        found = []
-        for pid in [pid for pid, known in names.items() if known == name]:
-            with suppress(psutil.NoSuchProcess):
-                process = psutil.Process(pid)
-                if names.get(process.ppid()) != name:  # not one that it has forked
-                    found.append(process)
-        if len(found) != 1:
-            raise SkippedFault(f"{name} does not run" if not found else f"{name} just starts")
-        return found[0]
-
-    def matching(self, patterns: tuple[str, ...], exclude: tuple[str, ...]) -> list[str]:
-        """Return the components with a process of their own whose names match, in start order."""
-        return [
-            name
-            for name in self.components
-            if any(fnmatchcase(name, one) for one in patterns)
-            and not any(fnmatchcase(name, one) for one in exclude)
+        found = [
+            one.pid
+            for one in self.processes().values()
+            if one.name == name and one.role != "helper"
         ]
+        if len(found) == 1:
+            with suppress(psutil.NoSuchProcess):
+                return psutil.Process(found[0])
+        raise SkippedFault(f"{name} just starts" if len(found) > 1 else f"{name} does not run")
 
-    def subscribed_topics(
-        self, patterns: tuple[str, ...], exclude: tuple[str, ...]
-    ) -> list[tuple[str, str]]:
+    def subscribed_topics(self, patterns: Patterns, exclude: Patterns) -> list[tuple[str, str]]:
         """Return the topics (full names) that components subscribe to, and their data keys, sorted.
 
         The patterns are those of names without the robot's.
         """
-        found: dict[tuple[str, str], None] = {}
-        for end in self._topics:
-            short = end.topic.removeprefix(f"/{self.deployment.robot}/")
-            if any(fnmatchcase(short, one) for one in patterns) and not any(
-                fnmatchcase(short, one) for one in exclude
-            ):
-                found[end.topic, end.data_key] = None
-        return sorted(found)
+        prefix = f"/{self.deployment.robot}/"
+        ends = {(end.topic, end.data_key) for end in self._topics}
+        names = {topic: topic.removeprefix(prefix) for topic, _ in ends}
+        drawn = set(matching(names.values(), patterns, exclude))
+        return sorted((topic, key) for topic, key in ends if names[topic] in drawn)
 
     def request(
         self, component: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
@@ -277,35 +282,66 @@ class CampaignRobot:
         try:
             if self._client is None:
                 self._client = cairn.client.connect(
-                    self.run.endpoint, self.deployment.domain, self.deployment.robot
+                    self.endpoint, self.deployment.domain, self.deployment.robot
                 )
                 connected()
-            status = self._client.components().get(ROOT)
+            statuses = self._client.components()
         except CairnError:  # its router does not listen yet
             return False
-        return status is not None and status.state == "active"
+        roots = [statuses.get(name) for name in self.roots.values()]
+        return all(status is not None and status.state == "active" for status in roots)
 
-    def _name_of(self, process: psutil.Process) -> str:
-        title = title_of(process)
-        if self._run is not None and process.pid == self._run.process.pid:
-            return ROOT
-        return title.removeprefix(_TITLE)
+    def _loggers_by_machine(self) -> dict[str, str]:
+        """Return the machine of each component and root, by the name under which it logs."""
+        if not self.deployment.machines:
+            return {}
+        names = {
+            one.name: self.deployment.machine_of(one.name) for one in self.deployment.members()
+        }
+        names |= {root: machine for machine, root in self.roots.items()}
+        return {f"{self.deployment.robot}.{name}": machine for name, machine in names.items()}
 
-    def _last_line(self) -> str:
-        self.run.await_end()
-        lines = [line.strip() for line in self.run.lines if line.strip()]
-        return lines[-1] if lines else f"exit code {self.run.process.returncode}, without output"
+    def _ended(self) -> Run | None:
+        ended = (run for run in self.runs.values() if run.process.poll() is not None)
+        return next(ended, None)
+
+    def _sample(self, machine: str) -> Iterator[ProcessSample]:
+        run = self.runs[machine]
+        listed = run.processes()
+        names = {process.pid: self._name_of(process, machine) for process in listed}
+        for process in listed:
+            with suppress(psutil.NoSuchProcess), process.oneshot():
+                name, parent = names[process.pid], names.get(process.ppid(), "")
+                yield ProcessSample(
+                    pid=process.pid,
+                    name=name,
+                    parent=parent,
+                    role=self._role_of(name, parent, machine),
+                    created_s=process.create_time(),
+                    memory_mib=process.memory_info().rss / 2**20,
+                    descriptors=process.num_fds(),
+                    threads=process.num_threads(),
+                )
+
+    def _name_of(self, process: psutil.Process, machine: str) -> str:
+        if process.pid == self.runs[machine].process.pid:
+            return self.roots[machine]
+        name = title_of(process).removeprefix(_TITLE)
+        return self.zygotes[machine] if name == ZYGOTE else name
+
+    def _role_of(self, name: str, parent: str, machine: str) -> Role:
+        if name == self.roots[machine]:
+            return "root"
+        if name == self.zygotes[machine]:
+            return "zygote"
+        return "component" if name in self.components and name != parent else "helper"
+
+    def _folder_of(self, name: str, machine: str) -> Path:
+        is_main = machine == self.machines[0]
+        return self._folder / (name if is_main else f"{name}_{machine}")
 
 
-def read_deployment(file: Path, arguments: list[str]) -> Deployment:
-    """Return the deployment of `cairn up FILE ...`, without importing its plugins.
-
-    Raises `DeploymentError` if it cannot be read.
-    """
-    overlays = [Path(value) for option, value in _options(arguments) if option == "--overlay"]
-    sets = [value for option, value in _options(arguments) if option == "--set"]
-    return assemble(read_sources(file, overlays), sets, import_plugins=False)
-
-
-def _options(arguments: list[str]) -> Iterator[tuple[str, str]]:
-    return zip(arguments[::2], arguments[1::2], strict=True)
+def _last_line(run: Run) -> str:
+    run.await_end()
+    lines = [line.strip() for line in run.lines if line.strip()]
+    return lines[-1] if lines else f"exit code {run.process.returncode}, without output"

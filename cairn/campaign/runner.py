@@ -18,6 +18,7 @@ from cairn.campaign.goals import GoalSender
 from cairn.campaign.invariants import INVARIANTS, Invariant
 from cairn.campaign.kinds import instance_of
 from cairn.campaign.model import Campaign
+from cairn.campaign.network import Network
 from cairn.campaign.observations import GoalEnded, LogLine
 from cairn.campaign.plan import PlannedFault, planned_faults
 from cairn.campaign.programs import Programs
@@ -80,20 +81,13 @@ def run_campaign(
     report_folder.mkdir(parents=True, exist_ok=True)
     if any(report_folder.iterdir()):
         raise CairnError(f"{report_folder} is not empty; name another folder for the report")
-    arguments = campaign.arguments(folder)
-    if campaign.recording is not None:
-        arguments += ["--set", "call_log=true"]
+    read = campaign.read(folder)
     with (
         Programs(campaign.programs, report_folder) as programs,
+        Network(read.deployment) as network,
         launching(report_folder) as launch,
     ):
-        robot = CampaignRobot(
-            launch,
-            campaign.deployment_path(folder),
-            arguments,
-            report_folder / "run",
-            programs,
-        )
+        robot = CampaignRobot(launch, read, report_folder, programs, network)
         report = CampaignReport(
             name, campaign.deployment, campaign.seed, report_folder,
             started=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
@@ -216,7 +210,7 @@ class _Runner:
         return GoalSender(
             self._campaign.goals,
             self._goal_random,
-            self._robot.run.endpoint,
+            self._robot.endpoint,
             self._robot.deployment.domain,
             self._robot.deployment.robot,
             self._on_goal,

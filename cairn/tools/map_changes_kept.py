@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any, ClassVar
 
 from pydantic import Field
@@ -24,7 +23,8 @@ class MapChangesConfig(Config):
     file: str = Field(
         "visual_map.cairn",
         min_length=1,
-        description="The robot's visual map, relative to the report folder of `cairn up`.",
+        description="The robot's visual map, relative to the report folder of `cairn up` on the "
+        "machine of the map builder.",
     )
 
 
@@ -68,7 +68,8 @@ class MapChangesKept(Invariant):
         """Compare what was published with the file."""
         if not self.published:
             return
-        path = end.report / Path(self.config.file)
+        paths = [report / self.config.file for report in end.reports]
+        path = next((one for one in paths if one.exists()), paths[0])
         try:
             with open_landmarks(path, read_only=True) as store:
                 kept = {(version, number) for version, _, number, *_ in store.history()}

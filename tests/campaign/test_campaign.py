@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cairn import Config
-from cairn.campaign import CampaignReport, Injection, Invariant
+from cairn.campaign import CampaignReport, Injection, Invariant, LogLine
 from cairn.testing.launching import CAIRN
 
 pytestmark = pytest.mark.processes
@@ -118,3 +118,50 @@ def test_violation_is_reported_with_its_recording_and_rerun(
     )
     assert rerun.returncode == 0, rerun.stdout + rerun.stderr
     assert "talker: equal" in rerun.stdout
+
+
+MACHINES = """
+    machines: {base: {address: 192.0.2.1}, brain: {address: 192.0.2.2}}
+    components:
+      talker: {plugin: test_talker}
+      listener: {plugin: test_listener, machine: brain}
+    """
+
+
+class FindsMachines(Invariant):
+    """A machine that is lost is found again, and each record is taken once."""
+
+    events: tuple[str, ...] = ()
+
+    def on_log(self, line: LogLine) -> Iterable[str]:
+        if line.text.startswith(("machine lost", "machine found: brain")):
+            self.events += (f"{line.logger} {line.text.partition(';')[0][:20]}",)
+        return ()
+
+
+def test_links_between_the_machines_of_a_deployment_are_cut_and_delayed(
+    campaign: Callable[..., CampaignReport],
+) -> None:
+    machines = FindsMachines(Config())
+    slow = {"latency_s": 0.05, "loss": 0.1, "shortest_s": 0.1, "longest_s": 0.2}
+    report = campaign(
+        MACHINES,
+        faults=[
+            {"kind": "link_cut", "parameters": {"shortest_s": 3.0, "longest_s": 3.1}},
+            {"kind": "link_delay", "parameters": {"links": ["*-brain"], **slow}},
+        ],
+        invariants=["stays_up", "no_orphan", "ends_have_reasons", machines],
+        seed=7,  # draws both kinds, the cut first
+        count=2,
+        interval_s=0.3,
+        settle_s=8.0,
+        recording=None,
+    )
+
+    assert not report.violations, report.text()
+    assert {one.kind for one in report.injected} == {"link_cut", "link_delay"}, report.text()
+    assert {one.target for one in report.injected} == {"base-brain"}
+    assert {"root", "root_brain", "zygote_brain", "listener"} <= report.processes.keys()
+    assert machines.events.count("robot.root machine lost: brain:") == 1
+    assert machines.events.count("robot.root machine found: brain") == 1
+    assert (report.folder / "logs1_brain" / "listener.log").exists()

@@ -9,6 +9,7 @@ import pytest
 from cairn.campaign import DeploymentEnded, GoalEnded, Injection, Invariant, LogLine, ProcessSample
 from cairn.campaign.invariants import INVARIANTS
 from cairn.campaign.kinds import instance_of
+from cairn.campaign.observations import Role
 from cairn.deployment.model import Deployment
 from cairn.schemas.cairn_msgs import VisualMapChange
 from cairn.schemas.cairn_nav_msgs import Collision, NavigationStatus, VelocityGateStatus
@@ -40,16 +41,16 @@ def process(
     memory_mib: float = 50.0,
     threads: int = 8,
 ) -> ProcessSample:
-    is_component = name in ("mobile", "base")
-    return ProcessSample(pid, name, parent, is_component, pid, memory_mib, 20, threads)
+    role: Role = "component" if name in ("mobile", "base") else "helper"
+    return ProcessSample(pid, name, parent, role, pid, memory_mib, 20, threads)
 
 
 def judged(
     invariant: Invariant, *samples: Sequence[ProcessSample], step_s: float = 1.0
 ) -> list[str]:
     """Return what an invariant reports of samples, `step_s` [s] apart."""
-    root = ProcessSample(1, "root", "", False, 1.0, 50.0, 20, 8)
-    zygote = ProcessSample(2, "zygote", "root", False, 2.0, 50.0, 20, 1)
+    root = ProcessSample(1, "root", "", "root", 1.0, 50.0, 20, 8)
+    zygote = ProcessSample(2, "zygote", "root", "zygote", 2.0, 50.0, 20, 1)
     found: list[str] = []
     for number, sample in enumerate(samples):
         processes = {one.pid: one for one in (root, zygote, *sample)}
@@ -60,7 +61,9 @@ def judged(
 def ended(
     report: Path = Path(), *, expected: bool = True, left: Iterable[str] = ()
 ) -> DeploymentEnded:
-    return DeploymentEnded(100.0, expected, 1, report, tuple(left), ("failed: too many restarts",))
+    return DeploymentEnded(
+        100.0, expected, 1, (report,), tuple(left), ("failed: too many restarts",)
+    )
 
 
 def test_collision_is_reported() -> None:
