@@ -27,7 +27,7 @@ class Invariant:
 
     config_type: ClassVar[type[Config]] = Config
 
-    topics: ClassVar[Mapping[str, type[Any]]] = {}
+    topics: Mapping[str, type[Any]] = {}
     """Topics whose messages `on_message` gets: short or full name, and class of the messages."""
 
     def __init__(self, config: Config) -> None:

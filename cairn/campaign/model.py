@@ -87,7 +87,8 @@ class Campaign(Config):
         default_factory=dict,
         max_length=20,
         description="Programs with arguments that run beside the deployment, such as emulators of "
-        "its devices; each starts before it, and is ready when it has printed something.",
+        "its devices, in the report's folder; each starts before the deployment, and is ready when "
+        "it has printed something.",
     )
     seed: int = Field(0, ge=0, lt=1 << 63, description="Seed of the faults and of random goals.")
     duration_s: float | None = Field(

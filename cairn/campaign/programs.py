@@ -6,6 +6,7 @@ import os
 import select
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -22,7 +23,7 @@ class Programs:
     """Running programs by name; a context manager, which ends them."""
 
     def __init__(self, commands: Mapping[str, Sequence[str]], folder: Path) -> None:
-        """Take the commands; the folder gets what they print, as NAME.log."""
+        """Take the commands; they run in the folder, which gets what they print, as NAME.log."""
         self._commands = commands
         self._folder = folder
         self._running: dict[str, subprocess.Popen[bytes]] = {}
@@ -77,7 +78,8 @@ class Programs:
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     bufsize=0,
-                    env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                    cwd=self._folder,
+                    env=_environment(),
                     process_group=0,
                     preexec_fn=lambda: set_parent_death_signal(signal.SIGTERM),
                 )
@@ -91,3 +93,9 @@ class Programs:
             if time.monotonic() > deadline:
                 raise CairnError(f"program {name} has printed nothing for {_READY_S:g} s")
             select.select((), (), (), 0.05)
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of programs, in which `cairn` is the one that runs the campaign."""
+    folders = [str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)]
+    return {**os.environ, "PATH": os.pathsep.join(folders), "PYTHONUNBUFFERED": "1"}

@@ -195,7 +195,7 @@ class CampaignRobot:
             code=first.await_end(),
             reports=tuple(run.report for run in self.runs.values()),
             left=tuple(left),
-            last_lines=tuple(line.rstrip("\n") for line in first.lines[-_LAST_LINES:]),
+            last_lines=tuple(_lines_of(first)[-_LAST_LINES:]),
         )
         self.runs.clear()
         return end
@@ -343,5 +343,9 @@ class CampaignRobot:
 
 def _last_line(run: Run) -> str:
     run.await_end()
-    lines = [line.strip() for line in run.lines if line.strip()]
+    lines = _lines_of(run)
     return lines[-1] if lines else f"exit code {run.process.returncode}, without output"
+
+
+def _lines_of(run: Run) -> list[str]:
+    return [line.strip() for line in run.lines if line.strip()]

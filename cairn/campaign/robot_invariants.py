@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from pydantic import Field
 
@@ -28,7 +28,7 @@ _STANDS_RADPS = 0.02
 class NoCollision(Invariant):
     """The robot touches nothing in the simulated world."""
 
-    topics: ClassVar[Mapping[str, type[Any]]] = {"collisions": Collision}
+    topics: Mapping[str, type[Any]] = {"collisions": Collision}
 
     def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:  # noqa: ARG002
         """Report a collision."""
@@ -69,7 +69,7 @@ class StandsWithReason(Invariant):
     config_type = StandingConfig
     config: StandingConfig
 
-    topics: ClassVar[Mapping[str, type[Any]]] = {
+    topics: Mapping[str, type[Any]] = {
         "odom": Odometry,
         "navigation_status": NavigationStatus,
         "velocity_gate_status": VelocityGateStatus,

@@ -171,7 +171,8 @@ class _Runner:
             self._robot.stop()
             self._close_launch(expected=True)
         elif self._robot.is_launched:
-            self._close_launch(expected=False)
+            # A deployment that has never started has not ended by itself: an error is raised.
+            self._close_launch(expected=self._report.launches == 0)
         now = self._now()
         self._judge(now, lambda one: one.on_finish(now))
         self._report.duration_s = now

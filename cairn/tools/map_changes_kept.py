@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 from pydantic import Field
 
@@ -38,7 +38,7 @@ class MapChangesKept(Invariant):
     config_type = MapChangesConfig
     config: MapChangesConfig
 
-    topics: ClassVar[Mapping[str, type[Any]]] = {"visual_map_changes": VisualMapChange}
+    topics: Mapping[str, type[Any]] = {"visual_map_changes": VisualMapChange}
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)

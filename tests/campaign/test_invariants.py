@@ -181,6 +181,17 @@ def test_growth_is_judged_after_the_warm_up_and_at_equal_age(
     assert all(problem in text for text in found)
 
 
+def test_topic_that_falls_silent_is_reported_until_it_is_published_again() -> None:
+    invariant = made("keeps_publishing", topics={"odom": "nav_msgs/msg/Odometry"}, patience_s=5)
+    found = []
+    for second in range(20):
+        if second < 4:
+            invariant.on_message(float(second), "odom", Odometry())
+        found += invariant.on_processes(float(second), {})
+
+    assert found == ["nothing was published on odom for 6 s"] * 2
+
+
 def moving(speed: float) -> Odometry:
     return Odometry(twist=TwistWithCovariance(twist=Twist(linear=Vector3(x=speed))))
 

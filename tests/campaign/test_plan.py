@@ -73,6 +73,14 @@ def test_no_fault_comes_before_or_after_the_time_to_settle() -> None:
             {"faults": [{"kind": "stop", "parameters": {"longest_s": -1}}]},
             "fault stop: parameters: longest_s: should be greater than 0",
         ),
+        (
+            {
+                "invariants": [
+                    {"kind": "keeps_publishing", "parameters": {"topics": {"odom": "Odometry"}}}
+                ]
+            },
+            "topics.odom: there is no message type Odometry; `cairn schema list`",
+        ),
         ({"invariants": [{"kind": "pathlib:Path"}]}, "pathlib:Path is not a class of"),
         ({"invariants": [{"kind": "no_such_module:X"}]}, "cannot be imported"),
     ],
@@ -96,10 +104,13 @@ def test_file_that_is_no_campaign_is_refused(tmp_path: Path) -> None:
         read_campaign(file)
 
 
-def test_shipped_campaign_is_valid() -> None:
-    shipped = read_campaign(campaign_file("sim"))
+@pytest.mark.parametrize("name", ["devices", "machines", "sim"])
+def test_shipped_campaign_is_valid(name: str) -> None:
+    file = campaign_file(name)
+    shipped = read_campaign(file)
 
-    assert {one.kind for one in shipped.invariants} >= {"no_collision", "no_orphan"}
+    assert {one.kind for one in shipped.invariants} >= {"keeps_publishing", "no_orphan"}
+    assert shipped.read(file.parent).deployment.robot == "robot"
 
 
 def test_fault_is_followed_by_lines_that_do_not_repeat_each_other() -> None:
