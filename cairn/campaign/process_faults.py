@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import shlex
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -230,7 +231,12 @@ class Command(Fault):
         lasts_s = self.config.draw(random)
         try:
             _run(self.config.begin)
-            yield Injection(self.config.target, f"{' '.join(self.config.begin)}", lasts_s)
+        except SkippedFault:
+            with suppress(SkippedFault):  # the first error is the cause
+                _run(self.config.undo)
+            raise
+        try:
+            yield Injection(self.config.target, shlex.join(self.config.begin), lasts_s)
         finally:
             _run(self.config.undo)
 
