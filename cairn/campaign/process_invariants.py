@@ -98,11 +98,11 @@ class ReasonsConfig(Config):
     """Parameters of `ends_have_reasons`."""
 
     patience_s: float = Field(
-        60.0,
+        30.0,
         gt=0,
         le=3600,
-        description="Time until the reason must be in the log [s]: while a supervisor starts a "
-        "child, it does not look after the others.",
+        description="Time until the reason must be in the log [s]: longer than a supervisor may "
+        "be stopped, or take to stop another child.",
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future
 from concurrent.futures import wait as wait_for
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cairn.bus.bus import full_name
 from cairn.bus.control import ControlServer
@@ -23,10 +23,12 @@ from cairn.runtime.log_output import LogLimit
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.rosout import RosoutHandler
 from cairn.runtime.runtime import Runtime
-from cairn.supervision.child import ChildHandle, ChildUnavailable, ZygoteLost
+from cairn.supervision.child import ChildHandle, ChildUnavailable, ZygoteLost, complete
 from cairn.supervision.child_channel import Heartbeat, sendable
 from cairn.supervision.supervisor import Supervisor
 from cairn.supervision.zygote_client import ZygoteClient
+
+T = TypeVar("T")
 
 PERIOD_S = 0.25
 PAUSE_S = 1.0
@@ -54,7 +56,8 @@ class ComponentHost:
         self._clock = PauseAwareClock()
         self._closed = False
         self._children: tuple[ComponentHost, ...] = ()  # those in this process
-        self._starting: ProcessHandle | None = None
+        self._starting: dict[str, ProcessHandle] = {}  # the last process of each child
+        self._lock = threading.Lock()  # of what starts in the background share
         self._starts_canceled = False
         self._start_canceled = False  # its own
         self._zygote: ZygoteClient | None = None
@@ -107,20 +110,34 @@ class ComponentHost:
         """Report that a long call has reached its next step: it is not hung."""
         self.runtime.progress(step)
 
+    def in_background(self, call: Callable[[], T]) -> "Future[T]":
+        """Make a call on a thread of its own."""
+        result: Future[T] = Future()
+        threading.Thread(
+            target=complete, args=(result, call), name=f"{self._name} starts", daemon=True
+        ).start()
+        return result
+
     def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ChildHandle:
         """Start a child and wait until it accepts requests; see `SupervisorHost`."""
         if launch.spec.placement == "in_process":
             host = ComponentHost(launch, self._bus)
             host.on_exit = on_exit
-            running = (other for other in self._children if not other.ended.is_set())
-            self._children = (*running, host)
+            with self._lock:
+                running = (other for other in self._children if not other.ended.is_set())
+                self._children = (*running, host)
             host.start()
             return host
-        if self._zygote is None:
-            self._zygote = ZygoteClient(
-                Path(launch.context.zygote), self._log_lost_zygote, lambda: self._starts_canceled
-            )
-        self._starting = handle = ProcessHandle(launch)
+        with self._lock:
+            if self._zygote is None:
+                self._zygote = ZygoteClient(
+                    Path(launch.context.zygote),
+                    self._log_lost_zygote,
+                    lambda: self._starts_canceled,
+                )
+        handle = ProcessHandle(launch)
+        with self._lock:
+            self._starting[launch.name] = handle
         if self._starts_canceled:  # since the supervisor checked it; `handle` was not known yet
             raise CairnError("a stop was requested")
         handle.launch(self._zygote, on_exit)
@@ -128,18 +145,26 @@ class ComponentHost:
 
     def machines(self) -> RobotMachines:
         """Return what is known of the robot's other machines; see `SupervisorHost`."""
-        if self._machines is None:
-            context = self.runtime.launch.context
-            self._machines = RobotMachines(self._bus, self.runtime.node, context, self._clock.now)
-        return self._machines
+        with self._lock:
+            if self._machines is None:
+                context = self.runtime.launch.context
+                self._machines = RobotMachines(
+                    self._bus, self.runtime.node, context, self._clock.now
+                )
+            return self._machines
 
     def cancel_starts(self) -> None:
-        """Have nothing started any more below, and cut short the start in progress; any thread."""
+        """Have nothing started any more below, and cut short the starts in progress; any thread."""
         self._starts_canceled = True
         for child in self._children:
             child.expect_stop()
-        if self._starting is not None:
-            self._starting.cancel_start()
+        for handle in tuple(self._starting.values()):
+            handle.cancel_start()
+
+    def cancel_start(self, name: str) -> None:
+        """Cut short the start of a child."""
+        if name in self._starting:
+            self._starting[name].cancel_start()
 
     def send_request(self, verb: str, arguments: Mapping[str, Any] | None = None) -> "Future[Any]":
         """Have a control request answered on the component's thread; return the future answer."""

@@ -88,7 +88,7 @@ def _limit_allocation(memory_max_mib: int) -> None:
     """Have allocations fail beyond `_ALLOCATED` times a component's memory limit [MiB].
 
     Its supervisor kills it at the limit itself, but looks only twice a second, and not while it
-    starts another child.
+    stops another child.
     """
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     limit = _ALLOCATED * (memory_max_mib << 20)

@@ -3,9 +3,10 @@
 import heapq
 import itertools
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.clock import SECOND
@@ -17,9 +18,11 @@ from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.runtime import Runtime
-from cairn.supervision.child import ChildHandle
+from cairn.supervision.child import ChildHandle, completed
 from cairn.supervision.child_channel import Heartbeat, Verb
 from cairn.supervision.supervisor import Supervisor
+
+T = TypeVar("T")
 
 _HEARTBEAT_NS = SECOND
 _CALLS_AT_ONE_TIME = 1_000_000
@@ -301,6 +304,10 @@ class _LockstepHost:
     def report_progress(self, step: str) -> None:
         """Do nothing: virtual time stands still during a call, so that it cannot hang."""
 
+    def in_background(self, call: Callable[[], T]) -> "Future[T]":
+        """Make a call at once: it takes no virtual time."""
+        return completed(call)
+
     def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ChildHandle:
         """Construct a child."""
         child = _LockstepHost(self.run, launch, lambda _: on_exit())
@@ -313,6 +320,9 @@ class _LockstepHost:
         raise CairnError("a lockstep run has no machines")
 
     def cancel_starts(self) -> None:
+        """Do nothing: a start takes no virtual time."""
+
+    def cancel_start(self, name: str) -> None:
         """Do nothing: a start takes no virtual time."""
 
     def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still

@@ -120,6 +120,7 @@ class Runtime:
         self._state = LifecycleState.UNCONFIGURED
         self._in_transition: Transition | None = None
         self._current_call: tuple[str, float] | None = None
+        self._calling_thread = 0
         self._finishing: ExitReport | None = None
         self._reason = f"restarted: {launch.previous_exit}" if launch.previous_exit else ""
         self._problems: dict[str, str] = {}  # by subject; replaced, as other threads read it
@@ -288,8 +289,11 @@ class Runtime:
             self.call_log.flush()
 
     def progress(self, what: str) -> None:
-        """Report progress of a long call, so that it does not count as hung."""
-        if self._current_call is not None:
+        """Report progress of a long call, so that it does not count as hung.
+
+        No effect on another thread than that of the call.
+        """
+        if self._current_call is not None and self._calling_thread == threading.get_ident():
             self._current_call = (what, self._handler_clock())
 
     def status(self) -> ComponentStatus:
@@ -431,6 +435,7 @@ class Runtime:
 
     def _call(self, where: str, call: Callable[..., Any], *arguments: Any) -> Any:
         """Make one call, shown in the status; an exception in it becomes a `_Failure`."""
+        self._calling_thread = threading.get_ident()
         outer, self._current_call = self._current_call, (where, self._handler_clock())
         try:
             return call(*arguments)

@@ -7,9 +7,10 @@ arrived are read before it is judged. Time in which the supervisor could not run
 import logging
 import math
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
@@ -19,6 +20,8 @@ from cairn.supervision.child_channel import Heartbeat, Verb
 
 if TYPE_CHECKING:
     from cairn.supervision.remote_child import Machines
+
+T = TypeVar("T")
 
 State = Literal["unloaded", "starting", "active", "held", "stopping", "ended", "lost"]
 StartResult = Literal[
@@ -71,6 +74,21 @@ def stop_share(left_s: float, components: int, remaining: int) -> float:
     others = remaining - components
     kept_s = min(others * _KEPT_S, left_s * others / max(1, remaining))
     return max(0.0, left_s - kept_s)
+
+
+def completed(call: Callable[[], T]) -> "Future[T]":
+    """Make a call; return a future with what it has returned or raised."""
+    result: Future[T] = Future()
+    complete(result, call)
+    return result
+
+
+def complete(result: "Future[T]", call: Callable[[], T]) -> None:
+    """Make a call, and put what it returns or raises into a future."""
+    try:
+        result.set_result(call())
+    except BaseException as error:
+        result.set_exception(error)
 
 
 class ZygoteLost(CairnError):
@@ -133,8 +151,12 @@ class ChildHandle(Protocol):
 class SupervisorHost(Protocol):
     """What runs a supervisor: launches its children, and has its loop and its time."""
 
+    def in_background(self, call: Callable[[], T]) -> "Future[T]":
+        """Make a call while the supervisor goes on, or at once where a call takes no time."""
+        ...
+
     def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ChildHandle:
-        """Start a child; return when it accepts requests.
+        """Start a child; return when it accepts requests. For any thread.
 
         `on_exit` is called from any thread when the child has ended. Raises `CairnError` with the
         cause if the start fails, `ChildUnavailable` if the child is killed or the start exceeds
@@ -148,7 +170,11 @@ class SupervisorHost(Protocol):
         ...
 
     def cancel_starts(self) -> None:
-        """Reject further starts and cancel the start in progress; thread-safe."""
+        """Reject further starts and cancel those in progress; thread-safe."""
+        ...
+
+    def cancel_start(self, name: str) -> None:
+        """Cancel the start of a child that is in progress."""
         ...
 
     def now(self) -> float:
@@ -164,7 +190,10 @@ class SupervisorHost(Protocol):
         ...
 
     def report_progress(self, step: str) -> None:
-        """Report that a long call of the supervisor has reached its next step: it is not hung."""
+        """Report that a long call of the supervisor has reached its next step: it is not hung.
+
+        No effect for calls in the background.
+        """
         ...
 
 

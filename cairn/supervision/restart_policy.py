@@ -71,6 +71,10 @@ class RestartPolicy:
         self._done.discard(name)
         self._required.discard(name)
 
+    def was_started(self, name: str) -> bool:
+        """Return whether a child was started before, with success or not."""
+        return name in self._attempted
+
     def started(self, name: str) -> None:
         """Note that a child has become active."""
         self._failed_starts[name] = 0

@@ -2,7 +2,8 @@
 
 When a child ends, the zygote reports its exit to the supervisor's host, which calls `on_exit`; the
 supervisor then reconciles: `RestartPolicy` decides which children stop and start, `Child` stops
-them and starts them through the host.
+them and starts them through the host. Starts are made in the background, so that a slow one delays
+neither the restart of another child nor a request.
 
 Log lines begin with an event in stable words, then the child's name, then the reason:
 
@@ -25,7 +26,10 @@ Level DEBUG adds `child starting` and `child stopping`. Children on other machin
 
 import logging
 import math
+import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from concurrent.futures import wait as wait_for
 from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
@@ -49,6 +53,8 @@ from cairn.supervision.child import (
 from cairn.supervision.remote_child import RemoteChild
 from cairn.supervision.restart_policy import Decision, RestartPolicy
 from cairn.supervision.ros_services import ChildLifecycle, Container
+
+_STEP_S = 0.5  # as often children are checked
 
 HELD_STATES = ("unconfigured", "inactive", "active")
 """The states of its life cycle in which a child can be held."""
@@ -186,8 +192,21 @@ def _raise(error: Exception) -> NoReturn:
     raise error
 
 
+class _Start:
+    """A start of a child, in the background; `is_own` if `load` takes its result."""
+
+    def __init__(self, child: Child | RemoteChild, *, is_own: bool) -> None:
+        self.child = child
+        self.is_own = is_own
+        self.is_canceled = False
+        self.result: Future[StartResult] = Future()
+
+
 class ChildGroup:
     """The children of one supervisor: brings what runs to what its restart policy requires.
+
+    A child starts in the background. Meanwhile the others are looked after: what ends is restarted,
+    what hangs is killed.
 
     All methods are for one thread, the supervisor's, except `request_stop`, which may be called
     from any thread and from signal handlers.
@@ -213,11 +232,14 @@ class ChildGroup:
         self._requested_by = self._stopping_by = math.inf
         self._host = host
         self._log = log
+        self._on_exit_due = on_exit
         self._policy = RestartPolicy(launch.spec.children, launch.spec.supervision)
+        self._starts: dict[str, _Start] = {}  # in progress, or with a result that was not taken yet
+        self._news = threading.Event()  # a child has ended, or a start
         self._children: dict[str, Child | RemoteChild] = {
             name: RemoteChild(name, launch, host, log)
             if launch.is_elsewhere(spec)
-            else Child(name, launch, host, log, on_exit)
+            else Child(name, launch, host, log, self._note_news)
             for name, spec in launch.spec.children.items()
         }
         self._fallbacks = {
@@ -263,48 +285,33 @@ class ChildGroup:
             if child.spec.load == "at_start":
                 self._policy.load(name)
         self.reconcile()
+        self._await(lambda: not self._starts)
 
     def reconcile(self) -> None:
         """Find children that have ended, and stop and start children as the policy decides.
 
-        Call it after `on_exit`, and now and then. Raises `Escalate` if the policy gives up, or if a
+        Call it after `on_exit`, and now and then. It does not wait for the starts: `on_exit` is
+        called when one is done. Raises `Escalate` if the policy gives up, or if a
         child must be restarted that does not end even when killed: two incarnations must never run
         at once. All children are stopped then. Raises `ZygoteLost`; call `stop_all` then.
         """
         while not self.stop_requested:
-            for running in self._children.values():
+            self._take_results()
+            for running in self._settled():
                 report = running.poll()
                 if report is not None:
                     self._on_exit(running, report)
-            required = (self._children[name] for name in self._policy.required)
-            child = next((one for one in required if not one.runs), None)
+            child = self._next_to_start()
             if child is None:
                 return
-            result = self._start(child)
-            if result == "unkillable":
-                in_process = child.spec.placement == "in_process"
-                remedy = (
-                    "give it `placement: process`" if in_process else "check its device, or reboot"
-                )
-                self._give_up(f"given up: {child.name}: {child.reason}; {remedy}")
-            if result in ("refused", "unavailable"):
-                now, refused = self._host.now(), result == "refused"
-                decision = self._policy.start_failed(
-                    child.name, at_s=now, reason=child.reason, refused=refused
-                )
-                self._apply(decision, child)
+            self._begin_start(child)
 
     def check(self) -> None:
         """Kill the children that hang, and restore those that are not in the state they should be.
 
         `reconcile` is then due. Raises the same as `reconcile`.
         """
-        for child in self._children.values():
-            report = None if self.stop_requested else child.check(lambda: self.stop_requested)
-            if report is not None and isinstance(child, RemoteChild):
-                self._give_up(f"{child.name} is lost: {report.reason}")
-            if report is not None:
-                self._on_exit(child, report)
+        self._check_settled()
         for name, child in self._children.items():
             if isinstance(child, RemoteChild) and fallback_name(name) in self._children:
                 self._switch_fallback(child, fallback_name(name))
@@ -331,6 +338,7 @@ class ChildGroup:
         if state not in HELD_STATES:
             choice = ", ".join(HELD_STATES)
             raise CairnError(f"{name}: cannot be held in state {state}; choose one of: {choice}")
+        self._await(lambda: name not in self._starts)
         child.hold(LifecycleState(state))
         return state
 
@@ -346,7 +354,7 @@ class ChildGroup:
             return
         self._policy.load(name)
         for _ in range(1 + self._policy.supervision.max_restarts):
-            result = "canceled" if self.stop_requested else self._start(child)
+            result = "canceled" if self.stop_requested else self._start_now(child)
             if result != "unavailable":
                 break
         if result == "active":
@@ -376,6 +384,7 @@ class ChildGroup:
         child.target = LifecycleState.ACTIVE
         self._policy.load(name)
         self.reconcile()
+        self._await(lambda: name not in self._starts)
 
     def stop_all(self) -> None:
         """Stop all children in reverse order, whatever any of them does, and unload them.
@@ -403,15 +412,114 @@ class ChildGroup:
 
     def _stop(self, child: Child | RemoteChild) -> None:
         """Stop a child in the time that it may take if all must stop, otherwise in its own."""
-        left_s = min(self._requested_by, self._stopping_by) - self._host.now()
+        start = self._starts.pop(child.name, None)
+        if start is not None:
+            self._cancel(start)
         remaining = sum(one.components for one in self._children.values())
-        child.stop(stop_share(left_s, child.components, remaining))
+        child.stop(stop_share(self._left_s, child.components, remaining))
 
-    def _start(self, child: Child | RemoteChild) -> StartResult:
-        result = child.start(lambda: self.stop_requested)
+    @property
+    def _left_s(self) -> float:
+        """The time that is left for a stop of all children [s]; infinite if there is none."""
+        return min(self._requested_by, self._stopping_by) - self._host.now()
+
+    def _cancel(self, start: _Start) -> None:
+        """Cut short a start, and wait until that is done; the child may run then."""
+        start.is_canceled = True
+        if not start.result.done():
+            self._host.cancel_start(start.child.name)
+            start.child.expect_stop(max(0.0, min(self._left_s, start.child.spec.stop_limit_s)))
+        while not start.result.done():
+            self._host.report_progress(f"canceling the start of {start.child.name}")
+            wait_for([start.result], _STEP_S)
+
+    def _settled(self) -> list[Child | RemoteChild]:
+        """Return the children that are not being started."""
+        return [child for name, child in self._children.items() if name not in self._starts]
+
+    def _check_settled(self) -> None:
+        for child in self._settled():
+            report = None if self.stop_requested else child.check(lambda: self.stop_requested)
+            if report is not None and isinstance(child, RemoteChild):
+                self._give_up(f"{child.name} is lost: {report.reason}")
+            if report is not None:
+                self._on_exit(child, report)
+
+    def _next_to_start(self) -> Child | RemoteChild | None:
+        """Return the next child to start; None if there is none, or another one comes first.
+
+        Children start in order, each when the one before is active. A restart waits for no start of
+        another child, unless the strategy restarts both together.
+        """
+        alone = self._policy.supervision.strategy == "one_for_one"
+        for name in self._policy.required:
+            if name in self._starts or self._children[name].runs:
+                continue
+            if not self._starts or (alone and self._policy.was_started(name)):
+                return self._children[name]
+        return None
+
+    def _begin_start(self, child: Child | RemoteChild, *, is_own: bool = False) -> _Start:
+        start = _Start(child, is_own=is_own)
+
+        def run() -> StartResult:
+            return child.start(lambda: self.stop_requested or start.is_canceled)
+
+        self._starts[child.name] = start
+        start.result = self._host.in_background(run)
+        if not start.result.done():
+            start.result.add_done_callback(lambda _: self._note_news())
+        return start
+
+    def _start_now(self, child: Child | RemoteChild) -> StartResult:
+        """Start a child and wait until that is done, or a stop was requested."""
+        start = self._begin_start(child, is_own=True)
+        self._await(start.result.done)
+        if not start.result.done() or self._starts.pop(child.name, None) is not start:
+            return "canceled"
+        result = start.result.result()
         if result == "active":
             self._policy.started(child.name)
         return result
+
+    def _take_results(self) -> None:
+        """Do what follows from the starts that are done."""
+        for name, start in list(self._starts.items()):
+            if start.is_own or not start.result.done() or self._starts.get(name) is not start:
+                continue
+            del self._starts[name]
+            self._follow(start.child, start.result.result())
+
+    def _follow(self, child: Child | RemoteChild, result: StartResult) -> None:
+        if result == "active":
+            self._policy.started(child.name)
+        elif result == "unkillable":
+            in_process = child.spec.placement == "in_process"
+            remedy = "give it `placement: process`" if in_process else "check its device, or reboot"
+            self._give_up(f"given up: {child.name}: {child.reason}; {remedy}")
+        elif result in ("refused", "unavailable"):
+            now, refused = self._host.now(), result == "refused"
+            decision = self._policy.start_failed(
+                child.name, at_s=now, reason=child.reason, refused=refused
+            )
+            self._apply(decision, child)
+
+    def _await(self, is_over: Callable[[], bool]) -> None:
+        """Look after the children until something is over, or a stop was requested.
+
+        Raises the same as `reconcile`.
+        """
+        while not (is_over() or self.stop_requested):
+            self._news.wait(_STEP_S)
+            self._news.clear()
+            self._host.report_progress(f"starting {', '.join(self._starts)}")
+            self._check_settled()
+            self.reconcile()
+
+    def _note_news(self) -> None:
+        """Note that a child or a start has ended; from any thread."""
+        self._news.set()
+        self._on_exit_due()
 
     def _on_exit(self, child: Child | RemoteChild, report: ExitReport) -> None:
         decision = self._policy.ended(

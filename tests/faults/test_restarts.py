@@ -41,6 +41,40 @@ def test_strategy_decides_which_children_are_restarted(launch: Launching) -> Non
     assert run.stop() == 0
 
 
+def test_supervisor_goes_on_while_a_child_starts(launch: Launching) -> None:
+    run = launch(
+        """
+    components:
+      mobile:
+        plugin: supervisor
+        children:
+          first: {plugin: test_beacon}
+          slow: {plugin: test_faulty, parameters: {fault: nap, where: on_activate}}
+    """
+    )
+    # Also during its first start, in which the supervisor itself is not active yet.
+    run.pid_of("slow")
+    os.kill(run.pid_of("first"), signal.SIGKILL)
+    seen = run.await_line("child failed: first: killed by SIGKILL")
+    seen = run.await_line("child active: first", after=seen)
+    assert not any("child active: slow" in line for line in run.lines[:seen])
+    seen = run.await_line("root: child active: mobile", after=seen)
+
+    os.kill(run.pid_of("slow"), signal.SIGKILL)
+    seen = run.await_line("child failed: slow: killed by SIGKILL", after=seen)
+    slow = run.pid_of("slow")
+    os.kill(slow, signal.SIGSTOP)
+    os.kill(run.pid_of("first"), signal.SIGKILL)
+    failed = run.await_line("child failed: first: killed by SIGKILL", after=seen)
+    run.await_line("child active: first", after=failed)
+    assert cairn("restart", "first", connect=run.endpoint).code == 0
+    assert not any("child active: slow" in line for line in run.lines[seen:])
+
+    os.kill(slow, signal.SIGCONT)
+    run.await_line("child active: slow", after=seen)
+    assert run.stop() == 0
+
+
 def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launching) -> None:
     run = launch(
         """

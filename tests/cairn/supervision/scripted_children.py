@@ -2,17 +2,21 @@
 
 import logging
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from cairn import CairnError
 from cairn.deployment.model import ChildSpec, Supervision
 from cairn.process_exit import ExitReport
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
-from cairn.supervision.child import ChildUnavailable
+from cairn.supervision.child import ChildUnavailable, complete, completed
 from cairn.supervision.child_channel import Heartbeat, Verb
 from cairn.supervision.remote_child import Machines
 from cairn.supervision.supervisor import ChildGroup
+
+T = TypeVar("T")
 
 _READY = Heartbeat(LifecycleState.UNCONFIGURED)
 Step = Callable[["ScriptedChild", float], None]  # called with the step's time limit [s]
@@ -140,6 +144,9 @@ class World:
     stop_requests: int = 0
     on_step: Callable[[str], None] = lambda text: None
     robot_machines: Machines | None = None
+    slow_starts: bool = False
+    """Whether starts are held back until `finish_starts`."""
+    pending: list[Callable[[], None]] = field(default_factory=list)
 
     def script(self, name: str, *incarnations: dict[str, Step]) -> None:
         """Set what a child does at each step, by incarnation; later ones are correct."""
@@ -156,12 +163,29 @@ class World:
         self.children[name] = child
         return child
 
+    def in_background(self, call: Callable[[], T]) -> "Future[T]":
+        if not self.slow_starts:
+            return completed(call)
+        result: Future[T] = Future()
+        self.pending.append(lambda: complete(result, call))
+        return result
+
+    def finish_starts(self) -> None:
+        """Make the starts that were held back by `slow_starts`."""
+        pending, self.pending = self.pending, []
+        for start in pending:
+            start()
+
     def machines(self) -> Machines:
         assert self.robot_machines is not None
         return self.robot_machines
 
     def cancel_starts(self) -> None:
         self.stop_requests += 1
+
+    def cancel_start(self, name: str) -> None:
+        self.steps.append(f"cancel start {name}")
+        self.finish_starts()
 
     def now(self) -> float:
         return self.now_s

@@ -29,6 +29,7 @@ CRASH = ExitReport(False, "killed by SIGSEGV (signal 11)")
 DONE = ExitReport(True, "exit code 0")
 START_BASE = ["launch base", "configure base", "activate base"]
 START_SCANNER = ["launch scanner", "configure scanner", "activate scanner"]
+START_CAMERA = ["launch camera", "configure camera", "activate camera"]
 STOP_BASE = ["deactivate base", "shutdown base"]
 STOP_SCANNER = ["deactivate scanner", "shutdown scanner"]
 
@@ -88,6 +89,80 @@ def test_ended_child_is_restarted_and_the_reason_is_kept(world: World) -> None:
         "DEBUG child starting: base",
         "INFO child active: base",
     ]
+
+
+def slow_restart_of_scanner(world: World, supervision: Supervision | None = None) -> ChildGroup:
+    """Return a supervisor of base, scanner and camera, of which the scanner is being restarted."""
+    supervisor = world.supervisor_with(supervision or Supervision(), "base", "scanner", "camera")
+    supervisor.start_all()
+    world.slow_starts = True
+    world.children["scanner"].end = CRASH
+    supervisor.reconcile()
+    world.slow_starts = False
+    world.take_steps()
+    return supervisor
+
+
+def states(supervisor: ChildGroup) -> list[str]:
+    return [child.state for child in supervisor.status()]
+
+
+def test_other_children_are_restarted_while_a_child_starts(world: World) -> None:
+    supervisor = slow_restart_of_scanner(world)
+    world.children["base"].end = CRASH
+    world.children["camera"].beat("tick", 100.0)
+    supervisor.check()
+    supervisor.reconcile()
+    assert world.steps == ["kill camera", *START_BASE, *START_CAMERA]
+    assert "WARNING child failed: base: killed by SIGSEGV (signal 11)" in world.log.lines
+    world.take_steps()
+    world.finish_starts()
+    supervisor.reconcile()
+    assert world.steps == START_SCANNER
+    assert states(supervisor) == ["active"] * 3
+
+
+def test_slow_children_start_in_order_each_when_the_one_before_is_active(world: World) -> None:
+    supervisor = world.supervisor("base", "scanner")
+    world.slow_starts = True
+    at_once = []
+
+    def finish(step: str) -> None:
+        if world.pending:
+            at_once.append(len(world.pending))
+            world.finish_starts()
+
+    world.on_step = finish
+    supervisor.start_all()
+    assert world.steps == START_BASE + START_SCANNER
+    assert at_once == [1, 1]
+
+
+@pytest.mark.parametrize("request_", ["unload", "restart"])
+def test_start_in_progress_is_canceled_on_request(world: World, request_: str) -> None:
+    supervisor = slow_restart_of_scanner(world)
+    getattr(supervisor, request_)("scanner")
+    restarted = START_SCANNER if request_ == "restart" else []
+    assert world.steps == ["cancel start scanner", "launch scanner", "shutdown scanner", *restarted]
+
+
+def test_stop_cancels_a_start_in_progress(world: World) -> None:
+    supervisor = slow_restart_of_scanner(world)
+    supervisor.request_stop()
+    supervisor.stop_all()
+    assert world.running() == []
+    assert states(supervisor) == ["unloaded"] * 3
+
+
+def test_strategy_restarts_a_child_that_is_being_started_together_with_the_others(
+    world: World,
+) -> None:
+    supervisor = slow_restart_of_scanner(world, Supervision(strategy="rest_for_one"))
+    world.children["base"].end = CRASH
+    supervisor.reconcile()
+    assert world.steps[:2] == ["cancel start scanner", "launch scanner"]
+    assert world.steps[-9:] == START_BASE + START_SCANNER + START_CAMERA
+    assert states(supervisor) == ["active"] * 3
 
 
 def test_hang_of_an_earlier_incarnation_has_no_effect(world: World) -> None:
