@@ -466,7 +466,11 @@ class MobileSupervisor(Supervisor):
             return
         saved = self._saved_mission.attempt(
             lambda: file.save(mission),
-            lambda: f"mission {mission.mission_id} does not continue where it is",
+            lambda: (
+                f"mission {mission.mission_id} does not continue where it is"
+                if file.holds(mission)
+                else f"mission {mission.mission_id} is lost"
+            ),
             now=now,
         )
         if not saved and not self._retrying:

@@ -132,15 +132,19 @@ class MissionFile:
         so that no restarted supervisor continues it.
         """
         try:
-            if self._goals_of != mission.mission_id:
+            if not self.holds(mission):
                 replace_file(self.file, _json(mission, MissionRequest))
                 self._goals_of = mission.mission_id
             replace_file(self.progress_file, _json(mission, MissionProgress))
         except OSError:
-            if mission.result or self._goals_of != mission.mission_id:
+            if mission.result or not self.holds(mission):
                 with suppress(OSError):
                     self.remove()
             raise
+
+    def holds(self, mission: Mission) -> bool:
+        """Return whether the goals of a mission are on the disk, perhaps with earlier progress."""
+        return self._goals_of == mission.mission_id
 
     def load(self) -> Mission | None:
         """Return the mission, None if there is none; raises `CairnError` if a file is invalid."""

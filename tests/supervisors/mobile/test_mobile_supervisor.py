@@ -486,5 +486,28 @@ def test_mission_that_is_over_is_not_continued_if_the_disk_takes_no_data(
     assert MissionFile(file.file).load() == after
 
 
+def test_goal_on_a_full_disk_is_pursued_and_reported_as_lost_with_its_supervisor(
+    make_harness: MakeHarness,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    robot = make_harness()
+    missions = robot.read("navigate_goal", NavigateGoal)
+    kept, _ = go(robot, [1.0, 2.0, 0.0])
+    with monkeypatch.context() as full_disk:
+        full_disk.setattr(mission_file, "replace_file", refuse)
+        publish_status(robot, mission_id=kept, state=NavigationStatus.FAILED, reason="no path")
+        number, sent = go(robot, [3.0, 4.0, 0.0])
+        assert [one.mission_id for one in missions.take()][-1] == number
+        assert sent.result is None
+        warning = caplog.messages[-1]
+        assert_words(warning, "mission not saved", "No space left", f"mission {number} is lost")
+
+        robot.request("root", "restart", name="mobile_supervisor")
+
+    assert missions.take() == [], "nothing is continued"
+    assert result_of(robot, sent).status == GoalStatus.STATUS_UNKNOWN
+
+
 def refuse(path: Path, data: bytes) -> None:
     raise OSError(errno.ENOSPC, "No space left on device", str(path))
