@@ -23,7 +23,8 @@ def campaign(
     file: Annotated[
         Path,
         typer.Argument(
-            help="Campaign file, or the name of a campaign that Cairn ships: `sim`.",
+            help="Campaign file, or the name of a campaign that Cairn ships: `devices`, "
+            "`machines` or `sim`.",
             metavar="FILE",
             parser=campaign_file,
         ),

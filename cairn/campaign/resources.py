@@ -36,7 +36,7 @@ class Resources:
 
     uses: dict[str, ProcessUse] = field(default_factory=dict)
     _memory: dict[str, list[tuple[float, float]]] = field(default_factory=lambda: defaultdict(list))
-    _known: dict[str, tuple[int, float]] = field(default_factory=dict)
+    _known: set[tuple[str, int, float]] = field(default_factory=set)
     _kept_s: float = float("-inf")
 
     def add(self, at_s: float, processes: Processes) -> None:
@@ -47,10 +47,9 @@ class Resources:
             if process.role == "helper":
                 continue
             use = self.uses.setdefault(process.name, ProcessUse())
-            identity = process.pid, process.created_s
-            if self._known.get(process.name) != identity:
-                self._known[process.name] = identity
-                use.starts += 1
+            identity = process.name, process.pid, process.created_s
+            use.starts += identity not in self._known
+            self._known.add(identity)
             use.memory_mib = max(use.memory_mib, round(process.memory_mib, 1))
             use.descriptors = max(use.descriptors, process.descriptors)
             use.threads = max(use.threads, process.threads)

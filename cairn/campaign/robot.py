@@ -332,9 +332,11 @@ class CampaignRobot:
     def _role_of(self, name: str, parent: str, machine: str) -> Role:
         if name == self.roots[machine]:
             return "root"
+        if name == parent:  # just forked
+            return "helper"
         if name == self.zygotes[machine]:
             return "zygote"
-        return "component" if name in self.components and name != parent else "helper"
+        return "component" if name in self.components else "helper"
 
     def _folder_of(self, name: str, machine: str) -> Path:
         is_main = machine == self.machines[0]

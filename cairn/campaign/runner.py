@@ -142,9 +142,12 @@ class _Runner:
         self._began = time.monotonic()
         plan = planned_faults(self._campaign)
         due = next(plan, None)
-        end_s = self._end_s(due)
+        end_s = self._end_s(is_last=due is None)
         delay_s = 0.0
-        while not is_over():
+        while self._now() < end_s:
+            if is_over():
+                self._report.interrupted = True
+                return
             self._step()
             now = self._now()
             if due is not None and now >= due.at_s + delay_s:
@@ -153,10 +156,7 @@ class _Runner:
                 delay_s += late_s if late_s > _LATE_S else 0.0
                 self._inject(due)
                 due = next(plan, None)
-                end_s = self._end_s(due)
-            if (due is None and now >= end_s) or now >= (self._campaign.duration_s or math.inf):
-                return
-        self._report.interrupted = due is not None
+                end_s = self._end_s(is_last=due is None)
 
     def close(self) -> None:
         """Undo all faults, stop the deployment, and judge the end."""
@@ -185,12 +185,12 @@ class _Runner:
                 commands[violation.recording] = rerun_command(path)
             violation.rerun = commands.get(violation.recording, "")
 
-    def _end_s(self, due: PlannedFault | None) -> float:
-        if due is not None:
-            return due.at_s
-        if self._campaign.duration_s is not None and self._campaign.count is None:
-            return self._campaign.duration_s
-        return self._now() + self._campaign.settle_s
+    def _end_s(self, *, is_last: bool) -> float:
+        """Return when the campaign ends: with its duration, or when its last fault has settled."""
+        end_s = math.inf if self._campaign.duration_s is None else self._campaign.duration_s
+        if is_last and self._campaign.count is not None:
+            end_s = min(end_s, self._now() + self._campaign.settle_s)
+        return end_s
 
     def _now(self) -> float:
         return time.monotonic() - self._began
