@@ -347,7 +347,8 @@ class ChildGroup:
 
         If it dies during the start, the start is repeated, as often as restarts are allowed. Raises
         `UnknownChild`; `StartFailed` with the cause if the child does not become active, which does
-        not count as a restart: the caller decides what follows.
+        not count as a restart: the caller decides what follows. If the policy gives up another
+        child meanwhile, the supervisor fails after the call.
         """
         child = self._child(name)
         if name in self._policy.required:
@@ -474,7 +475,10 @@ class ChildGroup:
     def _start_now(self, child: Child | RemoteChild) -> StartResult:
         """Start a child and wait until that is done, or a stop was requested."""
         start = self._begin_start(child, is_own=True)
-        self._await(start.result.done)
+        try:
+            self._await(start.result.done)
+        except Escalate as error:  # all children are stopped; not the caller's to handle
+            self._host.post(partial(_raise, error))
         if not start.result.done() or self._starts.pop(child.name, None) is not start:
             return "canceled"
         result = start.result.result()

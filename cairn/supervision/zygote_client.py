@@ -197,7 +197,7 @@ class ZygoteClient:
     """A connection to a zygote, which owns the processes spawned over it.
 
     When it closes, or the process that holds it ends, they are killed with their process groups.
-    One thread spawns processes. A thread of the client's own calls `ChildProcess.on_exit`
+    Any thread may spawn processes. A thread of the client's own calls `ChildProcess.on_exit`
     callbacks, and `on_lost` if the zygote ends, before the exits of all processes that end with it;
     none of them may spawn processes.
     """

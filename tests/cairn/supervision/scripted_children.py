@@ -147,6 +147,7 @@ class World:
     slow_starts: bool = False
     """Whether starts are held back until `finish_starts`."""
     pending: list[Callable[[], None]] = field(default_factory=list)
+    posted: list[Callable[[], None]] = field(default_factory=list)
 
     def script(self, name: str, *incarnations: dict[str, Step]) -> None:
         """Set what a child does at each step, by incarnation; later ones are correct."""
@@ -194,7 +195,7 @@ class World:
         return self.now_s
 
     def post(self, call: Callable[[], None]) -> None:
-        call()
+        self.posted.append(call)
 
     def report_progress(self, step: str) -> None:
         self.progress.append(step)

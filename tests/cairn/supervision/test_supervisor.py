@@ -146,6 +146,21 @@ def test_start_in_progress_is_canceled_on_request(world: World, request_: str) -
     assert world.steps == ["cancel start scanner", "launch scanner", "shutdown scanner", *restarted]
 
 
+def test_supervisor_that_gives_up_while_a_child_is_loaded_fails_after_the_call(
+    world: World,
+) -> None:
+    on_request = ChildSpec(plugin="test", load="on_request")
+    supervisor = world.supervisor_with(Supervision(max_restarts=0), "base", scanner=on_request)
+    supervisor.start_all()
+    world.slow_starts = True
+    world.on_step = lambda _: setattr(world.children["base"], "end", CRASH)
+    with pytest.raises(StartFailed, match="a stop was requested"):
+        supervisor.load("scanner")
+    assert world.running() == []
+    with pytest.raises(Escalate, match="given up after more than 0 restarts"):
+        world.posted[-1]()
+
+
 def test_stop_cancels_a_start_in_progress(world: World) -> None:
     supervisor = slow_restart_of_scanner(world)
     supervisor.request_stop()
