@@ -54,7 +54,8 @@ from cairn.supervision.remote_child import RemoteChild
 from cairn.supervision.restart_policy import Decision, RestartPolicy
 from cairn.supervision.ros_services import ChildLifecycle, Container
 
-_STEP_S = 0.5  # as often children are checked
+_STEP_S = 0.5
+"""Longest time between two checks of the others while a child starts."""
 
 HELD_STATES = ("unconfigured", "inactive", "active")
 """The states of its life cycle in which a child can be held."""
@@ -466,8 +467,8 @@ class ChildGroup:
         def run() -> StartResult:
             return child.start(lambda: self.stop_requested or start.is_canceled)
 
-        self._starts[child.name] = start
         start.result = self._host.in_background(run)
+        self._starts[child.name] = start
         if not start.result.done():
             start.result.add_done_callback(lambda _: self._note_news())
         return start
