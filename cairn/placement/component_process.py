@@ -22,6 +22,7 @@ from cairn.bell import Bell
 from cairn.bus.session import open_peer, peer_socket
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.errors import CairnError
+from cairn.heap import return_free_memory
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.launcher import TRACEBACK_SIGNAL
 from cairn.placement.prepared import CODEC
@@ -38,6 +39,9 @@ from cairn.supervision.child_channel import (
 )
 
 HEARTBEAT_S = 0.25
+_FREE_MEMORY_S = 60.0
+"""Free memory is returned to the system so often: it takes milliseconds, and an image afterwards
+takes longer, since its memory is mapped again."""
 _SWITCH_INTERVAL_S = 0.0005
 """A handler that computes yields to the threads that receive messages after at most so long."""
 _ALLOCATED = 2
@@ -161,11 +165,14 @@ class MainLoop:
     ) -> bool:
         """Publish heartbeats until the component has ended, and call `on_turn` with each of them.
 
+        Once a minute, the process returns its free memory to the system.
+
         `on_turn` is called a last time after the end. With `force`, a second stop signal ends the
         loop before the component has ended, and so does a stop that takes longer than it may,
         whatever has caused it; then the result is False.
         """
         due = time.monotonic()
+        free_due = due + _FREE_MEMORY_S
         while not self._host.ended.is_set():
             if self._received_signal(due - time.monotonic()):
                 if self._stopping and force:
@@ -176,6 +183,9 @@ class MainLoop:
             if time.monotonic() >= due:
                 due = time.monotonic() + HEARTBEAT_S
                 self._host.publish_heartbeats()
+            if time.monotonic() >= free_due:
+                free_due = time.monotonic() + _FREE_MEMORY_S
+                return_free_memory()
             on_turn()
         on_turn()
         return True

@@ -33,6 +33,7 @@ from cairn.deployment.machines import published_elsewhere
 from cairn.deployment.model import ROOT, ChildSpec, Deployment, root_name
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
+from cairn.heap import share_heap
 from cairn.placement.certified_router import (
     AuthorityPoll,
     Certified,
@@ -79,11 +80,12 @@ class RunView(Protocol):
 
 @contextmanager
 def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
-    """Start the zygote, which imports these modules.
+    """Start the zygote, which imports these modules; call it before any thread is started.
 
     All processes that it has started end with the context. Raises `CairnError` if the folder for
     its socket cannot be created.
     """
+    share_heap()
     with run_folder() as path:
         zygote = start_zygote([MainLoop.__module__, *modules], path)
         # Components in this process may need the same kernels, which one process compiles for all.
