@@ -4,6 +4,9 @@ import signal
 import threading
 from typing import cast
 
+import pytest
+
+from cairn.placement import component_process
 from cairn.placement.component_host import ComponentHost
 from cairn.placement.component_process import MainLoop
 
@@ -46,3 +49,20 @@ def test_stop_without_a_signal_ends_the_loop_at_its_limit() -> None:
 
     assert not loop.run(escalate, force=True)
     assert host.stops == 0
+
+
+def test_loop_returns_free_memory_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    host = HangingHost()
+    returned = 0
+
+    def count() -> None:
+        nonlocal returned
+        returned += 1
+        if returned == 3:
+            host.ended.set()
+
+    monkeypatch.setattr(component_process, "_FREE_MEMORY_S", 0.0)
+    monkeypatch.setattr(component_process, "return_free_memory", count)
+
+    assert MainLoop(cast("ComponentHost", host)).run()
+    assert returned == 3
