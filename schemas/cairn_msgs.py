@@ -35,6 +35,7 @@ Corners = Annotated[npt.NDArray[np.float64], Array("float64", check=finite)]
 NotNegative = Annotated[float, Scalar("float64", at_least=0)]
 
 RobotId = Annotated[str, Text(most=63)]
+CellSet = Annotated[npt.NDArray[np.uint8], Array("uint8", length=32)]
 Information2 = Annotated[npt.NDArray[np.float64], Array("float64", length=5, check=finite)]
 
 NAN = float("nan")
@@ -235,9 +236,9 @@ class LandmarkContribution:
         _require_position_or_none(self, "", self.x, self.y)
 
 
-@message("cairn_msgs/msg/LandmarkContributor")
-class LandmarkContributor:
-    """How many contributions of a robot are known, the newest version, and their digest."""
+@message("cairn_msgs/msg/RecordContributor")
+class RecordContributor:
+    """What a record has of one robot: how many contributions, the newest version, their digest."""
 
     robot: RobotId
     newest: UInt64 = 0
@@ -261,7 +262,7 @@ class SharedLandmarks:
     map_version: UInt64 = 0
     landmarks: UInt32 = 0
     rejected: UInt64 = 0
-    contributors: tuple[LandmarkContributor, ...] = ()
+    contributors: tuple[RecordContributor, ...] = ()
     contributions: tuple[LandmarkContribution, ...] = ()
 
     def __post_init__(self) -> None:
@@ -269,6 +270,59 @@ class SharedLandmarks:
         for name, held, most in (
             ("contributors", self.contributors, MOST_CONTRIBUTORS),
             ("contributions", self.contributions, MOST_CONTRIBUTIONS),
+        ):
+            if len(held) > most:
+                reject(self, name, len(held), f"must be at most {most}")
+
+
+MOST_DECISIONS = 64
+"""Most decisions in one message, which then has about 8 kB."""
+
+
+@message("cairn_msgs/msg/CellDecision")
+class CellDecision:
+    """What one robot has decided at `stamp` [ns] by its clock about some cells of a grid map.
+
+    A tile has 16 x 16 cells; tiles are numbered row by row from the map's origin, and so are the
+    cells of a tile: cell n is bit n % 8 (1, 2, 4, ...) of byte n / 8. Each cell is in one of the
+    sets `free`, `occupied` and `unknown`, or in none, if the decision is not about it.
+    """
+
+    robot: RobotId
+    tile: UInt32
+    stamp: UInt64
+    free: CellSet = zeros(32, np.uint8)
+    occupied: CellSet = zeros(32, np.uint8)
+    unknown: CellSet = zeros(32, np.uint8)
+
+
+@message("cairn_msgs/msg/SharedCells")
+class SharedCells:
+    """What a robot knows of the grid map that it shares with robots that have the same map.
+
+    `map` is the digest of the map from which all of them started, `cells` the number of cells that
+    differ from it in the sender's map. `x`, `y` [m] is the sender's position in the map, NaN if it
+    is not known, and `radius` [m] its size: others do not put it into their maps. `contributors`,
+    `decisions` and `rejected` are as in `SharedLandmarks`.
+    """
+
+    header: Header = Header()
+    robot: RobotId = ""
+    map: Annotated[str, Text(most=64)] = ""
+    cells: UInt32 = 0
+    rejected: UInt64 = 0
+    x: Float64 = NAN
+    y: Float64 = NAN
+    radius: NotNegative = 0.0
+    contributors: tuple[RecordContributor, ...] = ()
+    decisions: tuple[CellDecision, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that there are not too many decisions."""
+        _require_position_or_none(self, "", self.x, self.y)
+        for name, held, most in (
+            ("contributors", self.contributors, MOST_CONTRIBUTORS),
+            ("decisions", self.decisions, MOST_DECISIONS),
         ):
             if len(held) > most:
                 reject(self, name, len(held), f"must be at most {most}")

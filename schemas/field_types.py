@@ -196,9 +196,9 @@ def finite(array: npt.NDArray[Any]) -> None:
         raise ValueError("must hold finite numbers only")
 
 
-def zeros(length: int) -> Any:
-    """Return the default of a float64 array field: `length` zeros, one read-only array for all."""
-    value = np.zeros(length)
+def zeros(length: int, dtype: npt.DTypeLike = np.float64) -> Any:
+    """Return the default of an array field: `length` zeros, one read-only array for all."""
+    value = np.zeros(length, dtype)
     value.flags.writeable = False
     return field(default_factory=lambda: value)
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.client.connection import Connection, SampleQueue
-from cairn.schemas.cairn_msgs import LandmarkContributor, SharedLandmarks
+from cairn.schemas.cairn_msgs import RecordContributor, SharedLandmarks
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_STATES,
     LocalizationEstimate,
@@ -151,7 +151,7 @@ def _behind(robot: FleetRobot, robots: Iterable[FleetRobot]) -> dict[str, int]:
     if robot.shared is None:
         return {}
     mine = {one.robot: one for one in robot.shared.contributors}
-    newest: dict[str, LandmarkContributor] = {}
+    newest: dict[str, RecordContributor] = {}
     for other in robots:
         if other.shared is not None and other.shared.map == robot.shared.map:
             for one in other.shared.contributors:

@@ -99,6 +99,11 @@ class Contribution:
     information: PositionInformation = NO_INFORMATION
 
     @property
+    def subject(self) -> int:
+        """Return what distinguishes it from the other contributions of its robot."""
+        return self.object_id
+
+    @property
     def content(self) -> tuple[Any, ...]:
         """Return all its values as a tuple that can be compared with any other one's."""
         at = self.registered

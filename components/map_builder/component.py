@@ -28,11 +28,23 @@ from cairn import (
     on,
     to_ns,
 )
+from cairn.components.map_builder.cell_messages import (
+    CellExchange,
+    cell_exchange,
+    decision_message,
+)
+from cairn.components.map_builder.cell_record import Tiles
 from cairn.components.map_builder.config import MapBuilderConfig
-from cairn.components.map_builder.exchange import Exchange, in_messages
-from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates
+from cairn.components.map_builder.exchange import contributor_messages
+from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates, grid_digest
 from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedChange
+from cairn.components.map_builder.landmark_messages import (
+    LandmarkExchange,
+    contribution_message,
+    landmark_exchange,
+)
 from cairn.components.map_builder.landmark_rule import rule_named
+from cairn.components.map_builder.other_robots import OtherRobots
 from cairn.components.map_builder.why import explain
 from cairn.components.map_builder.zone_keeper import CHANGES, ZoneKeeper
 from cairn.planar.grid import map_message as grid_message
@@ -42,7 +54,9 @@ from cairn.planar.odometry import OdometryChange
 from cairn.planar.posed_scans import PosedScans
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import (
+    MOST_DECISIONS,
     ObjectEvidenceArray,
+    SharedCells,
     SharedLandmarks,
     VisualMap,
     VisualMapChange,
@@ -76,6 +90,8 @@ _SAVE_S = 10.0
 # localizer drops observations that are later than 1 s.
 _IN_TRANSIT_NS = 2 * SECOND
 _SHARED_BYTES: Final = 256 << 10
+# A position that is older than this [ns] is not published: the robot may be elsewhere.
+_POSITION_NS: Final = 2 * SECOND
 # Steps of an object's history in one reply, by default and at most: 1 MiB would have some 3,000.
 _STEPS: Final = 30
 _MOST_STEPS: Final = 1000
@@ -113,12 +129,16 @@ class MapBuilder(Component):
     others: In[SharedLandmarks] = In(
         qos=LATCHED.with_depth(200), optional=True, max_bytes=_SHARED_BYTES
     )
+    others_cells: In[SharedCells] = In(
+        qos=LATCHED.with_depth(200), optional=True, max_bytes=_SHARED_BYTES
+    )
     scan: In[LaserScan] = In(qos=SENSOR, optional=True)
     odom: In[Odometry] = In(qos=RELIABLE.with_depth(1000), optional=True)
     localization: In[LocalizationEstimate] = In(qos=RELIABLE.with_depth(200), optional=True)
     visual_map: Out[VisualMap] = Out(qos=LATCHED)
     visual_map_changes: Out[VisualMapChange] = Out(qos=RELIABLE.with_depth(100))
     shared: Out[SharedLandmarks] = Out(qos=LATCHED)
+    shared_cells: Out[SharedCells] = Out(qos=LATCHED)
     zones: Out[Zones] = Out(qos=LATCHED)
     map: Out[OccupancyGrid] = Out(qos=LATCHED)
     map_updates: Out[OccupancyGridUpdate] = Out(qos=RELIABLE.with_depth(50))
@@ -126,7 +146,9 @@ class MapBuilder(Component):
     _landmarks: LandmarkKeeper | None = None
     _grid: GridKeeper | None = None
     _zones: ZoneKeeper | None = None
-    _exchange: Exchange | None = None
+    _exchange: LandmarkExchange | None = None
+    _cell_exchange: CellExchange | None = None
+    _position: LocalizationEstimate | None = None
     _zones_published = False
 
     def on_configure(self) -> None:
@@ -134,28 +156,23 @@ class MapBuilder(Component):
         config = self.config
         if config.map_file is not None:
             open_landmarks(config.map_file, read_only=True).close()
-        self._exchange = None
+        self._exchange = self._cell_exchange = None
+        if config.share:
+            self._check_sharing()
         if config.share and config.map_file is not None:
-            if self.shared.topic != self.others.topic:
-                raise CairnError(
-                    f"{self.name}: share: its ports shared ({self.shared.topic}) and others "
-                    f"({self.others.topic}) have different topics; give both the same one, such as "
-                    "/fleet/landmarks, under `topics`"
-                )
-            try:
-                check_robot_name(self.robot)
-            except ValueError as error:
-                raise CairnError(
-                    f"{self.name}: share: {error}; give it one of at most 63 characters, `robot` "
-                    "in the deployment"
-                ) from error
-            self._exchange = Exchange(self.robot, digest_of(config.map_file))
+            self._exchange = landmark_exchange(self.robot, digest_of(config.map_file))
         if config.grid_file is not None:
-            read_map(config.grid_file)
+            grid = read_map(config.grid_file)
+            if config.share:
+                rows, columns = grid.values.shape
+                self._cell_exchange = cell_exchange(
+                    self.robot, grid_digest(grid), Tiles((rows, columns))
+                )
         self._zones = None if config.zones_file is None else ZoneKeeper(config.zones_file)
         self._scans = PosedScans(
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
+        self._other_robots, self._position = OtherRobots(), None
         self._updates = PendingUpdates()
         self._warnings = RateLimitedLog(self.log)
         self._saved_landmarks = RetriedSave(self, "visual map")
@@ -163,6 +180,29 @@ class MapBuilder(Component):
         self._saved_zones = RetriedSave(self, "zones")
         self._full_map_at = self._saved_at = 0
         self._relocalized_at = -_IN_TRANSIT_NS
+
+    def _check_sharing(self) -> None:
+        config = self.config
+        landmarks = ("shared", self.shared.topic, "others", self.others.topic)
+        cells = ("shared_cells", self.shared_cells.topic, "others_cells", self.others_cells.topic)
+        for given, ports, topic in (
+            (config.map_file, landmarks, "/fleet/landmarks"),
+            (config.grid_file, cells, "/fleet/cells"),
+        ):
+            shared, sent, others, received = ports
+            if given is not None and sent != received:
+                raise CairnError(
+                    f"{self.name}: share: its ports {shared} ({sent}) and {others} ({received}) "
+                    f"have different topics; give both the same one, such as {topic}, under "
+                    "`topics`"
+                )
+        try:
+            check_robot_name(self.robot)
+        except ValueError as error:
+            raise CairnError(
+                f"{self.name}: share: {error}; give it one of at most 63 characters, `robot` in "
+                "the deployment"
+            ) from error
 
     def on_activate(self) -> None:
         """Open the maps and publish them, if the clock has started."""
@@ -272,37 +312,80 @@ class MapBuilder(Component):
         if keeper is None or exchange is None or keeper.sharing is None:
             return
         now, record = self.clock.now(), keeper.sharing.record
+        if not self._is_of_another_robot(message, exchange, keeper.sharing.next_version):
+            return
+        rejected = exchange.rejected
+        accepted = exchange.accept(record, message.contributions, now)
+        matters, changes = keeper.merge(now, accepted)
+        exchange.rejected += len(keeper.refused)
+        if keeper.refused:
+            exchange.reason = f"about object {keeper.refused[0]}: the visual map is full"
+        self._warn_of_rejected(message, exchange, rejected)
+        if changes:
+            self._save_landmarks(keeper)
+        self._publish(now, matters, changes)
+        exchange.compare(record, message.robot, message.contributors, accepted, now)
+
+    @on("others_cells")
+    def on_others_cells(self, message: SharedCells) -> None:
+        """Take in what another robot has decided about cells; prepare what it lacks."""
+        grid, exchange = self._open_grid(), self._cell_exchange
+        if grid is None or exchange is None or grid.sharing is None:
+            return
+        now, record = self.clock.now(), grid.sharing.record
+        if not self._is_of_another_robot(message, exchange, grid.sharing.newest_ns + 1):
+            return
+        self._other_robots.note(message.robot, message.x, message.y, message.radius, now)
+        rejected = exchange.rejected
+        accepted = exchange.accept(record, message.decisions, now)
+        self._warn_of_rejected(message, exchange, rejected)
+        windows = grid.merge(accepted)
+        for window in windows:
+            self._updates.add(window)
+        x, y = self._where(now)
+        if windows and not math.isnan(x):
+            self._updates.add(grid.free_own_place(x, y, self.config.radius, now))
+        if windows:
+            self._publish_grid_update(now)
+        exchange.compare(record, message.robot, message.contributors, accepted, now)
+
+    def _is_of_another_robot(
+        self,
+        message: SharedLandmarks | SharedCells,
+        exchange: LandmarkExchange | CellExchange,
+        next_version: int,
+    ) -> bool:
+        """Return whether a message is of another robot with the same map; warn if it should be."""
         if message.robot == self.robot:
             own = {one.robot: one.newest for one in message.contributors}
-            if own.get(self.robot, 0) >= keeper.sharing.next_version:
+            if own.get(self.robot, 0) >= next_version:
                 self._warnings.warn(
                     "robot's name",
                     f"another robot has the name {self.robot}: it shares contributions that this "
                     "one has not made; give each robot its own name (`robot` in the deployment)",
                 )
-            return
+            return False
         if message.map != exchange.map_digest:
+            parameter = "map_file" if isinstance(message, SharedLandmarks) else "grid_file"
             self._warnings.warn(
-                "another map",
+                f"another {parameter}",
                 f"robot {message.robot!r} has another map (digest {message.map[:12]!r}, not "
-                f"{exchange.map_digest[:12]!r}): nothing is shared with it; give both the same "
-                "map_file",
+                f"{exchange.map_digest[:12]!r}): nothing of it is shared; give both the same "
+                f"{parameter}",
             )
-            return
-        rejected = exchange.rejected
-        accepted = exchange.accept(record, message, now)
-        matters, changes = keeper.merge(now, accepted)
-        exchange.rejected += len(keeper.refused)
-        if keeper.refused:
-            exchange.reason = f"about object {keeper.refused[0]}: the visual map is full"
-        if exchange.rejected > rejected:
+            return False
+        return True
+
+    def _warn_of_rejected(
+        self,
+        message: SharedLandmarks | SharedCells,
+        exchange: LandmarkExchange | CellExchange,
+        before: int,
+    ) -> None:
+        if exchange.rejected > before:
             self._warnings.warn(
                 "contribution", f"rejected contribution from {message.robot!r}, {exchange.reason}"
             )
-        if changes:
-            self._save_landmarks(keeper)
-        self._publish(now, matters, changes)
-        exchange.compare(record, message, now)
 
     @on("accepted_objects")
     def on_accepted_objects(self, message: VisualMap) -> None:
@@ -338,7 +421,7 @@ class MapBuilder(Component):
             self._publish(stamp_ns, restored, changes)
             self._share(keeper)
         if grid is not None:
-            window = grid.undo(since_ns / SECOND)
+            window = grid.undo(since_ns / SECOND, stamp_ns)
             self._updates.add(window)
             if window is not None:
                 self.log.info(
@@ -363,6 +446,8 @@ class MapBuilder(Component):
     @on("localization")
     def on_localization(self, estimate: LocalizationEstimate) -> None:
         """Integrate the scan that gave a reliable pose into the grid map."""
+        if estimate.located:
+            self._position = estimate
         grid = self._open_grid()
         if grid is None or not self.config.update_grid:
             return
@@ -374,8 +459,15 @@ class MapBuilder(Component):
             else:
                 self.log.info("resumed updates of the grid map")
         if ready is not None:
-            window = grid.integrate(ready.stamp_ns / SECOND, ready.pose, ready.rays)
+            rays = self._other_robots.out_of(ready.rays, ready.pose, self.clock.now())
+            window = grid.integrate(ready.stamp_ns / SECOND, ready.pose, rays)
             self._updates.add(window)
+
+    @every(hz=2)
+    def share_changes(self) -> None:
+        """Publish what this robot has found out about cells for other robots, and for itself."""
+        if self._grid is not None and self._share_cells(self._grid, changes_only=True):
+            self._publish_grid_update(self.clock.now())
 
     @every(hz=1)
     def save_and_publish(self) -> None:
@@ -391,6 +483,7 @@ class MapBuilder(Component):
             self._share(self._landmarks, answers=True)
         if self._grid is None:
             return
+        self._share_cells(self._grid)
         self._publish_grid_update(now)
         if now - self._saved_at >= _SAVE_S * SECOND:
             self._save_grid(self._grid)
@@ -415,18 +508,59 @@ class MapBuilder(Component):
         exchange = self._exchange
         if exchange is None or keeper.sharing is None:
             return
-        own = keeper.take_contributions()
-        sent = in_messages(own + (exchange.take_answers() if answers else []))
-        for part in sent:
+        own, record = keeper.take_contributions(), keeper.sharing.record
+        for part in exchange.in_messages(own + (exchange.take_answers() if answers else [])):
             self.shared.publish(
-                exchange.message(
-                    self.clock.now(),
-                    keeper.version,
-                    len(keeper.landmarks),
-                    keeper.sharing.record,
-                    part,
+                SharedLandmarks(
+                    header=Header(stamp=from_ns(self.clock.now()), frame_id="map"),
+                    robot=self.robot,
+                    map=exchange.map_digest,
+                    map_version=keeper.version,
+                    landmarks=len(keeper.landmarks),
+                    rejected=exchange.rejected,
+                    contributors=contributor_messages(record),
+                    contributions=tuple(map(contribution_message, part)),
                 )
             )
+
+    def _where(self, now: int) -> tuple[float, float]:
+        """Return the robot's position x, y [m] in the map; NaN if it is not known at `now`."""
+        known = self._position
+        if known is None or now - to_ns(known.header.stamp) > _POSITION_NS:
+            return math.nan, math.nan
+        x, y, _ = planar_pose(known.pose.pose)
+        return x, y
+
+    def _share_cells(self, grid: GridKeeper, *, changes_only: bool = False) -> bool:
+        """Publish what this robot has decided since the last time, and a summary of the rest.
+
+        With `changes_only`, it does so only if it has decided anything. Returns whether it did.
+        """
+        exchange, now = self._cell_exchange, self.clock.now()
+        if exchange is None or grid.sharing is None:
+            return False
+        grid.contribute()
+        sent = grid.sharing.take_decisions(MOST_DECISIONS // 4)
+        if changes_only and not sent:
+            return False
+        if not changes_only:
+            sent += exchange.take_answers(MOST_DECISIONS - len(sent))
+        x, y = self._where(now)
+        self.shared_cells.publish(
+            SharedCells(
+                header=Header(stamp=from_ns(now), frame_id="map"),
+                robot=self.robot,
+                map=exchange.map_digest,
+                cells=grid.sharing.changed_cells,
+                rejected=exchange.rejected,
+                x=x,
+                y=y,
+                radius=self.config.radius,
+                contributors=contributor_messages(grid.sharing.record),
+                decisions=tuple(map(decision_message, sent)),
+            )
+        )
+        return True
 
     def _save_landmarks(self, keeper: LandmarkKeeper, *, now: bool = False) -> None:
         # If it fails, the robot goes on with the landmarks in memory.
@@ -473,7 +607,12 @@ class MapBuilder(Component):
         if self._grid is None and config.grid_file is not None:
             now = self.clock.now()
             self._grid = GridKeeper(
-                config.grid_file, config.grid_copy, now, config.settle_s, config.undo_s
+                config.grid_file,
+                config.grid_copy,
+                now,
+                config.settle_s,
+                config.undo_s,
+                None if self._cell_exchange is None else self.robot,
             )
             self._saved_at = now
             self._publish_full_map(now)

@@ -35,8 +35,9 @@ class MapBuilderConfig(Config):
     update_objects: bool = Field(True, description="Whether evidence changes the visual map.")
     share: bool = Field(
         False,
-        description="Whether to exchange with other robots what is found out about the landmarks: "
-        "ports shared and others, on one topic. Requires working_copy.",
+        description="Whether to exchange with other robots what is found out: about the landmarks "
+        "(ports shared and others, on one topic) and about the cells of the grid map (ports "
+        "shared_cells and others_cells, on another). Requires working_copy and grid_copy.",
     )
     rule: RuleName = Field(
         "reliability",
@@ -59,6 +60,12 @@ class MapBuilderConfig(Config):
         "none: no zones.",
     )
     mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
+    radius: float = Field(
+        0.22,
+        gt=0,
+        le=2,
+        description="Radius of the robot [m]; with share, other robots keep it out of their maps.",
+    )
     scans_per_s: float = Field(
         5.0,
         gt=0,
@@ -92,12 +99,18 @@ class MapBuilderConfig(Config):
     def _check_map_given(self) -> MapBuilderConfig:
         if self.map_file is None and self.grid_file is None:
             raise ValueError("neither map_file nor grid_file is set; set one of them, or both")
-        if self.share and (self.map_file is None or self.working_copy is None):
+        unsafe = [
+            f"{map_} and {copy}"
+            for map_, copy in (("map_file", "working_copy"), ("grid_file", "grid_copy"))
+            if getattr(self, map_) is not None and getattr(self, copy) is None
+        ]
+        if self.share and unsafe:
             raise ValueError(
-                "share requires map_file and working_copy: robots share what differs from the map "
+                f"share requires {' and '.join(unsafe)}: robots share what differs from the map "
                 "from which all of them started, which must stay as it is"
             )
-        if self.share and not (self.update_objects and self.rule == "reliability"):
+        judges = self.update_objects and self.rule == "reliability"
+        if self.share and self.map_file is not None and not judges:
             raise ValueError(
                 "share requires update_objects: true and rule: reliability; what robots find out "
                 "by other rules cannot be combined"

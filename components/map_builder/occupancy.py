@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn import SECOND
 from cairn.components.map_builder.undo import GridJournal, GridWindow
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import (
@@ -46,6 +47,9 @@ _BESIDE = 1
 # While an obstacle is younger than this [s], ends beside it belong to it and are added as well: the
 # robot sees its other sides in this time. Chosen by hand.
 _YOUNG_S = 60.0
+# Scans are numbered by their time in steps of this [ns], at most one in each (100 per second).
+_NUMBER_NS = SECOND // 100
+_MOST_NUMBER = 2**31 - 2**24
 # A ray is not evidence about cells this near its end [cells], or where it grazes a surface [m]:
 # there a small error of the pose moves it through the obstacle. Chosen by hand.
 _END_CELLS = 3.0
@@ -64,14 +68,13 @@ class Occupancy:
     def __init__(self, grid: OccupancyCells, settle_s: float, undo_s: float) -> None:
         self.frame: Frame = grid.frame
         self.settle_s = settle_s
-        self.cells: NDArray[np.int8] = np.full(grid.values.shape, UNKNOWN, np.int8)
-        self.cells[(grid.values >= 0) & (grid.values <= FREE_TO)] = FREE
-        self.cells[grid.values >= OCCUPIED_FROM] = OCCUPIED
+        self.cells = known_cells(grid)
         self._odds = _initial_odds(self.cells)
         self._since: NDArray[np.float32] = np.full(self.cells.shape, np.nan, np.float32)
         # Number of the last scan with an end near a cell, negative if its rays only passed it.
         self._last_scan = np.zeros(self.cells.shape, np.int32)
-        self._scans = 0
+        self._number = 0
+        self._numbered_from_s = 0.0
         self._journal = GridJournal(self.cells, undo_s)
         self._start_s: float | None = None
 
@@ -79,6 +82,24 @@ class Occupancy:
     def grid(self) -> OccupancyCells:
         """Return the present map."""
         return Grid(self.cells, self.frame)
+
+    def adopt(self, cells: NDArray[np.int64], values: NDArray[np.int8]) -> None:
+        """Take the values of some cells (flat indices) from other robots.
+
+        They are as cells of the given map: it needs many contrary scans to change them. The robot's
+        own changes of them are not undone any more.
+        """
+        self.cells.flat[cells] = values
+        self._odds.flat[cells] = _initial_odds(values)
+        self._since.flat[cells] = np.nan
+        self._journal.forget(cells)
+
+    def confirmed_ns(self, window: tuple[slice, slice]) -> NDArray[np.int64]:
+        """Return when scans have last confirmed each cell of a window [ns]; 0: never."""
+        cells, last = self.cells[window], self._last_scan[window].astype(np.int64)
+        confirmed = ((cells == FREE) & (last < 0)) | ((cells == OCCUPIED) & (last > 0))
+        begin_ns = round(self._numbered_from_s * SECOND)
+        return np.where(confirmed, begin_ns + np.abs(last) * _NUMBER_NS, 0)
 
     def undo(self, stamp_s: float) -> GridWindow | None:
         """Undo the changes since `stamp_s` [s]; return the window that this changes.
@@ -91,6 +112,8 @@ class Occupancy:
             self._odds = _initial_odds(self.cells)
             lost = self._since >= stamp_s - self._start_s
             self._since[lost | (self.cells != OCCUPIED)] = np.nan
+            first = (stamp_s - self._numbered_from_s) * SECOND / _NUMBER_NS
+            self._last_scan[np.abs(self._last_scan) >= first] = 0
         return window
 
     def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> GridWindow | None:
@@ -100,16 +123,16 @@ class Occupancy:
         starts, ends, ignored, hit = _rays_in_cells(self.frame, pose, rays)
         if not len(hit):
             return None
-        self._scans += 1
+        scan = self._next_number(stamp_s)
         box = np.array([self.cells.shape[0], self.cells.shape[1], -1, -1])
-        _confirm(ends, hit, self._last_scan, self._scans, self._odds, self.cells)
+        _confirm(ends, hit, self._last_scan, scan, self._odds, self.cells)
         _pass(
             starts,
             ends,
             hit,
             ignored,
             self._last_scan,
-            self._scans,
+            scan,
             self._odds,
             self.cells,
             self._since,
@@ -131,6 +154,23 @@ class Occupancy:
         window = GridWindow(top, left, self.cells[top : bottom + 1, left : right + 1].copy())
         self._journal.record(stamp_s, window)
         return window
+
+    def _next_number(self, stamp_s: float) -> int:
+        """Return a number for a scan that is greater than the last one and gives its time."""
+        number = round((stamp_s - self._numbered_from_s) * SECOND / _NUMBER_NS)
+        if not self._number or number > _MOST_NUMBER:  # after 248 days
+            self._last_scan[:] = 0
+            self._number, self._numbered_from_s, number = 0, stamp_s, 0
+        self._number = max(self._number + 1, number)
+        return self._number
+
+
+def known_cells(grid: OccupancyCells) -> NDArray[np.int8]:
+    """Return the cells of a map (rows, columns) as FREE, OCCUPIED or UNKNOWN."""
+    cells: NDArray[np.int8] = np.full(grid.values.shape, UNKNOWN, np.int8)
+    cells[(grid.values >= 0) & (grid.values <= FREE_TO)] = FREE
+    cells[grid.values >= OCCUPIED_FROM] = OCCUPIED
+    return cells
 
 
 def _initial_odds(cells: NDArray[np.int8]) -> NDArray[np.float32]:

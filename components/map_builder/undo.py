@@ -104,6 +104,15 @@ class GridJournal:
         self._changes.append(_GridUndo(stamp_s, changed.astype(np.int32), before[rows, columns]))
         before[:] = window.values
 
+    def forget(self, cells: NDArray[np.int64]) -> None:
+        """Forget the changes of `cells` (flat indices), so that they are not undone."""
+        self._before.flat[cells] = self._cells.flat[cells]
+        kept = []
+        for change in self._changes:
+            stays = np.isin(change.cells, cells, invert=True)
+            kept.append(_GridUndo(change.stamp_s, change.cells[stays], change.values[stays]))
+        self._changes = deque(kept)
+
     def undo(self, stamp_s: float) -> GridWindow | None:
         """Restore the map of `stamp_s` [s]; return the window that this changes."""
         undone = []
@@ -112,9 +121,10 @@ class GridJournal:
             self._cells.flat[change.cells] = change.values
             self._before.flat[change.cells] = change.values
             undone.append(change.cells)
-        if not undone:
+        cells = np.concatenate(undone) if undone else np.zeros(0, np.int32)
+        if not cells.size:
             return None
-        rows, columns = np.divmod(np.concatenate(undone), self._cells.shape[1])
+        rows, columns = np.divmod(cells, self._cells.shape[1])
         top, left = int(rows.min()), int(columns.min())
         values = self._cells[top : rows.max() + 1, left : columns.max() + 1]
         return GridWindow(top, left, values.copy())

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from cairn import LATCHED
-from cairn.schemas.cairn_msgs import ComponentStatus, LandmarkContributor, SharedLandmarks
+from cairn.schemas.cairn_msgs import ComponentStatus, RecordContributor, SharedLandmarks
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, NavigationStatus
 from cairn.schemas.std_msgs import Header
 from tests.cairn.bus.network import Network, eventually, node
@@ -36,8 +36,8 @@ def test_fleet_lists_robots_with_what_they_share(network: Network) -> None:
     for name, (of_1, of_2) in newest.items():
         one = node(bus, f"/{name}/map_builder")
         contributors = (
-            LandmarkContributor(robot="robot_1", newest=of_1, count=1),
-            LandmarkContributor(robot="robot_2", newest=of_2, count=1),
+            RecordContributor(robot="robot_1", newest=of_1, count=1),
+            RecordContributor(robot="robot_2", newest=of_2, count=1),
         )
         shared = replace(SHARED, robot=name, contributors=contributors)
         one.advertise(FLEET, SharedLandmarks, LATCHED).publish(shared)

@@ -9,7 +9,7 @@ from cairn import LATCHED, CairnError
 from cairn.components.map_builder.component import MapBuilder
 from cairn.schemas.cairn_msgs import (
     LandmarkContribution,
-    LandmarkContributor,
+    RecordContributor,
     SharedLandmarks,
     VisualMap,
     VisualMapChange,
@@ -179,7 +179,7 @@ def test_robot_with_a_name_that_another_one_has_is_warned(
 ) -> None:
     world = Lockstep(1000.0)
     builder(world, map_file, "robot_1")
-    contributors = (LandmarkContributor(robot="robot_1", newest=7, count=1),)
+    contributors = (RecordContributor(robot="robot_1", newest=7, count=1),)
     message = SharedLandmarks(robot="robot_1", map=digest_of(map_file), contributors=contributors)
 
     world.publish(FLEET, message, qos=LATCHED)
