@@ -12,7 +12,7 @@ from typing import Any, Final
 from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.client.connection import Connection, SampleQueue
-from cairn.schemas.cairn_msgs import RecordContributor, SharedLandmarks
+from cairn.schemas.cairn_msgs import SharedCells, SharedLandmarks
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_STATES,
     LocalizationEstimate,
@@ -42,8 +42,10 @@ class FleetRobot:
         mission: state of its last mission (`NAVIGATION_STATES`); "" if it has had none.
         mission_reason: why the mission is in that state.
         shared: the landmarks that it shares; None if it shares none.
+        cells: the cells of its grid map that it shares; None if it shares none.
         behind: how many versions of the contributions of each robot it lacks, as far as another
-            robot with the same map has them; empty if it is in sync.
+            robot with the same visual map has them; empty if it is in sync.
+        cells_behind: the robots whose newest decisions about cells it lacks, in the same way.
     """
 
     name: str
@@ -54,7 +56,9 @@ class FleetRobot:
     mission: str = ""
     mission_reason: str = ""
     shared: SharedLandmarks | None = None
+    cells: SharedCells | None = None
     behind: Mapping[str, int] = field(default_factory=dict)
+    cells_behind: tuple[str, ...] = ()
 
 
 def read_fleet(connection: Connection) -> list[FleetRobot]:
@@ -64,13 +68,9 @@ def read_fleet(connection: Connection) -> list[FleetRobot]:
     robots = {name: _with_components(name, statuses) for name in names}
     published = [end for end in connection.endpoints() if end.kind == "MP"]
     shares = [end for end in published if end.type_name == type_name(SharedLandmarks)]
+    shares_cells = [end for end in published if end.type_name == type_name(SharedCells)]
     localizes = [end for end in published if end.topic.endswith(f"/{_LOCALIZATION}")]
-    localized, missions, shared = _receive(
-        connection,
-        {end.topic for end in shares},
-        {end.node.name.split("/")[1] for end in shares},
-        {end.node.name.split("/")[1] for end in localizes},
-    )
+    localized, missions, shared, cells = _receive(connection, shares, shares_cells, localizes)
     for name, robot in robots.items():
         estimate, mission = localized.get(name), missions.get(name)
         robots[name] = replace(
@@ -80,8 +80,18 @@ def read_fleet(connection: Connection) -> list[FleetRobot]:
             mission="" if mission is None else NAVIGATION_STATES[mission.state],
             mission_reason="" if mission is None else mission.reason,
             shared=shared.get(name),
+            cells=cells.get(name),
         )
-    return [replace(one, behind=_behind(one, robots.values())) for one in robots.values()]
+    landmarks = [one.shared for one in robots.values() if one.shared is not None]
+    grids = [one.cells for one in robots.values() if one.cells is not None]
+    return [
+        replace(
+            one,
+            behind={} if one.shared is None else _behind(one.shared, landmarks),
+            cells_behind=() if one.cells is None else tuple(_behind(one.cells, grids)),
+        )
+        for one in robots.values()
+    ]
 
 
 def _with_components(name: str, statuses: Mapping[str, Any]) -> FleetRobot:
@@ -91,22 +101,35 @@ def _with_components(name: str, statuses: Mapping[str, Any]) -> FleetRobot:
 
 
 def _receive(
-    connection: Connection, shared_topics: Iterable[str], sharing: set[str], localizing: set[str]
+    connection: Connection,
+    shares: Iterable[keys.EndpointEntity],
+    shares_cells: Iterable[keys.EndpointEntity],
+    localizes: Iterable[keys.EndpointEntity],
 ) -> tuple[
-    dict[str, LocalizationEstimate], dict[str, NavigationStatus], dict[str, SharedLandmarks]
+    dict[str, LocalizationEstimate],
+    dict[str, NavigationStatus],
+    dict[str, SharedLandmarks],
+    dict[str, SharedCells],
 ]:
-    """Return the newest localization, mission and shared landmarks of each robot, by name.
+    """Return the newest localization, mission, shared landmarks and cells of each robot, by name.
 
-    It waits for the robots that publish them: those `sharing` and those `localizing`.
+    It waits for the robots that publish them, except for missions.
     """
     codec, samples = Codec(), SampleQueue()
     localized: dict[str, LocalizationEstimate] = {}
     missions: dict[str, NavigationStatus] = {}
     shared: dict[str, SharedLandmarks] = {}
+    cells: dict[str, SharedCells] = {}
+    expected: list[tuple[set[str], Mapping[str, Any]]] = [
+        (_robots_of(shares), shared),
+        (_robots_of(shares_cells), cells),
+        (_robots_of(localizes), localized),
+    ]
     topics: list[tuple[str, type[Any]]] = [
         (f"/*/{_LOCALIZATION}", LocalizationEstimate),
         (f"/*/{_NAVIGATION}", NavigationStatus),
-        *((topic, SharedLandmarks) for topic in sorted(shared_topics)),
+        *((topic, SharedLandmarks) for topic in sorted({end.topic for end in shares})),
+        *((topic, SharedCells) for topic in sorted({end.topic for end in shares_cells})),
     ]
     began = time.monotonic()
     with ExitStack() as stack:
@@ -114,7 +137,7 @@ def _receive(
             key = keys.message_key(connection.domain, topic, kind_of)
             stack.enter_context(connection.listen(key, latched=True, samples=samples))
         while True:
-            complete = sharing <= shared.keys() and localizing <= localized.keys()
+            complete = all(names <= received.keys() for names, received in expected)
             left_s = began + (_LEAST_S if complete else _LIMIT_S) - time.monotonic()
             try:
                 sample = samples.get(timeout=max(0.0, left_s))
@@ -129,10 +152,17 @@ def _receive(
                     localized[robot] = codec.decode(LocalizationEstimate, payload)
                 elif kind == keys.dds_type(type_name(NavigationStatus)):
                     _keep_newest(missions, robot, codec.decode(NavigationStatus, payload))
+                elif kind == keys.dds_type(type_name(SharedLandmarks)):
+                    landmarks = codec.decode(SharedLandmarks, payload)
+                    _keep_newest(shared, landmarks.robot, landmarks)
                 else:
-                    message = codec.decode(SharedLandmarks, payload)
-                    _keep_newest(shared, message.robot, message)
-    return localized, missions, shared
+                    grid = codec.decode(SharedCells, payload)
+                    _keep_newest(cells, grid.robot, grid)
+    return localized, missions, shared, cells
+
+
+def _robots_of(endpoints: Iterable[keys.EndpointEntity]) -> set[str]:
+    return {end.node.name.split("/")[1] for end in endpoints}
 
 
 def _keep_newest(known: dict[str, Any], robot: str, message: Any) -> None:
@@ -146,20 +176,18 @@ def _keep_newest(known: dict[str, Any], robot: str, message: Any) -> None:
         known[robot] = message
 
 
-def _behind(robot: FleetRobot, robots: Iterable[FleetRobot]) -> dict[str, int]:
-    """Return by how many versions a robot is behind others with its map, by contributor."""
-    if robot.shared is None:
-        return {}
-    mine = {one.robot: one for one in robot.shared.contributors}
-    newest: dict[str, RecordContributor] = {}
-    for other in robots:
-        if other.shared is not None and other.shared.map == robot.shared.map:
-            for one in other.shared.contributors:
-                if one.robot not in newest or newest[one.robot].newest < one.newest:
-                    newest[one.robot] = one
-    behind = {}
-    for name, one in newest.items():
-        own = mine.get(name)
-        if own is None or own.newest < one.newest:
-            behind[name] = one.newest - (0 if own is None else own.newest)
-    return behind
+def _behind(
+    one: SharedLandmarks | SharedCells, every: Iterable[SharedLandmarks | SharedCells]
+) -> dict[str, int]:
+    """Return by how much a robot is behind others with its map, by contributor."""
+    mine = {each.robot: each.newest for each in one.contributors}
+    newest: dict[str, int] = {}
+    for other in every:
+        if other.map == one.map:
+            for each in other.contributors:
+                newest[each.robot] = max(each.newest, newest.get(each.robot, 0))
+    return {
+        name: version - mine.get(name, 0)
+        for name, version in newest.items()
+        if version > mine.get(name, 0)
+    }

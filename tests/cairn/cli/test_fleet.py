@@ -6,7 +6,12 @@ from dataclasses import replace
 import pytest
 
 from cairn import LATCHED
-from cairn.schemas.cairn_msgs import ComponentStatus, RecordContributor, SharedLandmarks
+from cairn.schemas.cairn_msgs import (
+    ComponentStatus,
+    RecordContributor,
+    SharedCells,
+    SharedLandmarks,
+)
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, NavigationStatus
 from cairn.schemas.std_msgs import Header
 from tests.cairn.bus.network import Network, eventually, node
@@ -16,6 +21,7 @@ pytestmark = pytest.mark.processes
 
 FLEET = "/fleet/landmarks"
 STATUS = ComponentStatus(header=Header(), component="map_builder", state="active")
+CELLS = SharedCells(map="b" * 64, cells=73, rejected=2)
 SHARED = SharedLandmarks(robot="robot_1", map="a" * 64, map_version=12, landmarks=10)
 
 
@@ -41,6 +47,9 @@ def test_fleet_lists_robots_with_what_they_share(network: Network) -> None:
         )
         shared = replace(SHARED, robot=name, contributors=contributors)
         one.advertise(FLEET, SharedLandmarks, LATCHED).publish(shared)
+        decided = (RecordContributor(robot="robot_2", newest=of_1 * 10**9, count=1),)
+        cells = replace(CELLS, robot=name, contributors=decided)
+        one.advertise("/fleet/cells", SharedCells, LATCHED).publish(cells)
         one.advertise(f"/{name}/component_status", ComponentStatus, LATCHED).publish(STATUS)
         estimate = LocalizationEstimate(health=0.75, reason="it is turning")
         one.advertise(f"/{name}/localization", LocalizationEstimate, LATCHED).publish(estimate)
@@ -52,20 +61,24 @@ def test_fleet_lists_robots_with_what_they_share(network: Network) -> None:
 
     def is_complete() -> bool:
         rows = fleet(network, "--json").json
-        return len(rows) == 3 and all(row["health"] and row["map"] for row in rows[:2])
+        return len(rows) == 3 and all(
+            row["health"] and row["map"] and row["grid"] for row in rows[:2]
+        )
 
     assert eventually(is_complete)  # on a busy computer, some robots do not answer in time
     shown = fleet(network)
 
     assert (shown.code, shown.err) == (0, "")
     assert [" ".join(row.split()) for row in shown.out.splitlines()] == [
-        "robot state health mission map version landmarks shared rejected",
-        "robot_1 active 0.75 aaaaaaaa 12 10 in sync 0",
-        "robot_2 active 0.75 aaaaaaaa 12 10 behind robot_1 by 3 0",
+        "robot state health mission map version landmarks grid cells shared rejected",
+        "robot_1 active 0.75 aaaaaaaa 12 10 bbbbbbbb 73 in sync 2",
+        "robot_2 active 0.75 aaaaaaaa 12 10 bbbbbbbb 73"
+        " behind robot_1 by 3; cells behind robot_2 2",
         "robot_3 not active: automove driving no",
     ]
     rows = {row["robot"]: row for row in fleet(network, "--json").json}
     assert rows["robot_2"]["behind"] == {"robot_1": 3}
+    assert rows["robot_2"]["cells_behind"] == ["robot_2"]
     assert rows["robot_1"]["health_reason"] == "it is turning"
 
 
