@@ -31,8 +31,9 @@ Box = tuple[int, int, int, int]
 """The first row and column of a part of a map, and those after the last."""
 
 
-_STORED_BYTES: Final = 300
-"""Longest text of a stored decision; there is at most one for each cell of the map."""
+_STORED_BYTES: Final = 30
+"""Room for the stored record for each cell of the map [bytes]. A decision takes 120 bytes or more,
+and is about some ten cells or more on average; forged ones may be about fewer."""
 
 
 class _StoredDecision(BaseModel):
