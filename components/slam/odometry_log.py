@@ -47,7 +47,8 @@ class OdometryPath:
     Attributes:
         origin_ns: when the odometry starts [ns].
         time: (n,) when the robot was at the poses [s] since `origin_ns`, increasing.
-        poses: (n, 3) x, y [m] and heading [rad, not wrapped].
+        poses: (n, 3) x, y [m] and heading [rad, not wrapped], each column contiguous: otherwise
+            every interpolation would copy all of it.
         moving: (n,) time in motion up to then [s].
 
     """
@@ -140,6 +141,5 @@ class OdometryLog:
         y = calibration.forward_gain * np.cumsum(sine * ahead + cosine * aside)
         is_moving = (ahead != 0.0) | (aside != 0.0) | (turned != 0.0)
         moving = np.cumsum(np.diff(time, prepend=time[0]) * is_moving)
-        return OdometryPath(
-            self._origin_ns, time + calibration.lag_s, np.column_stack((x, y, theta)), moving
-        )
+        poses = np.stack((x, y, theta)).T
+        return OdometryPath(self._origin_ns, time + calibration.lag_s, poses, moving)
