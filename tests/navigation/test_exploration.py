@@ -60,12 +60,14 @@ def test_goal_of_an_operator_ends_the_exploration_and_is_reached(tmp_path: Path)
         assert statuses[-1].state == ExplorationStatus.STOPPED
 
 
-@pytest.fixture
-def robot(tmp_path: Path) -> Iterator[ObservedRobot]:
-    with launching(tmp_path) as launch:
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
+    """A robot that both tests share, in their sequence: one goes on where the other ended."""
+    folder = tmp_path_factory.mktemp("robot")
+    with launching(folder) as launch:
         endpoint = new_endpoint()
         arguments = [str(MAPPING), "--set", f"bus.socket={endpoint}"]
-        run = Run(arguments, tmp_path / "report", endpoint, {}, None)
+        run = Run(arguments, folder / "report", endpoint, {}, None)
         launch.runs.append(run)
         run.await_line("child active: mobile_supervisor")
         bus = ZenohBus(open_peer([endpoint]))
