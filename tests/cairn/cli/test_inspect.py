@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -26,6 +25,7 @@ from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
+from tests.cairn.bus.network import eventually
 from tests.commands import Answer, await_status
 from tests.wording import assert_words
 
@@ -69,7 +69,7 @@ def test_ps_lists_what_does_not_answer_without_waiting_for_it(command: Command, 
             token = session.liveliness().declare_token(keys.token_key(end))
             stack.callback(token.undeclare)
         with connect(rover.endpoint) as robot:
-            await_all(lambda: len(robot.connection.endpoints()) >= 300)
+            assert eventually(lambda: len(robot.connection.endpoints()) >= 300)
         began = time.monotonic()
         answer = command("ps", "--json")
         took_s = time.monotonic() - began
@@ -90,7 +90,7 @@ def test_statuses_do_not_wait_for_announced_publishers_that_do_not_exist(
     ghost = keys.EndpointEntity(node, 1, "MP", topic, kind, type_hash(ComponentStatus), LATCHED)
     with open_peer([rover.endpoint]) as session, connect(rover.endpoint) as robot:
         token = session.liveliness().declare_token(keys.token_key(ghost))
-        await_all(lambda: ghost in robot.connection.endpoints(topic))
+        assert eventually(lambda: ghost in robot.connection.endpoints(topic))
         assert "/rover/ghost" in robot.connection.read_statuses().silent
         monkeypatch.setattr(connection, "_CACHES_FIRST_S", LIMIT_S)  # on a busy computer, too
         monkeypatch.setattr(connection, "read_graph", _fail)
@@ -324,13 +324,6 @@ def test_logs_follow_continues_until_ctrl_c(rover: Run) -> None:
         follower.send_signal(2)
         assert follower.wait(LIMIT_S) == 130
         assert follower.stderr.read() == ""
-
-
-def await_all(holds: Callable[[], bool]) -> None:
-    """Wait until it holds."""
-    deadline = time.monotonic() + LIMIT_S
-    while not holds():
-        assert time.monotonic() < deadline
 
 
 def count_in(line: str) -> int:
