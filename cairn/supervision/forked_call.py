@@ -7,10 +7,10 @@ import importlib
 import json
 import socket
 from contextlib import closing
-from typing import Any, TextIO
+from typing import Any, NoReturn, TextIO
 
 from cairn.errors import CairnError
-from cairn.process_exit import ExitLog
+from cairn.process_exit import ExitLog, end_process
 from cairn.supervision.child import ZygoteLost
 from cairn.supervision.zygote_client import ZygoteClient, ZygoteProcess
 
@@ -51,7 +51,7 @@ def call_in_fork(
     return result
 
 
-def answer(_: dict[str, Any], end: socket.socket) -> None:
+def answer(_: dict[str, Any], end: socket.socket) -> NoReturn:
     """Answer a call that comes from `call_in_fork`: what its process runs."""
     with end, end.makefile("rw", encoding="utf-8") as stream:
         function, argument = json.loads(stream.readline())
@@ -62,6 +62,7 @@ def answer(_: dict[str, Any], end: socket.socket) -> None:
         except CairnError as failure:
             error = str(failure)
         _write(stream, [result, error])
+    end_process(0)  # to free all that the zygote has imported would take longer than the call
 
 
 def _write(stream: TextIO, line: Any) -> None:

@@ -31,6 +31,7 @@ from setproctitle import setproctitle
 
 from cairn.compilation import before_compilation
 from cairn.files import TAKES_NO_DATA
+from cairn.process_exit import end_process
 from cairn.supervision.orphan_cleanup import (
     become_subreaper,
     ended_child,
@@ -158,6 +159,7 @@ def main() -> None:
             signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if spawn is None:
         _remove_socket(socket_path)
+        end_process(0)
     else:
         request, channel = spawn
         _run_entry(request.name, request.entry, request.argument, channel)
