@@ -179,8 +179,8 @@ def run_processes(
     with _opened_bus(plan, folder, secret) as (bus, certified):
         root = ComponentHost(launch, bus)
         root.start()
-        for one in certified:
-            one.log = root.runtime.log  # so that it is shown, and reaches other machines
+        for router in certified:
+            router.log = root.runtime.log  # so that it is shown, and reaches other machines
         loop = MainLoop(root)
         monitor = _Monitor(make_view(bus, loop.wake_up), zygote, loop)
         machines = MachineMonitor(root, plan.deployment, plan.remote_inputs) if machine else None
