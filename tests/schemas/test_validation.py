@@ -19,6 +19,7 @@ from cairn.schemas.cairn_msgs import (
     VisualMapChange,
     VisualObject,
 )
+from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.diagnostic_msgs import DiagnosticStatus
 from cairn.schemas.geometry_msgs import (
     Point,
@@ -34,6 +35,11 @@ from cairn.schemas.sensor_msgs import CameraInfo, Image, LaserScan
 from cairn.schemas.std_msgs import Header, String
 
 NAN, INF = math.nan, math.inf
+
+
+def estimate_at(x: float) -> LocalizationEstimate:
+    pose = PoseWithCovariance(pose=Pose(position=Point(x=x)))
+    return LocalizationEstimate(pose=pose)
 
 
 def evidence(**changed: Any) -> ObjectEvidence:
@@ -75,6 +81,7 @@ def scan(beams: int, first: float, last: float, step: float, **more: Any) -> Las
         (lambda: String(data="\ud800"), r"String: data = '\ud800': must be a string without NUL"),
         (lambda: String(data=b"a"), "String: data = b'a': must be a string"),  # type: ignore[arg-type]
         (lambda: Header(stamp=3), "Header: stamp = 3: "),  # type: ignore[arg-type]
+        (lambda: estimate_at(1e256), "Estimate: position = (1e+256, 0.0): must be within 1e+07 m"),
         (lambda: Point(x=NAN), "Point: x = nan: must be a finite number"),
         (lambda: Point(y="1"), "Point: y = '1': must be a finite number"),  # type: ignore[arg-type]
         (lambda: Point(y=True), "Point: y = True: must be a finite number"),
