@@ -6,6 +6,8 @@
 | test_requests.py | peer without rights | malformed, huge and forbidden requests, floods |
 | test_peers.py | peer without rights | forged, replayed, invalid messages; ghosts, floods |
 | test_roles.py | user on the network | all that the roles `view` and `operate` do not allow |
+| test_machines.py | machine that was taken over | all that its components and role do not need |
+| test_hostile_machine.py | machine that was taken over | noise, floods, lies on its own topics |
 | test_other_users.py | other local user | sockets and files of a run |
 
 A peer without rights is a program of any user on this computer: the deployment lets it connect
