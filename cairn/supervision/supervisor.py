@@ -364,7 +364,9 @@ class ChildGroup:
         reason = child.reason
         if result == "canceled":
             self._stop(child)
-            reason = "a stop was requested"
+            reason = "all children were stopped meanwhile"
+            if self.stop_requested:
+                reason = "a stop was requested"
         self._policy.unload(name)
         raise StartFailed(f"{name}: {reason}")
 

@@ -154,7 +154,7 @@ def test_supervisor_that_gives_up_while_a_child_is_loaded_fails_after_the_call(
     supervisor.start_all()
     world.slow_starts = True
     world.on_step = lambda _: setattr(world.children["base"], "end", CRASH)
-    with pytest.raises(StartFailed, match="a stop was requested"):
+    with pytest.raises(StartFailed, match="all children were stopped"):
         supervisor.load("scanner")
     assert world.running() == []
     with pytest.raises(Escalate, match="given up after more than 0 restarts"):
