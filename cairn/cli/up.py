@@ -187,7 +187,7 @@ _NO_CALL_LOG = (
 def _check_this_machine(
     file: Path, sources: Sequence[SourceDocument], sets: Sequence[str], machine: str
 ) -> None:
-    """Raise `CairnError` if this computer is no machine of the robot, or cannot prove that it is.
+    """Raise `CairnError` unless this computer is a machine of the robot, and can prove that.
 
     The plan of the run needs the plugins, whose import may take minutes after an installation.
     """
