@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -38,11 +39,8 @@ def test_console_reaches_components_of_another_machine_and_shows_that_it_is_lost
         assert eventually(lambda: "robot.listener" in {one["name"] for one in value("logs")})
         assert value("unload", component="reader")
         assert value("load", component="reader") == "active"
-        links = machine_rows(page, 2)
-        assert {(one["machine"], one["seen_from"], one["state"]) for one in links} == {
-            ("base", "brain", "up"),
-            ("brain", "base", "up"),
-        }
+        both = {("base", "brain", "up"), ("brain", "base", "up")}
+        await_machines(page, lambda rows: rows == both)
 
         machines.cable.is_cut = True
         base.await_line("child active: listener_fallback")
@@ -50,13 +48,12 @@ def test_console_reaches_components_of_another_machine_and_shows_that_it_is_lost
         while states.get("listener") != "lost" or states.get("listener_fallback") != "active":
             rows = page.event("components")["components"]
             states = {one["name"]: one["state"] for one in rows}
-        (lost,) = machine_rows(page, 1)
-        assert (lost["machine"], lost["seen_from"], lost["state"]) == ("brain", "base", "lost")
+        await_machines(page, lambda rows: rows == {("brain", "base", "lost")})
 
 
-def machine_rows(page: Page, count: int) -> Any:
-    """Return what the console shows of the machines once these are so many rows."""
+def await_machines(page: Page, holds: Callable[[set[tuple[str, str, str]]], bool]) -> None:
+    """Wait until what the console shows of each machine as another one sees it is as expected."""
     while True:
         rows = page.event("machines")["machines"]
-        if len(rows) == count:
-            return rows
+        if holds({(one["machine"], one["seen_from"], one["state"]) for one in rows}):
+            return
