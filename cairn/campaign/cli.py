@@ -23,7 +23,7 @@ def campaign(
     file: Annotated[
         Path,
         typer.Argument(
-            help="Campaign file, or the name of a campaign that Cairn ships: `devices`, "
+            help="Campaign file, or the name of a campaign that Cairn ships: `devices`, `growth`, "
             "`machines` or `sim`.",
             metavar="FILE",
             parser=campaign_file,
