@@ -53,7 +53,7 @@ def test_restarts_of_a_peer_leave_no_object_and_no_endpoint_in_the_others(networ
         restart()
 
     def left() -> Counter[str]:
-        # The watchers of the nodes' own names may have begun meanwhile, once.
+        # The subscriptions to the names of its own nodes may have been added meanwhile, once.
         return Counter({name: n for name, n in (_objects() - before).items() if n >= _FEW})
 
     assert eventually(lambda: not left()), left()
