@@ -37,6 +37,7 @@ from cairn.supervision.child import (
 _STEP_S = 0.05
 _SLOW_CHECKS = 3  # in a row, of two in a second: then the link is slow
 _QUICK_CHECKS = 6  # in a row: then it is not any more
+_SETTLE_S = 1.0  # after an answer, in which reports of another state may be older than it
 _TRANSFER_S = 1.0  # longer than the other root may take, for the request and its answer
 
 
@@ -94,6 +95,7 @@ class RemoteChild:
         self._is_slow = False
         self._contrary_checks = 0
         self._holding: Future[Any] | None = None
+        self._loaded_at = -math.inf  # when its root has answered that it is active [s]
 
     def status(self) -> ChildStatus:
         """Return the state of the child, as last reported by its machine."""
@@ -139,8 +141,8 @@ class RemoteChild:
             self.reason, self.state = self._without_name(error), "ended"
             self._log_event(logging.ERROR, "start failed", self.reason)
             return "refused"
-        # What its root has reported last may be older than the answer.
         self.state, self.reason, self._was_lost = "active", "", False
+        self._loaded_at = self._host.awake()
         self._log_event(logging.INFO, "active")
         return "active"
 
@@ -175,6 +177,9 @@ class RemoteChild:
         if loading is not None and (error := loading.exception()) is not None:
             self.reason = self._without_name(error)
             self._log_event(logging.ERROR, "start failed", self.reason)
+        is_active = reported is not None and reported.state in ("active", "held")
+        if not is_active and self._host.awake() - self._loaded_at < _SETTLE_S:
+            return None  # the report may be older than the answer
         if reported is None or reported.state == "unloaded":
             if self.target is LifecycleState.ACTIVE:  # its root has been restarted, for example
                 self._request_load()
@@ -277,6 +282,7 @@ class RemoteChild:
 
     def _lose(self, silence: str) -> None:
         self.state, self.reason, self._was_lost = "lost", silence, True
+        self._loaded_at = -math.inf
         level = logging.DEBUG if self.spec.on_loss == "ignore" else logging.WARNING
         self._log_event(level, "lost", silence)
 
