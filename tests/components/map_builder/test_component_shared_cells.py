@@ -199,12 +199,12 @@ def test_hostile_decisions_are_rejected_and_counted(
     world.run_for(2.0)
     assert len(it.take("map_updates")) == 1
     more = tuple(
-        replace(good, robot=f"robot_{k}", tile=12 * (k // 10) + k % 10) for k in range(10, 80)
+        replace(good, robot=f"robot_{k}", tile=12 * (k // 10) + k % 10) for k in range(10, 74)
     )
     world.publish(FLEET, replace(message, decisions=more))
     world.run_for(2.0)
     newest = it.take("shared_cells")[-1]
-    assert (len(newest.contributors), newest.rejected) == (63, len(hostile) + 8)
+    assert (len(newest.contributors), newest.rejected) == (63, len(hostile) + 2)
 
 
 def test_robots_with_another_map_share_nothing(
