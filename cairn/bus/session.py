@@ -436,6 +436,11 @@ def _config(
         },
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
+        # Otherwise two peers that find each other connect twice, one from each side, and most pairs
+        # keep both links: eclipse-zenoh/zenoh#1742.
+        "scouting/gossip/autoconnect_strategy": {
+            "peer": {"to_router": "always", "to_peer": "greater-zid"}
+        },
         # Opening does not wait for peers: by default that takes half a second now and then.
         "open/return_conditions/connect_scouted": False,
         "scouting/delay": 0,

@@ -2,7 +2,8 @@
 
 import os
 import threading
-from contextlib import closing
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from typing import Any
 
 import pytest
@@ -51,6 +52,19 @@ def test_router_that_stays_away_counts_as_disconnected(monkeypatch: pytest.Monke
 
         assert eventually(lambda: not list(session.info.routers_zid()))
         assert not is_connected(session)
+
+
+def test_peers_that_find_each_other_keep_one_link(network: Network) -> None:
+    count = 6
+    with ThreadPoolExecutor(count) as pool:
+        opened = [pool.submit(open_peer, [network.endpoint]) for _ in range(count)]
+        peers = [one.result() for one in opened]
+    with ExitStack() as stack:
+        for peer in peers:
+            stack.enter_context(closing(peer))
+        assert eventually(lambda: all(len(one.info.peers_zid()) == count - 1 for one in peers))
+        links = [len(peer.info.links()) for peer in peers]
+    assert links == [count] * count  # the others, and the router
 
 
 def test_id_of_a_session_names_its_process() -> None:
