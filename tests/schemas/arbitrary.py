@@ -19,6 +19,7 @@ from cairn.schemas.cairn_msgs import (
     LandmarkContribution,
     RecognizedObject,
     RecognizedObjectArray,
+    SharedCells,
     VisualMapChange,
     VisualObject,
 )
@@ -304,6 +305,11 @@ def _changes() -> st.SearchStrategy[VisualMapChange]:
     )
 
 
+def _shared_cells() -> st.SearchStrategy[SharedCells]:
+    none = st.just(math.nan)
+    return st.one_of(_built(SharedCells, x=METERS, y=METERS), _built(SharedCells, x=none, y=none))
+
+
 @st.composite
 def zones(draw: st.DrawFn) -> Zone:
     """Draw a zone of any kind; the edges of an area may cross."""
@@ -347,4 +353,5 @@ _WITH_RULES_BETWEEN_FIELDS = {
     VisualObject: _visual_objects,
     LandmarkContribution: _contributions,
     VisualMapChange: _changes,
+    SharedCells: _shared_cells,
 }
