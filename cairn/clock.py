@@ -43,6 +43,15 @@ class SimulatedClock:
         self._now = now
 
 
+def has_passed(seconds: float, since: int, now: int) -> bool:
+    """Return whether a time [s] has passed from `since` to `now` [ns].
+
+    True also if `now` is earlier: the clock was set back, so how much has passed is not known, and
+    what is to be done every few seconds must not wait until the clock is where it was.
+    """
+    return not 0 <= now - since < seconds * SECOND
+
+
 def to_ns(stamp: Time) -> int:
     """Return a message's time stamp in nanoseconds."""
     return stamp.sec * SECOND + stamp.nanosec

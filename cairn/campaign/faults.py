@@ -43,6 +43,9 @@ class Fault(ABC):
     ends_deployment: ClassVar[bool] = False
     """Whether the fault ends `cairn up`, by design; the campaign then launches it again."""
 
+    needs_clocks: ClassVar[bool] = False
+    """Whether the deployment needs clocks of its own, `robot.clocks`, which the fault steps."""
+
     def __init__(self, config: Config) -> None:
         """Take the parameters, an instance of `config_type`."""
         self.config = config

@@ -16,6 +16,7 @@ import cairn.client
 from cairn.bus import keys
 from cairn.bus.bus import full_name
 from cairn.bus.codec import Codec
+from cairn.campaign.clocks import Clocks
 from cairn.campaign.faults import SkippedFault
 from cairn.campaign.model import CampaignDeployment
 from cairn.campaign.network import Network
@@ -57,6 +58,7 @@ class CampaignRobot:
         folder: Path,
         programs: Programs,
         network: Network,
+        clocks: Clocks,
     ) -> None:
         """Take what runs; nothing is launched yet.
 
@@ -85,6 +87,8 @@ class CampaignRobot:
         """The programs that run beside it."""
         self.network = network
         """The links between its machines."""
+        self.clocks = clocks
+        """The clocks of its machines."""
         self.runs: dict[str, Run] = {}
         """The present launch: `cairn up` on each machine; empty if it is not launched."""
         self._launches = 0
@@ -121,7 +125,7 @@ class CampaignRobot:
                 *self._arguments,
                 *self.network.arguments(machine),
                 report=self._folder_of("run", machine),
-                environment=self.network.environment,
+                environment={**self.network.environment, **self.clocks.environment(machine)},
                 process_group=0,  # Ctrl-C is for the campaign, which stops the deployment itself
                 preexec_fn=lambda: set_parent_death_signal(signal.SIGTERM),
             )

@@ -6,13 +6,14 @@ import math
 import queue
 import time
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from random import Random
 
+from cairn.campaign.clocks import Clocks
 from cairn.campaign.faults import FAULTS, Fault, Injection
 from cairn.campaign.goals import GoalSender
 from cairn.campaign.invariants import INVARIANTS, Invariant
@@ -82,12 +83,15 @@ def run_campaign(
     if any(report_folder.iterdir()):
         raise CairnError(f"{report_folder} is not empty; name another folder for the report")
     read = campaign.read(folder)
+    faults = [instance_of(FAULTS, one.kind, one.parameters) for one in campaign.faults]
     with (
         Programs(campaign.programs, report_folder) as programs,
         Network(read.deployment) as network,
         launching(report_folder) as launch,
     ):
-        robot = CampaignRobot(launch, read, report_folder, programs, network)
+        clocked = network.machines if any(one.needs_clocks for one in faults) else ()
+        clocks = Clocks(clocked, report_folder)
+        robot = CampaignRobot(launch, read, report_folder, programs, network, clocks)
         report = CampaignReport(
             name, campaign.deployment, campaign.seed, report_folder,
             started=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
@@ -97,7 +101,7 @@ def run_campaign(
             for one in campaign.invariants
         ]
         judges += [(type(one).__name__, one) for one in invariants]
-        runner = _Runner(campaign, robot, report, judges, show)
+        runner = _Runner(campaign, faults, robot, report, judges, show)
         try:
             runner.run(lambda: is_interrupted() or (stop_on_violation and bool(report.violations)))
         finally:
@@ -112,6 +116,7 @@ class _Runner:
     def __init__(
         self,
         campaign: Campaign,
+        faults: Sequence[Fault],
         robot: CampaignRobot,
         report: CampaignReport,
         judges: list[tuple[str, Invariant]],
@@ -122,7 +127,7 @@ class _Runner:
         self._report = report
         self._judges = judges
         self._show = show
-        self._faults = [instance_of(FAULTS, one.kind, one.parameters) for one in campaign.faults]
+        self._faults = faults
         self._events: queue.Queue[_Call] = queue.Queue()
         self._active: list[_Active] = []
         self._began = time.monotonic()
@@ -297,7 +302,7 @@ class _Runner:
         self._judge(now, lambda one: one.on_processes(now, processes))
 
     def _inject(self, planned: PlannedFault) -> None:
-        fault: Fault = self._faults[planned.entry]
+        fault = self._faults[planned.entry]
         now = self._now()
         record = FaultRecord(planned.number, planned.kind, round(now, 1))
         self._report.faults.append(record)

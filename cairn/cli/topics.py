@@ -281,6 +281,7 @@ def measure_topic(
         sizes: list[int] = []
         last: dict[bytes, int] = {}
         lost = 0
+        before = _published(client, endpoint.topic)
         with client.connection.listen(endpoint.data_key) as samples:
             end = time.monotonic() + seconds
             while (left := end - time.monotonic()) > 0:
@@ -294,8 +295,9 @@ def measure_topic(
                 if sent is not None:
                     lost += max(0, sent.sequence - last.get(sent.gid, sent.sequence - 1) - 1)
                     last[sent.gid] = sent.sequence
-    if not arrivals:
-        raise CairnError(f"no message on {endpoint.topic} within {seconds:g} s")
+        if not arrivals:
+            reason = _reason(client, endpoint.topic, before)
+            raise CairnError(f"no message on {endpoint.topic} within {seconds:g} s{reason}")
     gaps = [after - before for before, after in itertools.pairwise(arrivals)]
     mean = statistics.fmean(gaps) if gaps else 0.0
     result = {
@@ -324,13 +326,20 @@ def _next(client: Robot, messages: Subscription[Any]) -> Any:
         try:
             return messages.next(_CHECKED_S)
         except NoMessageError:
-            unheard = _published(client, messages.topic) - before
-        if unheard > 0:
-            raise CairnError(
-                f"{error}, although {unheard} more have been published: over the network, your "
-                "role may not read this topic"
-            ) from error
-        raise
+            raise CairnError(f"{error}{_reason(client, messages.topic, before)}") from error
+
+
+def _reason(client: Robot, topic: str, before: int) -> str:
+    """Return why nothing arrives of a topic of which `before` messages had been published."""
+    unheard = _published(client, topic) - before
+    if unheard <= 0:
+        return ""
+    several = any(one.machine for one in client.connection.statuses().values())
+    who = "this machine (its `role` in the deployment) or, " if several else ""
+    return (
+        f", although {unheard} more have been published: {who}over the network, your role may not "
+        "read this topic"
+    )
 
 
 def _published(client: Robot, topic: str) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from cairn.clock import SECOND, to_ns
+from cairn.clock import SECOND, has_passed, to_ns
 from cairn.driver.diagnostics import ERROR, OK, WARN, RateWindow, diagnostics
 from cairn.runtime.component import Component
 from cairn.runtime.rate_limited_log import RateLimitedLog
@@ -124,7 +124,7 @@ class Ros2Source:
             self._warnings.resolved("silence", f"{self._what} arrives again on {self.topic}")
         else:
             self._warnings.warn("silence", problem)
-        if now - self._rejected_at > _RESOLVED_S * SECOND:
+        if has_passed(_RESOLVED_S, self._rejected_at, now):
             self._warnings.resolved("rejected", f"{self._what} on {self.topic} is usable again")
         hz, nominal = self._rate.hz(now / SECOND), self._limits.rate
         level, text = healthy
@@ -138,7 +138,7 @@ class Ros2Source:
         return diagnostics(now, name, self.topic, level, text, {**known, **values})
 
     def _why_unusable(self) -> str:
-        if self._reason and self._now() - self._rejected_at <= self._limits.timeout_s * SECOND:
+        if self._reason and not has_passed(self._limits.timeout_s, self._rejected_at, self._now()):
             return f"{self._consequence}: {self._reason}"
         return (
             f"{self._consequence}: {self._what} does not arrive on {self.topic}; check that its "

@@ -171,7 +171,11 @@ class Component:
         return self._context.restarts
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
-        """Make `call` once when `self.clock` reaches `at` [ns]; discarded on deactivation."""
+        """Make `call` once when `self.clock` reaches `at` [ns]; discarded on deactivation.
+
+        If the clock is set back meanwhile, `at` is, too, by as much: a call that is to come in a
+        second does not come in an hour.
+        """
         self._context.schedule(at, call)
 
     def post(self, call: Callable[[], None]) -> None:

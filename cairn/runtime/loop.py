@@ -11,6 +11,7 @@ from cairn.bell import Bell
 from cairn.clock import SECOND, SystemClock
 
 _LONGEST_WAIT_S = 3600.0
+_SET_BACK_NS = 1_000_000  # less is jitter of the readings, or a time service that slows the clock
 
 
 class Scheduler(Protocol):
@@ -59,6 +60,7 @@ class ThreadLoop:
         self._turn = threading.Lock()  # held by the thread that makes calls
         self._bell = Bell()
         self._clock = SystemClock()
+        self._clock_ahead: float = -math.inf  # of the monotonic clock [ns]
         self._wake_at: int | None = None
         self._asleep_until = -math.inf  # of the loop's own thread
         self._on_time: Callable[[], None] = _do_nothing
@@ -86,8 +88,12 @@ class ThreadLoop:
 
     def wake_at(self, time: int) -> None:
         """Run the due timers at `time` of the system clock [ns]."""
-        # Waits use the monotonic clock, which is never set; the system clock may be set back.
-        due = monotonic.monotonic_ns() + time - self._clock.now()
+        # Waits use the monotonic clock, which is never set; the system clock may be set back. If it
+        # has just been, `time` is from before, and the timers have to learn of it now.
+        awake = monotonic.monotonic_ns()
+        ahead, before = self._clock.now() - awake, self._clock_ahead
+        self._clock_ahead = ahead
+        due = awake if ahead < before - _SET_BACK_NS else time - ahead
         self._wake_at = due
         if due < self._asleep_until:
             self._bell.ring()

@@ -47,17 +47,20 @@ class ComponentTimers:
         self._request_wake_up()
 
     def at(self, due: int, call: Callable[[], None]) -> None:
-        """Make `call` once at time `due` [ns], or soon if that is past."""
+        """Make `call` once at time `due` [ns], or soon if that is past.
+
+        If the clock is set back meanwhile, so is `due`.
+        """
         self._timers.at(due, call)
         self._request_wake_up()
 
     def on_clock_set(self) -> None:
         """Make the calls that are due, after the clock was set forward or back."""
         now = self._clock.now()
-        set_back, self._last_time = now < self._last_time, now
-        if set_back:
+        last, self._last_time = self._last_time, now
+        if now < last:
             self._log.warning("time was set back: restarted the periodic calls")
-            self._timers.forget_periodic()
+            self._timers.set_back(last - now)
             self.start(self._periodic)
         # Timers set by these calls wait for the next turn: a call that sets a timer for now again
         # and again must not keep all other calls from being made.
@@ -127,10 +130,14 @@ class TimerQueue:
             return heapq.heappop(self._heap)[2]
         return None
 
-    def forget_periodic(self) -> None:
-        """Discard the timers set by `every`."""
+    def set_back(self, by: int) -> None:
+        """Discard the timers set by `every`; those set by `at` are due earlier by `by`."""
         self._generation += 1
-        self._heap = [entry for entry in self._heap if not entry[3]]
+        self._heap = [
+            (due - by, number, call, periodic)
+            for due, number, call, periodic in self._heap
+            if not periodic
+        ]
         heapq.heapify(self._heap)
 
     def clear(self) -> None:

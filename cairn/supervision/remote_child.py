@@ -37,6 +37,7 @@ from cairn.supervision.child import (
 _STEP_S = 0.05
 _SLOW_CHECKS = 3  # in a row, of two in a second: then the link is slow
 _QUICK_CHECKS = 6  # in a row: then it is not any more
+_FIRST_RETRY_S, _LONGEST_RETRY_S = 1.0, 30.0  # after a load that failed while its machine is up
 _SETTLE_S = 1.0  # after an answer, in which reports of another state may be older than it
 _TRANSFER_S = 1.0  # longer than the other root may take, for the request and its answer
 
@@ -96,6 +97,8 @@ class RemoteChild:
         self._contrary_checks = 0
         self._holding: Future[Any] | None = None
         self._loaded_at = -math.inf  # when its root has answered that it is active [s]
+        self._retry_s = 0.0
+        self._retry_at = -math.inf  # before that it is not loaded again [s]
 
     def status(self) -> ChildStatus:
         """Return the state of the child, as last reported by its machine."""
@@ -174,14 +177,14 @@ class RemoteChild:
         if self._loading is not None and not self._loading.done():
             return None
         loading, self._loading = self._loading, None
-        if loading is not None and (error := loading.exception()) is not None:
-            self.reason = self._without_name(error)
-            self._log_event(logging.ERROR, "start failed", self.reason)
+        if loading is not None:
+            self._note_load(loading.exception())
         is_active = reported is not None and reported.state in ("active", "held")
         if not is_active and self._host.awake() - self._loaded_at < _SETTLE_S:
             return None  # the report may be older than the answer
         if reported is None or reported.state == "unloaded":
-            if self.target is LifecycleState.ACTIVE:  # its root has been restarted, for example
+            # Its root has been restarted, for example.
+            if self.target is LifecycleState.ACTIVE and self._host.awake() >= self._retry_at:
                 self._request_load()
             return None
         self._note_reported(reported)
@@ -268,6 +271,18 @@ class RemoteChild:
         )
         return self._loading
 
+    def _note_load(self, error: BaseException | None) -> None:
+        """Log a load that has failed; wait before the next one, twice as long each time."""
+        if error is None:
+            self._retry_s, self._retry_at = 0.0, -math.inf
+            return
+        self._retry_s = min(_LONGEST_RETRY_S, max(_FIRST_RETRY_S, 2.0 * self._retry_s))
+        self._retry_at = self._host.awake() + self._retry_s
+        self.reason = self._without_name(error)
+        self._log_event(
+            logging.ERROR, "start failed", f"{self.reason}; trying again in {self._retry_s:g} s"
+        )
+
     def _started_without(self, silence: str) -> StartResult:
         if self.spec.on_loss == "stop":
             self.runs, self.reason, self.state = False, silence, "ended"
@@ -282,7 +297,8 @@ class RemoteChild:
 
     def _lose(self, silence: str) -> None:
         self.state, self.reason, self._was_lost = "lost", silence, True
-        self._loaded_at = -math.inf
+        self._loaded_at = self._retry_at = -math.inf
+        self._retry_s = 0.0
         level = logging.DEBUG if self.spec.on_loss == "ignore" else logging.WARNING
         self._log_event(level, "lost", silence)
 

@@ -14,6 +14,7 @@ from cairn import (
     Supervisor,
     every,
     from_ns,
+    has_passed,
     on,
     to_ns,
 )
@@ -36,7 +37,7 @@ from cairn.schemas.std_msgs import Header
 from cairn.supervision.child import ChildStatus
 
 # The command is repeated so often, so that its readers know that AutoMove is alive [ns].
-_REPEAT_NS = SECOND // 2
+_REPEAT_S = 0.5
 # A longer time to the goal is not reported [s]: 30 years; dividing by a speed could give infinity.
 _LONGEST_S = 1e9
 
@@ -258,7 +259,7 @@ class AutoMove(Supervisor):
             navigator.goal_index,
             int(navigator.reason.code),
         )
-        if version == self._published and now - self._published_at < _REPEAT_NS:
+        if version == self._published and not has_passed(_REPEAT_S, self._published_at, now):
             return
         self._published, self._published_at = version, now
         header = Header(stamp=from_ns(now), frame_id="map")

@@ -25,6 +25,7 @@ from cairn import (
     RetriedSave,
     every,
     from_ns,
+    has_passed,
     on,
     to_ns,
 )
@@ -485,7 +486,7 @@ class MapBuilder(Component):
             return
         self._share_cells(self._grid)
         self._publish_grid_update(now)
-        if now - self._saved_at >= _SAVE_S * SECOND:
+        if has_passed(_SAVE_S, self._saved_at, now):
             self._save_grid(self._grid)
 
     def _warn_of_refused(self, keeper: LandmarkKeeper, object_id: int) -> None:
@@ -638,7 +639,7 @@ class MapBuilder(Component):
                     data=update.values.ravel(),
                 )
             )
-        is_due = now - self._full_map_at >= _FULL_MAP_S * SECOND
+        is_due = has_passed(_FULL_MAP_S, self._full_map_at, now)
         if self._updates.full_map_is_outdated and is_due:
             self._publish_full_map(now)
 

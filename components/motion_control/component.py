@@ -298,7 +298,7 @@ class MotionControl(Component):
     def _restart(self, now: int, reason: str) -> None:
         """Forget the obstacles, pause, and restart the behavior."""
         self._safety.pause(now + _PAUSE_NS, reason)
-        self._commanded_at = now
+        self._commanded_at = self._gate_at = self._gate_blocks_since = now
         self._memory.forget()
         self._movers.forget()
         self._start_behavior()

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.clock import SECOND, has_passed
 from cairn.components.motion_control.collision_checks import (
     UNLIMITED_M,
     check_arcs,
@@ -60,7 +61,7 @@ _CHECKED = round(_AVOID_WITHIN_M / SPACING_M) + 2
 _AT_GOAL_M = 0.3
 _GOAL_SLACK_M = 0.06  # [m] that the goal itself may be out of reach
 _REJOIN_POINTS = 16  # points of the path that must be free beyond an obstacle: 0.8 m
-_RETRY_NS = 300_000_000  # time without a new search after no detour was found
+_RETRY_S = 0.3  # time without a new search after no detour was found
 _MARGIN_SHARE = 0.6  # share of the margin that noise may take from a detour before it is dropped
 _STOP_GAP_M = 0.02  # [m] of free path that is left where the robot stops
 _STRAIGHT_SPEED = 0.25  # [m/s] without a path
@@ -93,7 +94,7 @@ class LocalPlanner:
         self._side = 0.0
         self._curvature = 0.0
         self._detour: FollowedPath | None = None
-        self._searched_at = -_RETRY_NS
+        self._searched_at = -round(_RETRY_S * SECOND)
         self._search = DetourSearch(limits)
         self._free = np.empty(_AIM_SHARES.size)
         self._clear = np.empty(_AIM_SHARES.size)
@@ -121,7 +122,7 @@ class LocalPlanner:
             target = self._follow(path_ahead, left, ahead, inputs)
             if target is not None:
                 return target
-        if inputs.now - self._searched_at >= _RETRY_NS and self._find_detour(
+        if has_passed(_RETRY_S, self._searched_at, inputs.now) and self._find_detour(
             path_ahead, ahead, inputs
         ):
             target = self._follow_detour(ahead, inputs)

@@ -21,6 +21,7 @@ from cairn import (
     every,
     from_ns,
     goal,
+    has_passed,
     on,
     to_ns,
 )
@@ -230,7 +231,9 @@ class PathPlanner(Component):
         now, config = self.clock.now(), self.config
         if self._costs is None or self._scan_obstacles is None or config.obstacle_memory_s == 0:
             return
-        if self._command is None or now - self._scan_used_at < SECOND / config.check_hz - 1:
+        if self._command is None or not has_passed(
+            1 / config.check_hz, self._scan_used_at, now + 1
+        ):
             return
         self._scan_used_at = now
         self._waiting.add(scan)
@@ -343,7 +346,7 @@ class PathPlanner(Component):
     def look_for_better_path(self) -> None:
         """Look for a better path, or for a path if there is none."""
         now = self.clock.now()
-        if self._command is None or now - self._planned_at < self.config.replan_s * SECOND - 1:
+        if self._command is None or not has_passed(self.config.replan_s, self._planned_at, now + 1):
             return
         if self._result is None or self._result.route is None:
             self._replan()
@@ -351,8 +354,9 @@ class PathPlanner(Component):
             self._improve()
 
     def _is_check_due(self) -> bool:
-        period = SECOND / self.config.check_hz - 1
-        return self._waits_for_plan or self.clock.now() - self._checked_at >= period
+        now = self.clock.now()
+        is_over = has_passed(1 / self.config.check_hz, self._checked_at, now + 1)
+        return self._waits_for_plan or is_over
 
     @property
     def _waits_for_plan(self) -> bool:

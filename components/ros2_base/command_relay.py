@@ -53,7 +53,7 @@ class CommandRelay:
             return command
         if self._rest_since is None:
             self._rest_since = now
-        is_due = command is not None or now - self._rest_since <= self._rest_s
+        is_due = command is not None or 0 <= now - self._rest_since <= self._rest_s
         return REST if is_due else None
 
 

@@ -56,6 +56,8 @@ class WheelDrive:
 
     def command(self, now_s: float, forward: float, turn: float) -> None:
         """Take a command [m/s, rad/s]; it takes effect after the lag, within the limits."""
+        if now_s < self._commanded_s:  # the clock was set back: what waits would wait until then
+            self._pending.clear()
         self._commanded_s = now_s
         limits = self.limits
         forward = min(limits.speed, max(-limits.speed, forward))
@@ -65,12 +67,13 @@ class WheelDrive:
     def step(self, now_s: float, seconds: float) -> tuple[float, float]:
         """Let `seconds` pass until `now_s`; return the mean speeds [m/s, rad/s] in that time."""
         limits = self.limits
+        # A command from the future: the clock was set back.
+        if not 0.0 <= now_s - self._commanded_s <= limits.command_timeout_s:
+            self._pending.clear()
+            self._target = (0.0, 0.0)
         while self._pending and self._pending[0][0] <= now_s:
             _, forward, turn = self._pending.popleft()
             self._target = (forward, turn)
-        if now_s - self._commanded_s > limits.command_timeout_s:
-            self._pending.clear()
-            self._target = (0.0, 0.0)
         before = self.forward, self.turn
         self.forward = _approach(before[0], self._target[0], limits.acceleration * seconds)
         self.turn = _approach(before[1], self._target[1], limits.turn_acceleration * seconds)

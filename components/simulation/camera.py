@@ -279,7 +279,8 @@ class SimulatedStereoCamera(Component):
     def _photograph(self) -> None:
         now = self.clock.now()
         self._due += self._period
-        if self._due <= now:  # skip the pairs that were missed
+        # Skip the pairs that were missed, and go on at once if the clock was set back.
+        if not now < self._due <= now + self._period:
             self._due = now + self._period
         self.schedule(self._due, self._photograph)
         config = self.config

@@ -285,7 +285,8 @@ class SimulatedScanner(Component):
     def _sweep(self) -> None:
         now = self.clock.now()
         self._due += self._period
-        if self._due <= now:  # skip the scans that were missed
+        # Skip the scans that were missed, and go on at once if the clock was set back.
+        if not now < self._due <= now + self._period:
             self._due = now + self._period
         self.schedule(self._due, self._sweep)
         beams, model = self._beams, self._model

@@ -25,6 +25,7 @@ from cairn import (
     RetriedSave,
     every,
     from_ns,
+    has_passed,
     on,
     to_ns,
 )
@@ -54,7 +55,10 @@ from cairn.schemas.std_msgs import Header
 
 # Wheels without a message for this long [s] count as standing.
 _STALE_S = 0.3
-_TRUTH_PERIOD_NS = SECOND // 10
+_TRUTH_PERIOD_S = 0.1
+_LONGEST_STEP_S = 1.0
+_APART_NS = SECOND // 10
+"""By less than this, the times of the robots' wheels are apart."""
 _MOST_ROBOTS = 50
 
 
@@ -222,9 +226,9 @@ class SimulatedWorld(Component):
         if self._world.layout.version != self._published_version:
             self._publish_layout()
         for robot, heard_at in self._wheels_heard_at.items():
-            if now - heard_at > _STALE_S * SECOND:
+            if has_passed(_STALE_S, heard_at, now):
                 self._speeds[robot] = (0.0, 0.0)
-        if now - max(self._wheels_heard_at.values()) > _STALE_S * SECOND:
+        if has_passed(_STALE_S, max(self._wheels_heard_at.values()), now):
             self._advance_to(now)
 
     @every(hz=10)
@@ -288,8 +292,10 @@ class SimulatedWorld(Component):
 
     def _advance_to(self, stamp: int) -> None:
         """Let time pass until a stamp [ns], and publish what moves."""
-        stamp = max(stamp, self._advanced_to)
-        self._world.move_people(min((stamp - self._advanced_to) / SECOND, 1.0))
+        if stamp > self._advanced_to - _APART_NS:  # otherwise time was set back
+            stamp = max(stamp, self._advanced_to)
+        seconds = (stamp - self._advanced_to) / SECOND
+        self._world.move_people(min(max(0.0, seconds), _LONGEST_STEP_S))
         self._advanced_to = stamp
         header = Header(stamp=from_ns(stamp), frame_id="map")
         robot = pose_message(self._world.robot)
@@ -314,7 +320,7 @@ class SimulatedWorld(Component):
                 ),
             )
         )
-        if stamp - self._truth_published_at >= _TRUTH_PERIOD_NS:
+        if has_passed(_TRUTH_PERIOD_S, self._truth_published_at, stamp):
             self._truth_published_at = stamp
             self.truth.publish(PoseStamped(header=header, pose=robot))
 

@@ -27,6 +27,7 @@ from cairn import (
     RetriedSave,
     every,
     from_ns,
+    has_passed,
     on,
     to_ns,
 )
@@ -236,9 +237,9 @@ class Slam(Component):
                 )
             )
             self._full_map_is_outdated = True
-        if self._full_map_is_outdated and _is_over(_FULL_MAP_S, self._full_map_at, now):
+        if self._full_map_is_outdated and has_passed(_FULL_MAP_S, self._full_map_at, now):
             self._publish_full_map(now)
-        if _is_over(_SAVE_S, self._saved_at, now):
+        if has_passed(_SAVE_S, self._saved_at, now):
             self._save_graph()
 
     def _process(self) -> None:
@@ -418,8 +419,3 @@ def _health(tracked: Tracked, *, located: bool) -> tuple[float, Reason]:
         text = f"the map explains {tracked.fit:.0%} of the scan"
         return share, Reason(ReasonCode.SCAN_MISMATCH, text)
     return 1.0, NO_REASON
-
-
-def _is_over(seconds: float, since: int, now: int) -> bool:
-    """Return whether a time has passed since `since` [ns], also if the clock was set back."""
-    return not 0 <= now - since < seconds * SECOND

@@ -21,6 +21,7 @@ from cairn import (
     RateLimitedLog,
     every,
     from_ns,
+    has_passed,
     on,
     to_ns,
 )
@@ -49,7 +50,7 @@ from cairn.schemas.std_msgs import Bool, Header
 
 _RAMP_HZ = 50.0
 # The command is repeated so often [ns], as bases stop after 0.3 s; the status so often.
-_REPEAT_NS, _STATUS_NS = SECOND // 20, SECOND // 2
+_REPEAT_S, _STATUS_S = 0.05, 0.5
 # If nothing was called for so long [ns], this process was held up (the timer runs at 50 Hz); what
 # arrives so soon [ns] afterward was queued.
 _HELD_UP_NS, _QUEUED_NS = 3 * SECOND // 10, SECOND // 10
@@ -444,7 +445,7 @@ class VelocityGate(Component):
             if output.blocked:
                 code, held = ReasonCode.OBSTACLE, output.blocked
         self._limits.update(output.limits)
-        due = now - self._published_at >= _REPEAT_NS
+        due = has_passed(_REPEAT_S, self._published_at, now)
         active = selection is not None or self._stop.engaged or before != STILL
         if output.command != before or (active and due):
             self._published_at = now
@@ -494,7 +495,7 @@ class VelocityGate(Component):
             (source, operator, self._stop.engaged, stopped, int(hold[0]))
             != (last.source, last.operator, last.emergency_stop, last.stopped, last.reason_code)
         )  # fmt: skip
-        due = self._status_at is None or not 0 <= now - self._status_at < _STATUS_NS
+        due = self._status_at is None or has_passed(_STATUS_S, self._status_at, now)
         if not changed and not due:
             return
         if stopped and hold[0] != last.reason_code and requested != STILL:

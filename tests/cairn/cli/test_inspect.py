@@ -231,10 +231,20 @@ def test_missing_topic_is_reported_with_those_that_exist(
     assert "beacon" in error
 
 
+@pytest.mark.parametrize(
+    ("machine", "who"),
+    [("", ": over the network, your role"), ("base", ": this machine (its `role` in the deploy")],
+)
 def test_echo_reports_messages_that_are_published_but_do_not_arrive(
-    command: Command, monkeypatch: pytest.MonkeyPatch
+    machine: str, who: str, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Subscription, "_receive", lambda *_: None)  # as if the role forbade it
+    statuses = connection.Connection.statuses
+    monkeypatch.setattr(
+        connection.Connection,
+        "statuses",
+        lambda self: {name: replace(one, machine=machine) for name, one in statuses(self).items()},
+    )
 
     deadline = time.monotonic() + LIMIT_S
     error = ""
@@ -243,6 +253,7 @@ def test_echo_reports_messages_that_are_published_but_do_not_arrive(
         error = command("topic", "echo", "words", "--wait", "0.1").err
 
     assert "/rover/words" in error
+    assert who in error
 
 
 def test_topic_echo_of_a_silent_topic_times_out(command: Command) -> None:

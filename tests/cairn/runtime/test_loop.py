@@ -1,6 +1,7 @@
 """The loop makes calls one at a time, in order, from any thread, and ends cleanly."""
 
 import threading
+import time
 import weakref
 from collections.abc import Iterator
 
@@ -114,6 +115,23 @@ def test_timer_set_during_sleep_wakes_the_loop(running: Running) -> None:
     running.start()
     running.loop.deliver(lambda: running.loop.wake_at(clock.now() + 3_600_000_000_000))
     running.loop.deliver(lambda: running.loop.wake_at(clock.now() + 1_000_000))
+
+    assert woken.wait(LIMIT_S)
+
+
+def test_time_from_before_the_clock_was_set_back_wakes_the_loop_at_once(
+    running: Running, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hour = 3_600_000_000_000
+    set_back = 0
+    monkeypatch.setattr(SystemClock, "now", lambda _: time.time_ns() - set_back)
+    woken = threading.Event()
+    running.loop.bind(woken.set)
+    running.start()
+    at = time.time_ns() + hour
+    running.loop.deliver(lambda: running.loop.wake_at(at))
+    set_back = hour  # while a call is in progress that sets the next timer by the time before
+    running.loop.deliver(lambda: running.loop.wake_at(at))
 
     assert woken.wait(LIMIT_S)
 

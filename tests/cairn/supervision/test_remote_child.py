@@ -193,6 +193,27 @@ def test_child_is_loaded_again_by_a_machine_that_was_restarted() -> None:
     assert one.states()["localizer"] == "active"
 
 
+def test_load_that_fails_is_tried_again_ever_less_often() -> None:
+    one = robot()
+    one.children.start_all()
+    one.machines.requests.clear()
+    one.machines.errors["load"] = CairnError("localizer: no rights on brain")
+    one.machines.state = "unloaded"
+    for _ in range(120):
+        one.world.now_s += 0.5
+        one.children.check()
+
+    assert one.machines.requests == ["load localizer on brain"] * 6  # after 1, 2, 4, 8 and 16 s
+    errors = [line for line in one.world.log.lines if "start failed: localizer" in line]
+    assert "no rights on brain; trying again in 30 s" in errors[-1]
+    assert len(errors) == 6
+    one.machines.errors.clear()
+    one.world.now_s += 30.0
+    one.children.check()
+    one.children.check()
+    assert one.states()["localizer"] == "active"
+
+
 def test_child_that_its_machine_restarts_is_not_touched() -> None:
     one = robot()
     one.children.start_all()

@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from cairn import SENSOR, Component, to_ns
+from cairn import SECOND, SENSOR, Component, from_ns, to_ns
 from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.recognizer import SimulatedRecognizer
 from cairn.components.simulation.scanner import SimulatedScanner
@@ -17,6 +17,7 @@ from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.cairn_sim_msgs import WorldState
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing.lockstep import ComponentHarness, Lockstep
@@ -41,9 +42,13 @@ class Simulation:
     """A simulated world with base, scanner and recognizer; the test commands the robot.
 
     `world` holds additional entries of the world file; the errors of the base are off if `exact`.
+    With `simulated_time` the test sets the clock.
     """
 
-    def __init__(self, folder: Path, exact: bool = True, **world: Any) -> None:
+    def __init__(
+        self, folder: Path, exact: bool = True, simulated_time: bool = False, **world: Any
+    ) -> None:
+        self._simulated_time = simulated_time
         self.file = folder / "world.yaml"
         self.file.write_text(yaml.safe_dump(box(**world)))
         self.lockstep = Lockstep(start_s=1.0)
@@ -68,7 +73,13 @@ class Simulation:
     def add(self, component: type[C], **parameters: Any) -> ComponentHarness[C]:
         """Add an active component, beside those of its class that run already."""
         name = component.__name__.lower()
-        return ComponentHarness(component, parameters, beside=self.lockstep, name=name)
+        return ComponentHarness(
+            component,
+            parameters,
+            beside=self.lockstep,
+            name=name,
+            simulated_time=self._simulated_time,
+        )
 
     def drive(self, seconds: float, forward: float, turn: float) -> None:
         """Command these speeds [m/s, rad/s] for some seconds."""
@@ -76,6 +87,10 @@ class Simulation:
             command = Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
             self.lockstep.publish("cmd_vel", command, qos=SENSOR)
             self.lockstep.run_for(0.1)
+
+    def set_clock(self, time_s: float) -> None:
+        """Set the simulated time [s]."""
+        self.lockstep.publish("clock", Clock(clock=from_ns(round(time_s * SECOND))))
 
     def take(self, topic: str) -> list[Any]:
         """Return the messages published since the last call."""

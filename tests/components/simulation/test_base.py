@@ -47,6 +47,21 @@ def test_command_takes_effect_after_the_lag() -> None:
     assert still == math.ceil(LIMITS.lag_s / STEP) - 1
 
 
+@pytest.mark.parametrize("commanded", [True, False])
+def test_wheels_obey_after_the_clock_was_set_back(commanded: bool) -> None:
+    wheels = WheelDrive(LIMITS)
+    for number in range(50):
+        wheels.command(100.0 + number * STEP, 0.5, 0.0)
+        wheels.step(100.0 + number * STEP, STEP)
+    assert wheels.forward > 0.3
+    for number in range(50):
+        if commanded:
+            wheels.command(1.0 + number * STEP, 0.0, 0.0)
+        wheels.step(1.0 + number * STEP, STEP)
+
+    assert wheels.forward == 0.0
+
+
 def test_wheels_stop_when_commands_are_stale() -> None:
     speeds = [forward for forward, _ in driven(0.5, 0.5, 2.0, again=False)]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn import SECOND, CairnError, to_ns
+from cairn import SECOND, SENSOR, CairnError, to_ns
 from cairn.bus.codec import Codec
 from cairn.components.simulation.base import SimulatedBase
 from cairn.components.simulation.layout import WorldLayout
@@ -24,6 +24,7 @@ from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.lockstep import ComponentHarness, Lockstep
 from tests.components.simulation.simulation_harness import (
     EXACT,
+    MOUNT,
     NO_SLIP,
     OBJECTS,
     TABLE,
@@ -323,3 +324,26 @@ def test_wheels_of_an_unknown_robot_are_reported(
     simulation.lockstep.publish("wheel_motion", WheelMotion(robot="robot_9"))
 
     assert "there is no such robot in this world (robot); add it" in caplog.text
+
+
+def test_world_and_scanner_go_on_after_the_clock_was_set_back(tmp_path: Path) -> None:
+    simulation = Simulation(tmp_path, simulated_time=True)
+
+    def drive(begin_s: float, forward: float) -> float:
+        """Drive for two seconds; return how far the wall ahead is from the scanner at the end."""
+        for number in range(100):
+            command = Twist(linear=Vector3(x=forward))
+            simulation.lockstep.publish("cmd_vel", command, qos=SENSOR)
+            simulation.set_clock(begin_s + 0.02 * number)
+        state, scan = simulation.take("world_state")[-1], simulation.take("scan")[-1]
+        for message in (state, scan):
+            assert begin_s + 1.8 < to_ns(message.header.stamp) / SECOND < begin_s + 2.0
+        to_wall = 6.0 - compose(planar_pose(state.robot), (MOUNT["x"], 0.0, 0.0))[0]
+        ahead = round((-MOUNT["theta"] - scan.angle_min) / scan.angle_increment)
+        assert scan.ranges[ahead] == pytest.approx(to_wall, abs=0.1)
+        return to_wall
+
+    before = drive(3600.0, 0.5)
+    assert 1.9 < before < 2.3
+    assert before - 0.2 < drive(5.0, 0.0) < before  # it brakes
+    assert 0.9 < drive(7.0, 0.5) < 1.3
