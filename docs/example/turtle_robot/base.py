@@ -2,7 +2,7 @@
 
 import math
 
-from cairn import SECOND, SENSOR, Component, Config, In, Out, every, from_ns, on
+from cairn import SECOND, SENSOR, Component, Config, In, Out, every, from_ns, has_passed, on
 from cairn.schemas.geometry_msgs import (
     Point,
     Pose,
@@ -63,9 +63,9 @@ class TurtleBase(Component):
         """Execute the last command while it is fresh; publish odometry and state."""
         now = self.clock.now()
         command = self._command
-        if now - self._commanded_at > self.config.command_timeout_s * SECOND:
+        if has_passed(self.config.command_timeout_s, self._commanded_at, now):
             command = Twist()  # the safe stop: the sender may be dead or hung
-        seconds, self._moved_at = (now - self._moved_at) / SECOND, now
+        seconds, self._moved_at = max(0.0, (now - self._moved_at) / SECOND), now
         forward, turn = command.linear.x, command.angular.z
         self._wheels.advance(seconds, forward, turn, self.config.used_per_m)
         self._publish(now, forward, turn)
