@@ -156,6 +156,16 @@ class Component:
         return self._context.clock
 
     @property
+    def time_may_repeat(self) -> bool:
+        """Whether another run may begin at an earlier time: with simulated time, and in lockstep.
+
+        Only then data of a later time are of another run, such as a replay of the same recording.
+        The system's time goes back when a wrong clock is corrected.
+        """
+        context = self._context.launch.context
+        return context.simulated_time or context.lockstep
+
+    @property
     def log(self) -> logging.Logger:
         """Writes to the component's log file and to the topic /rosout, from its log level on."""
         return self._context.log

@@ -594,7 +594,7 @@ class MapBuilder(Component):
             self._landmarks = LandmarkKeeper(
                 config.map_file,
                 config.working_copy,
-                now,
+                now if self.time_may_repeat else None,
                 config.max_landmarks if config.learn_unknown else 0,
                 rule_named(config.rule),
                 config.undo_s,
@@ -610,7 +610,7 @@ class MapBuilder(Component):
             self._grid = GridKeeper(
                 config.grid_file,
                 config.grid_copy,
-                now,
+                now if self.time_may_repeat else None,
                 config.settle_s,
                 config.undo_s,
                 None if self._cell_exchange is None else self.robot,

@@ -21,7 +21,8 @@ class MapBuilderConfig(Config):
     working_copy: Path | None = Field(
         None,
         description="Copy of map_file that is changed instead of it; none: map_file itself is "
-        "changed. An existing copy of the same map, not later than now, is used again.",
+        "changed. An existing copy of the same map is used again, in a replay unless it is of a "
+        "later time.",
     )
     learn_unknown: bool = Field(
         True, description="Whether to register objects that are observed but not in the map."
@@ -50,7 +51,8 @@ class MapBuilderConfig(Config):
     grid_copy: Path | None = Field(
         None,
         description="File of the changed grid map (YAML); grid_file is never changed. An existing "
-        "copy of the same map, not later than now, is used again. None: keep it in memory.",
+        "copy of the same map is used again, in a replay unless it is of a later time. None: keep "
+        "it in memory.",
     )
     update_grid: bool = Field(True, description="Whether scans change the grid map.")
     zones_file: Path | None = Field(

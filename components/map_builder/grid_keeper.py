@@ -92,8 +92,9 @@ class GridKeeper:
     """A grid map on disk and in memory.
 
     With a `working_copy` the map itself is only read: `save` writes the copy. It is used again if
-    it is one of the same map and not of a later time, as after the process that wrote it was
-    killed. Without a copy, changes are in memory only.
+    it is one of the same map and not of a later time than `now_ns` (None: of any time, see
+    `LandmarkKeeper`), as after the process that wrote it was killed. Without a copy, changes are in
+    memory only.
 
     With `robot`, the cells are shared under this name with robots that have the same map: `merge`
     takes what they have decided, `contribute` decides what this robot has found out itself.
@@ -103,7 +104,7 @@ class GridKeeper:
         self,
         map_file: Path,
         working_copy: Path | None,
-        now_ns: int,
+        now_ns: int | None,
         settle_s: float,
         undo_s: float,
         robot: str | None = None,
@@ -278,7 +279,7 @@ def grid_digest(map_: OccupancyCells) -> str:
 
 
 def _read_copy(
-    copy: Path, source: str, original: OccupancyCells, now_ns: int
+    copy: Path, source: str, original: OccupancyCells, now_ns: int | None
 ) -> tuple[OccupancyCells, _StoredRecord | None, int] | None:
     """Return the map of a reusable working copy, what is shared, and its time.
 
@@ -302,7 +303,7 @@ def _read_copy(
     except ValueError:
         _LOG.warning("replacing the working copy %s: %s is not valid", copy, sidecar)
         return None
-    ahead = origin.stamp_ns > now_ns
+    ahead = now_ns is not None and origin.stamp_ns > now_ns
     if not is_reusable(copy, _LOG, same=origin.source == source, ahead=ahead):
         return None
     return cells, origin.shared, origin.stamp_ns

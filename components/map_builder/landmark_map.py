@@ -205,15 +205,16 @@ class LandmarkKeeper:
     This requires a working copy, as the map itself identifies what is shared.
 
     With a `working_copy`, the map itself is only read. The copy is made if it does not exist, if it
-    is one of another map, or if it is of a later time (another replay); otherwise it is used again,
-    as after the process that wrote it was killed.
+    is one of another map, or if it is of a later time than `now_ns`: of another replay. Otherwise
+    it is used again, as after the process that wrote it was killed. `now_ns` is None on a system
+    clock, which may have been set back: nothing learned is discarded for that.
     """
 
     def __init__(
         self,
         map_file: Path,
         working_copy: Path | None,
-        now_ns: int,
+        now_ns: int | None,
         most_learned: int = MOST_LEARNED,
         rule: Rule = judge,
         undo_s: float = UNDO_S,
@@ -490,12 +491,12 @@ class _Unsaved:
         self.changes.append(change)
 
 
-def _is_reusable(map_file: Path, working_copy: Path, now_ns: int) -> bool:
+def _is_reusable(map_file: Path, working_copy: Path, now_ns: int | None) -> bool:
     if not working_copy.exists():
         return False
     with open_landmarks(working_copy, read_only=True) as previous:
         same = previous.digest() == digest_of(map_file)
-        ahead = previous.last_stamp_ns() > now_ns
+        ahead = now_ns is not None and previous.last_stamp_ns() > now_ns
     return is_reusable(working_copy, _LOG, same=same, ahead=ahead)
 
 

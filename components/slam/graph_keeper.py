@@ -201,7 +201,8 @@ class GraphKeeper(Component):
             self.log.warning("replacing the working copy %s: %s", copy, error)
             return False
         same = log.origin == graph_digest(self.config.graph_file)
-        return is_reusable(copy, self.log, same=same, ahead=log.last_stamp_ns > self.clock.now())
+        ahead = self.time_may_repeat and log.last_stamp_ns > self.clock.now()
+        return is_reusable(copy, self.log, same=same, ahead=ahead)
 
     def _close(self) -> None:
         self._graph = self._newest_map = None

@@ -18,7 +18,7 @@ class GraphKeeperConfig(Config):
     )
     working_copy: Path = Field(
         description="Copy of graph_file that is changed instead of it. An existing copy of the "
-        "same graph, not later than now, is used again.",
+        "same graph is used again, in a replay unless it is of a later time.",
     )
     permanent_s: float = Field(
         600.0,

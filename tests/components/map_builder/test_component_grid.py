@@ -17,6 +17,7 @@ from cairn.planar.messages import with_covariance
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.nav_msgs import Odometry
+from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
@@ -145,11 +146,19 @@ def test_restarted_map_builder_reuses_its_working_copy(grid_file: Path, tmp_path
     assert np.array_equal(read_map(copy).values, grid_of(published).values)
     assert np.array_equal(read_map(grid_file).values, room().values)
 
-    earlier = ComponentHarness(
+    set_back = ComponentHarness(
         MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN - 500.0
     )
-    (published,) = earlier.take("map")
-    assert grid_of(published).values[40, 70] == FREE  # the copy is of another run
+    (published,) = set_back.take("map")
+    assert grid_of(published).values[40, 70] == OCCUPIED  # what was learned is not lost
+
+    replay = ComponentHarness(
+        MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, simulated_time=True
+    )
+    replay.publish("clock", Clock(clock=from_ns(round((BEGIN - 500.0) * SECOND))))
+    replay.publish("clock", Clock(clock=from_ns(round((BEGIN - 490.0) * SECOND))))
+    (published,) = replay.take("map")
+    assert grid_of(published).values[40, 70] == FREE  # the copy is of another replay
 
 
 def test_missing_folder_gives_rate_limited_warnings_until_it_is_back(

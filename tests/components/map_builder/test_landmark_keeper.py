@@ -35,7 +35,7 @@ def map_file(tmp_path: Path) -> Path:
     return path
 
 
-def keep(path: Path, copy: Path | None = None, now_ns: int = 10**18) -> LandmarkKeeper:
+def keep(path: Path, copy: Path | None = None, now_ns: int | None = 10**18) -> LandmarkKeeper:
     return LandmarkKeeper(path, copy, now_ns)
 
 
@@ -81,14 +81,15 @@ def test_working_copy_leaves_the_original_unchanged(map_file: Path) -> None:
     assert map_file.read_bytes() == before
 
 
-def test_working_copy_is_reused_after_a_kill(map_file: Path) -> None:
+@pytest.mark.parametrize("now_ns", [200, None])
+def test_working_copy_is_reused_after_a_kill(map_file: Path, now_ns: int | None) -> None:
     copy = map_file.with_name("copy.map")
     first = keep(map_file, copy)
     first.apply(100, [observation(0.1, 0, THERE)])
     first.save()
     first.close()
 
-    second = keep(map_file, copy, now_ns=200)
+    second = keep(map_file, copy, now_ns=now_ns)
 
     assert {o.object_id: o.state for o in second.landmarks}[7] is LandmarkState.RELOCATING
     second.close()
