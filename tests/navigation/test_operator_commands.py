@@ -1,13 +1,23 @@
-"""`cairn zone` and `cairn go PLACE` as an operator uses them, in real processes."""
+"""`cairn stop`, `cairn zone` and `cairn go PLACE` as an operator uses them, in real processes.
+
+And commands to the base that are not the operator's.
+"""
 
 import json
 import math
+import os
+import signal
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from tests.commands import cairn
+from cairn.client import Teleoperation, connect
+from cairn.planar.poses import distance
+from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.testing.robot import RunningDeployment
+from tests.commands import Answer, cairn
 from tests.navigation.processes import ObservedRobot, robot_in
 from tests.wording import assert_words
 
@@ -17,7 +27,8 @@ pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.proces
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
     """A robot that the tests share, in their sequence."""
-    with robot_in(tmp_path_factory.mktemp("robot")) as robot:
+    renamed = "components.velocity_gate.topics.teleoperation=joystick"
+    with robot_in(tmp_path_factory.mktemp("robot"), renamed) as robot:
         yield robot
 
 
@@ -96,3 +107,49 @@ def test_invalid_zone_is_refused_before_it_is_sent() -> None:
     answer = cairn("zone", "add", "a", "slow", "0,0", "1,0", "-1,1")
     assert answer.code == 1
     assert_words(answer.err, "speed")
+
+
+def test_forged_commands_do_not_move_the_robot_and_their_publisher_is_named(
+    robot: ObservedRobot,
+) -> None:
+    ahead = Twist(linear=Vector3(x=0.4))
+    with closing(RunningDeployment(robot.run)) as intruder:
+        begin = robot.pose
+        with intruder.publishing("cmd_vel", ahead), intruder.publishing("navigator_cmd_vel", ahead):
+            for component in ("base", "velocity_gate"):  # 2 s of commands at 20 Hz
+                intruder.await_status(
+                    component,
+                    lambda status: any(port.refused >= 40 for port in status.ports),
+                    "refusing 40 commands",
+                )
+        assert distance(begin, robot.pose) < 0.001
+        for component in ("base", "velocity_gate"):
+            assert "refused message on" in robot.run.log_of(component)
+            assert "/conformance" in robot.run.log_of(component)
+
+
+def test_stop_command_works_while_the_supervisor_is_stopped(robot: ObservedRobot) -> None:
+    endpoint = robot.run.endpoint
+    with connect(endpoint) as client, client.teleoperation("anna") as drive:
+        assert isinstance(drive, Teleoperation)
+        begin = robot.pose  # at the start, or at the kitchen, which has room ahead as well
+        drive(0.3, 0.0, seconds=2.0)
+        assert distance(begin, robot.pose) > 0.2
+    stopped = _stop_while_suspended(robot, "mobile_supervisor")
+    assert stopped.code == 0, stopped.err
+    assert "emergency stop" in stopped.out
+
+    failed = _stop_while_suspended(robot, "velocity_gate")
+    assert failed.code == 1
+    assert "press the robot's own emergency stop" in failed.err
+    assert cairn("stop", "--release", connect=endpoint).code == 0
+
+
+def _stop_while_suspended(robot: ObservedRobot, component: str) -> Answer:
+    """Run `cairn stop` while a component's process is suspended (SIGSTOP)."""
+    process = robot.run.pid_of(component)
+    os.kill(process, signal.SIGSTOP)
+    try:
+        return cairn("stop", connect=robot.run.endpoint)
+    finally:
+        os.kill(process, signal.SIGCONT)
