@@ -59,7 +59,11 @@ def read_graph(
             left_s = None if deadline is None else max(0.0, deadline - time.monotonic())
             reply = replies.get(timeout=left_s)
         except queue.Empty:
-            _log.warning("graph too large: only %d tokens are read in time", len(tokens))
+            _log.warning(
+                "read only %d tokens of the graph in %g s: the computer is busy, or the graph large",
+                len(tokens),
+                patience_s,
+            )
             break
         if reply is None:
             break

@@ -1,13 +1,16 @@
 """The clocks of a deployment's machines, which a campaign sets ahead and back.
 
-The library libfaketime, preloaded into `cairn up` and so into all its processes, adds an offset to
-what they read as the system time. The offset is read from a file each time (7 us), so that it
-changes for all processes of a machine at once. The computer's clock stays as it is, and so does the
-monotonic clock. (https://github.com/wolfcw/libfaketime)
+A small library, preloaded into `cairn up` and so into all its processes, adds an offset to the
+system time that they read. The computer's clock stays as it is, and so does the monotonic clock.
+It is compiled here from `clock_offset.c`, because libfaketime, which does the same, has
+`time.sleep` fail if it leaves the monotonic clock as it is (0.9.10: clock_nanosleep with an
+absolute time returns EINVAL).
 """
 
 from __future__ import annotations
 
+import os
+import struct
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,10 +19,11 @@ from typing import Final
 
 from cairn.campaign.faults import SkippedFault
 from cairn.clock import SECOND
-from cairn.files import replace_file
 
-_PROGRAM: Final = "faketime"
-_LIMIT_S: Final = 10.0
+_SOURCE: Final = Path(__file__).with_name("clock_offset.c")
+_COMPILER: Final = "cc"
+_LIMIT_S: Final = 60.0
+_PRELOAD: Final = "LD_PRELOAD"
 
 
 class Clocks:
@@ -28,35 +32,33 @@ class Clocks:
     def __init__(self, machines: Sequence[str], folder: Path) -> None:
         """Take the machines whose clocks are stepped, if any.
 
-        Their offsets [s] are kept in the folder, in files `clock_MACHINE`.
+        The folder gets the library, and a file `clock_MACHINE` with the offset of each.
         """
         self._offsets_ns = dict.fromkeys(machines, 0)
         self._folder = folder
-        self._library = _library() if machines else ""
-        if self._library:
-            for machine in machines:
-                self._write(machine)
+        self._library = folder / "clock_offset.so"
+        self._problem = _compile(self._library) if machines else "no fault needs them"
+        for machine in machines:
+            self._write(machine)
 
     def environment(self, machine: str) -> Mapping[str, str]:
         """Return the environment variables that give the processes of a machine its clock."""
-        if not self._library:
+        if self._problem:
             return {}
+        others = os.environ.get(_PRELOAD, "")
         return {
-            "LD_PRELOAD": self._library,
-            "FAKETIME_TIMESTAMP_FILE": str(self._file(machine)),
-            "FAKETIME_NO_CACHE": "1",
-            "FAKETIME_DONT_FAKE_MONOTONIC": "1",
-            "FAKETIME_DISABLE_SHM": "1",  # which a process that is killed leaves behind
+            _PRELOAD: f"{self._library}:{others}".rstrip(":"),
+            "CAIRN_CLOCK_OFFSET": str(self._file(machine)),
         }
 
     @contextmanager
     def stepped(self, machine: str, by_s: float) -> Iterator[None]:
-        """Step the clock of a machine, and at the end by as much in the other direction."""
-        if not self._library:
-            raise SkippedFault(
-                "libfaketime is not installed, which gives the deployment a clock of its own "
-                "(Debian, Ubuntu: apt-get install faketime)"
-            )
+        """Step the clock of a machine, and at the end by as much in the other direction.
+
+        Raises `SkippedFault` if the deployment has no clocks of its own.
+        """
+        if self._problem:
+            raise SkippedFault(f"the deployment has no clock of its own: {self._problem}")
         self._step(machine, by_s)
         try:
             yield
@@ -68,18 +70,27 @@ class Clocks:
         self._write(machine)
 
     def _write(self, machine: str) -> None:
-        seconds = self._offsets_ns[machine] / SECOND
-        replace_file(self._file(machine), f"{seconds:+.9f}\n".encode(), durable=False)
+        file = os.open(self._file(machine), os.O_WRONLY | os.O_CREAT, 0o600)
+        try:
+            os.pwrite(file, struct.pack("=q", self._offsets_ns[machine]), 0)
+        finally:
+            os.close(file)
 
     def _file(self, machine: str) -> Path:
         return self._folder / (f"clock_{machine}" if machine else "clock")
 
 
-def _library() -> str:
-    """Return what is to be preloaded, as the program of the library does it; "" without it."""
-    command = [_PROGRAM, "-m", "-f", "+0", "printenv", "LD_PRELOAD"]
+def _compile(library: Path) -> str:
+    """Compile the library; return why that is impossible, or ""."""
+    command = [_COMPILER, "-shared", "-fPIC", "-O2", "-o", str(library), str(_SOURCE), "-ldl"]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_LIMIT_S, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return done.stdout.strip()
+        subprocess.run(command, capture_output=True, text=True, timeout=_LIMIT_S, check=True)
+    except FileNotFoundError:
+        return (
+            f"there is no C compiler `{_COMPILER}` (Debian, Ubuntu: apt-get install gcc libc6-dev)"
+        )
+    except subprocess.CalledProcessError as error:
+        return f"`{_COMPILER}` cannot compile {_SOURCE}: {error.stderr.strip()[-500:]}"
+    except subprocess.TimeoutExpired:
+        return f"`{_COMPILER}` took longer than {_LIMIT_S:g} s"
+    return ""
