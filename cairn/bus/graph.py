@@ -60,7 +60,7 @@ def read_graph(
             reply = replies.get(timeout=left_s)
         except queue.Empty:
             _log.warning(
-                "read only %d tokens of the graph in %g s: the computer is busy, or the graph large",
+                "read only %d tokens of the graph in %s s: the computer is busy, or it is large",
                 len(tokens),
                 patience_s,
             )
