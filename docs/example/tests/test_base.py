@@ -34,7 +34,7 @@ def test_base_stops_when_commands_cease() -> None:
 def test_wall_blocks_the_base() -> None:
     base = ComponentHarness(TurtleBase, {"pen_m": 0.3})
     base.publish("cmd_vel", AHEAD)
-    base.run_for(0.5)
+    base.run_for(0.4)
 
     state: BaseState = base.take("base_state")[-1]
 
