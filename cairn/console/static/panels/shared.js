@@ -1,6 +1,6 @@
 // What several panels use: freshness of messages, permission to act, confirmations, numbers, search fields.
 
-import { html, useEffect, useRef, useState } from "../vendor/preact-htm.js";
+import { html, useEffect, useLayoutEffect, useRef, useState } from "../vendor/preact-htm.js";
 import { useAction, useApp, useEvent, useInterval, useRobot, useSubscription } from "../hooks.js";
 import { useLease } from "../lease.js";
 import { Store, useStore } from "../store.js";
@@ -120,7 +120,8 @@ export function useFresh(name, options = {}) {
  */
 export function Confirm({ question, children, action, onConfirm, onCancel }) {
   const cancel = useRef(null);
-  useEffect(() => {
+  // Before it is painted: a key pressed as soon as the question is seen must reach it.
+  useLayoutEffect(() => {
     const before = document.activeElement;
     cancel.current.focus();
     return () => before?.focus();
