@@ -525,6 +525,14 @@ def test_page_fits_its_window(
         tab.picture(f"{name.lower()}-{width}-{theme}")
 
 
+_NOTE_FOCUS = """
+    new MutationObserver(() => {
+        const question = document.querySelector("[role=alertdialog]");
+        if (question) window.hadFocusAtOnce ??= question.contains(document.activeElement);
+    }).observe(document.body, {childList: true, subtree: true});
+"""
+
+
 def test_keyboard_alone_takes_the_lease_sends_a_goal_and_answers_a_dialog(
     robot: RunningRobot, tab: Tab
 ) -> None:
@@ -560,9 +568,11 @@ def test_keyboard_alone_takes_the_lease_sends_a_goal_and_answers_a_dialog(
     tab.tab_to("range_scanner")
     press("Enter")
     tab.tab_to("Restart")
+    page.evaluate(_NOTE_FOCUS)
     press("Enter")
     question = page.get_by_role("alertdialog", name="Restart range_scanner?")
     question.wait_for()
+    assert page.evaluate("window.hadFocusAtOnce")
     press("Escape")
     question.wait_for(state="hidden")
     assert page.evaluate("document.activeElement.innerText") == "Restart"
