@@ -35,9 +35,9 @@ class Clocks:
         The folder gets the library, and a file `clock_MACHINE` with the offset of each.
         """
         self._offsets_ns = dict.fromkeys(machines, 0)
-        self._folder = folder
-        self._library = folder / "clock_offset.so"
-        self._problem = _compile(self._library) if machines else "no fault needs them"
+        self._folder = folder.absolute()
+        self._library = self._folder / "clock_offset.so"
+        self._problem = _compile(self._library) if machines else "no fault has `needs_clocks`"
         for machine in machines:
             self._write(machine)
 
@@ -81,7 +81,9 @@ class Clocks:
 
 
 def _compile(library: Path) -> str:
-    """Compile the library; return why that is impossible, or ""."""
+    """Compile the library; return why it cannot be used, or ""."""
+    if set(str(library)) & set(" :"):  # they separate the libraries in LD_PRELOAD
+        return f"there is a space or a colon in {library}; name another folder for the report"
     command = [_COMPILER, "-shared", "-fPIC", "-O2", "-o", str(library), str(_SOURCE), "-ldl"]
     try:
         subprocess.run(command, capture_output=True, text=True, timeout=_LIMIT_S, check=True)

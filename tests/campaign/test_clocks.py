@@ -77,6 +77,18 @@ def test_step_is_skipped_without_a_compiler(
         pass
 
 
+@pytest.mark.parametrize("name", ["my reports", "12:30"])
+def test_step_is_skipped_if_the_loader_cannot_read_the_folders_name(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / name).mkdir()
+    clocks = Clocks(["base"], tmp_path / name)
+
+    assert clocks.environment("base") == {}
+    with pytest.raises(SkippedFault, match="another folder"), clocks.stepped("base", 1.0):
+        pass
+
+
 @needs_compiler
 @pytest.mark.processes
 def test_clock_of_a_deployment_is_stepped(campaign: Callable[..., CampaignReport]) -> None:
