@@ -23,7 +23,7 @@ from pydantic import Field
 
 from cairn.bell import Bell
 from cairn.bus.keys import own_name
-from cairn.clock import SECOND
+from cairn.clock import SECOND, has_passed
 from cairn.deployment.model import ALL_TOPICS
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
@@ -38,10 +38,10 @@ _log = logging.getLogger("cairn.recording")
 _PERIOD_S = 0.5
 """Interval in which chunks are closed, so that a killed recorder has lost less than a second."""
 _CHUNK_BYTES = 2 << 20  # waiting, at which a chunk is written earlier
-_UNKNOWN_NS = SECOND // 2
-"""A message of a publisher that the graph does not have yet waits for it so long [ns]."""
-_RETRY_NS = SECOND  # after a failure of the disk
-_LOSSES_NS = 5 * SECOND  # interval for noting losses in the file
+_UNKNOWN_S = 0.5
+"""A message of a publisher that the graph does not have yet waits for it so long [s]."""
+_RETRY_S = 1.0  # after a failure of the disk
+_LOSSES_S = 5.0  # interval for noting losses in the file
 _SAMPLE_BYTES = 600  # memory of a sample, besides its payload
 _LARGE_BYTES = 64 << 10  # messages for which only half of the queue is free
 _LATCHED_BYTES = 64 << 20
@@ -242,15 +242,17 @@ class Recorder:
         self._next_number = 1
         self._messages = 0
         self._problem = ""
-        self._retry_at = 0
+        self._disk_failed_at = 0
         self._stepped_at = 0
         self._noted: tuple[int, int] = (0, 0)
         self._noted_at = 0
         self._latched = _LatchedMessages()
         self._carried: dict[bytes, list[Sample]] = {}
-        self._ring: deque[Sample] = deque()
+        self._ring: deque[tuple[int, Sample]] = deque()  # with the value of _ring_ns at the time
+        self._ring_ns = 0  # time passed; it stands still when the clock is set back
+        self._received_ns = 0
         self._ring_bytes = 0
-        self._record_until = 0
+        self._triggered_at = 0
         self._paused = False
         self._paused_at = 0
         self._thread: threading.Thread | None = None
@@ -305,7 +307,7 @@ class Recorder:
             self._queued += size
             is_much = self._queued > _CHUNK_BYTES
         if not self._threaded:
-            is_due = is_much or sample.received_ns - self._stepped_at > _PERIOD_S * SECOND
+            is_due = is_much or has_passed(_PERIOD_S, self._stepped_at, sample.received_ns)
             if is_due and self._tap is not None:
                 self._step_within_call()
         elif is_much:
@@ -384,12 +386,17 @@ class Recorder:
 
     def _step(self, *, ending: bool = False) -> None:
         """Write what waits, and close the chunk."""
-        now = self._stepped_at = self._now()
-        if self._problem and not ending and (now < self._retry_at or not self._recovered()):
-            return
+        now = self._now()
+        if now < self._stepped_at:
+            self._triggers.clock_set_back(now)
+        self._stepped_at = now
+        if self._problem and not ending:
+            is_due = has_passed(_RETRY_S, self._disk_failed_at, now)
+            if not is_due or not self._recovered():
+                return
         with self._lock:
             batch, self._queue = self._queue, []
-        ready = deque(self._known(batch, now, ending=ending))
+        ready = deque(self._known(batch, self._now(), ending=ending))
         try:
             while ready:
                 one = ready[0]
@@ -421,7 +428,7 @@ class Recorder:
         ready: list[Sample | _Request] = []
         for gid in tuple(self._carried):
             waiting = self._carried[gid]
-            late = now - waiting[0].received_ns > _UNKNOWN_NS
+            late = has_passed(_UNKNOWN_S, waiting[0].received_ns, now)
             if ending or late or tap.publisher(gid) is not None:
                 ready += self._carried.pop(gid)
         for sample in batch:
@@ -434,7 +441,7 @@ class Recorder:
             elif (
                 ending
                 or tap.publisher(gid) is not None
-                or now - sample.received_ns > _UNKNOWN_NS
+                or has_passed(_UNKNOWN_S, sample.received_ns, now)
                 or (self._file is not None and self._file.has_channel(sample))
             ):
                 ready.append(sample)
@@ -470,23 +477,25 @@ class Recorder:
             self._latched.add(sample, info.qos.depth)
 
     def _keep_in_ring(self, sample: Sample) -> None:
-        self._ring.append(sample)
+        if self._received_ns:
+            self._ring_ns += max(0, sample.received_ns - self._received_ns)
+        self._received_ns = sample.received_ns
+        self._ring.append((self._ring_ns, sample))
         self._ring_bytes += _memory(sample)
-        oldest = sample.received_ns - round(self.settings.last_s * SECOND)
+        oldest = self._ring_ns - round(self.settings.last_s * SECOND)
         limit = self.settings.buffer_mb * _MIB
-        while self._ring and (self._ring[0].received_ns < oldest or self._ring_bytes > limit):
-            old = self._ring.popleft()
+        while self._ring and (self._ring[0][0] < oldest or self._ring_bytes > limit):
+            _, old = self._ring.popleft()
             self._ring_bytes -= _memory(old)
             self._keep_latched(old)
 
     def _on_trigger(self, reason: str) -> None:
-        now = self._now()
-        self._record_until = now + round(self.settings.after_s * SECOND)
+        self._triggered_at = self._now()
         if self._file is not None:
             self._log.info("triggered again: %s", reason)
             return
         self._open(reason)
-        for sample in self._ring:
+        for _, sample in self._ring:
             self._write(sample, sample.received_ns)
         self._log.info("triggered: %s: writing %s", reason, self._file.path if self._file else "")
 
@@ -511,14 +520,14 @@ class Recorder:
     def _limit_file(self, now: int) -> None:
         file, settings = self._file, self.settings
         assert file is not None
-        if not self.continuous and now >= self._record_until:
+        if not self.continuous and has_passed(settings.after_s, self._triggered_at, now):
             self._close_file()
             return
         limit = settings.disk_limit_mb * _MIB
         longest = settings.split_mb * _MIB
         if limit:
             longest = min(longest, limit // 4)
-        if file.size >= longest or now - file.started_ns >= settings.split_s * SECOND:
+        if file.size >= longest or has_passed(settings.split_s, file.started_ns, now):
             self._close_file()
             self._open("" if self.continuous else "continued")
         self._remove_oldest(limit)
@@ -567,7 +576,7 @@ class Recorder:
         now, tap = self._now(), self._tap
         lost = {} if tap is None else self._lost(tap)
         losses = sum(self._dropped.values()), sum(lost.values())
-        if losses != self._noted and now - self._noted_at >= _LOSSES_NS:
+        if losses != self._noted and has_passed(_LOSSES_S, self._noted_at, now):
             self._note_losses(losses, lost)
         if self._file.unsaved:
             self._file.save()
@@ -610,7 +619,7 @@ class Recorder:
         return True
 
     def _report_disk(self, error: OSError) -> None:
-        self._retry_at = self._now() + _RETRY_NS
+        self._disk_failed_at = self._now()
         path = self._file.path if self._file is not None else self._path
         problem = f"{path}: nothing can be written: {explain_os_error(error)}"
         if problem != self._problem:

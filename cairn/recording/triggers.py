@@ -121,6 +121,10 @@ class Triggers:
             )
         )
 
+    def clock_set_back(self, now_ns: int) -> None:
+        """Take failures that are logged from `now_ns` [ns] on: the clock was set back to it."""
+        self._since_ns = min(self._since_ns, now_ns)
+
     def needs(self, topic: str) -> bool:
         """Return whether messages on a topic (full name) can trigger."""
         return self._statuses.match(topic) or any(

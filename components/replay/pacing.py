@@ -115,12 +115,16 @@ class ReplayClock(Component):
             # After all times that its predecessor published: time never runs backwards.
             self._origin = self._last + REACHED_INTERVAL + tick
             self.log.info("continuing a running replay at %.3f s", self._origin / SECOND)
-        self._started_at = self.clock.now()
+        self._started_at = self._ticked_at = self.clock.now()
         self._tick()
 
     def _tick(self) -> None:
         tick = round(self.config.tick_s * SECOND)
-        passed = round((self.clock.now() - self._started_at) * self.config.rate)
+        system_now = self.clock.now()
+        # Zero unless the clock was set back: recorded time goes on from where it is.
+        self._started_at -= max(0, self._ticked_at - system_now)
+        self._ticked_at = system_now
+        passed = round((system_now - self._started_at) * self.config.rate)
         count = (passed + tick // 2) // tick
         now = self._origin + count * tick
         self.time.publish(Clock(clock=from_ns(now)))

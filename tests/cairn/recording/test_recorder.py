@@ -220,6 +220,48 @@ def test_topic_condition_writes_what_happened_before_and_after(tmp_path: Path) -
     assert record["trigger"] == "localization.health < 0.3 (it is 0.1)"
 
 
+def test_clock_that_is_set_back_changes_nothing_about_what_is_kept_and_written(
+    tmp_path: Path,
+) -> None:
+    bench = Bench(tmp_path, last_s=2.0, after_s=1.0, trigger_on_failure=True, exclude=["/rosout"])
+    for number in range(50):
+        bench.send("/robot/a", str(number))
+    bench.now -= 600 * SECOND
+    for number in range(50, 60):
+        bench.send("/robot/a", str(number))
+    broken = Log(name="robot.root", msg="child failed: base: it broke")
+    bench.send("/rosout", "", LATCHED, message=broken)
+    for number in range(60, 100):
+        bench.send("/robot/a", str(number))
+    assert bench.recorder.close().files == (bench.path,)
+    numbers = [int(text) for topic, text in texts(bench.path) if topic == "/robot/a"]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+    assert 38 <= numbers[0] <= 42
+    assert 68 <= numbers[-1] <= 73
+
+
+def test_disk_is_tried_again_after_the_clock_was_set_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(tmp_path)
+    bench.send("/robot/a", "before")
+
+    def full(descriptor: int, data: memoryview, offset: int) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "pwrite", full)
+    for _ in range(20):
+        bench.send("/robot/a", "later")
+    assert bench.recorder.status().problem
+    monkeypatch.undo()
+    bench.now -= 600 * SECOND
+    for _ in range(20):
+        bench.send("/robot/a", "later")
+    assert not bench.recorder.status().problem
+    files = bench.recorder.close().files
+    assert sum(len(read_unfinished(path)) for path in files) == 41
+
+
 def test_status_has_the_reason_why_a_condition_cannot_be_evaluated(tmp_path: Path) -> None:
     bench = Bench(tmp_path, last_s=2.0, triggers=["localization.wealth < 0.3"])
     bench.send("/robot/localization", "", message=LocalizationEstimate(header=Header()))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cairn import SECOND, CairnError, to_ns
+from cairn import SECOND, CairnError, from_ns, to_ns
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.components.replay.components import (
     ReplayOdometry,
@@ -20,7 +20,8 @@ from cairn.components.replay.pacing import ReplayClock
 from cairn.errors import RecordingError
 from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
-from cairn.testing.lockstep import DeploymentHarness
+from cairn.schemas.rosgraph_msgs import Clock
+from cairn.testing.lockstep import ComponentHarness, DeploymentHarness
 from tests.components.replay.conftest import FR079, FR101, LEGS, Write, flaser, odom, start
 from tests.wording import words_in_order
 
@@ -121,6 +122,19 @@ def test_clock_runs_over_the_replayed_part() -> None:
     assert times[0] == pytest.approx(first + 100.0)
     assert first + 110.0 < times[-1] < first + 111.2
     assert harness.ends == [ExitReport(True, "the recording is at its end")]
+
+
+def test_recorded_time_goes_on_where_it_is_when_the_system_clock_is_set_back() -> None:
+    class Settable(ReplayClock):
+        clock_source = "deployment"  # a clock that the test sets
+
+    harness = ComponentHarness(Settable, {"recording": str(FR101)}, simulated_time=True)
+    for time in (100.0, 100.5, 101.5, 102.5, 40.0, 41.0, 42.0):
+        harness.publish("clock", Clock(clock=from_ns(round(time * SECOND))))
+
+    times = [to_ns(m.clock) / SECOND for m in harness.take("time")]
+    passed = [time - times[0] for time in times]
+    assert passed == pytest.approx([0.0, 0.5, 1.5, 2.5, 2.5, 3.5])
 
 
 def test_part_after_the_end_is_rejected() -> None:
