@@ -20,6 +20,16 @@ _MAX_TOKENS = 20_000
 _MAX_ENDPOINTS = 1000
 """A topic or a name with so many tokens is not followed any further: a topic has some ten."""
 
+_CHANGES = 64
+"""Changes of a topic or a name that wait until they are read, at first.
+
+Zenoh's ring takes 250 bytes for each, also for those that it held long ago. With room for 1,000
+each process grew by up to 0.25 MB per topic, the more, the more often others restarted.
+"""
+
+_CONFIRMED_S = 5.0
+"""Time in which Zenoh sends the tokens that exist, after a subscription [s]."""
+
 _POLL_S = 0.1
 """Interval for reading what has changed: one thread for all topics, at any rate of changes."""
 
@@ -182,10 +192,15 @@ class GraphWatcher:
             subscriber.undeclare()
 
     def _subscribe(self, pattern: str, followed: "_Followed") -> None:
+        """Have what exists sent, and what changes from now on."""
         followed.is_followed = True
+        followed.unconfirmed = set(followed.entities)
+        followed.malformed = 0
+        followed.overflowed = False
+        followed.subscribed_s = time.monotonic()
         followed.subscriber = self._session.liveliness().declare_subscriber(
             pattern,
-            zenoh.handlers.RingChannel(_MAX_ENDPOINTS),
+            zenoh.handlers.RingChannel(followed.ring),
             history=True,
         )
 
@@ -196,6 +211,7 @@ class GraphWatcher:
             if number % _POLLS_PER_TOPIC == 0:
                 self._follow_one_more()
             self._read_changes()
+            self._make_up_for_losses()
 
     def _follow_one_more(self) -> None:
         with self._lock:
@@ -210,13 +226,35 @@ class GraphWatcher:
         for pattern, followed in all_followed:
             calls: list[Callable[[], None]] = []
             with self._reading:
-                for _ in range(_MAX_ENDPOINTS):
+                for number in range(1, _MAX_ENDPOINTS + 1):
                     sample = followed.next_change()
                     if sample is None:
                         break
+                    followed.overflowed |= number >= followed.ring
                     calls += self._changed(pattern, followed, sample)
             for call in calls:
                 call()
+
+    def _make_up_for_losses(self) -> None:
+        """Subscribe again, with the longest ring, to that of which changes may have been lost."""
+        replaced = []
+        with self._lock:
+            for pattern, followed in self._followed.items():
+                old, is_short = followed.subscriber, followed.ring < _MAX_ENDPOINTS
+                if old is None:
+                    continue
+                has_all = time.monotonic() - followed.subscribed_s > _CONFIRMED_S
+                if has_all:
+                    for token in followed.unconfirmed:
+                        followed.entities.pop(token, None)
+                        self._by_gid.pop(keys.gid(token), None)
+                    followed.unconfirmed.clear()
+                if followed.overflowed and (is_short or has_all):
+                    followed.ring = _MAX_ENDPOINTS
+                    self._subscribe(pattern, followed)
+                    replaced.append(old)
+        for subscriber in replaced:
+            subscriber.undeclare()
 
     def _changed(
         self, pattern: str, followed: "_Followed", sample: zenoh.Sample
@@ -229,6 +267,7 @@ class GraphWatcher:
         with self._lock:
             if self._followed.get(pattern) is not followed:  # no longer watched
                 return []
+            followed.unconfirmed.discard(token)
             if entity is None:
                 followed.malformed += 1
             elif sample.kind == zenoh.SampleKind.DELETE:
@@ -263,6 +302,10 @@ class _Followed:
         self.is_urgent = False
         self.is_followed = False  # or it was, until it was crowded
         self.malformed = 0  # tokens that have appeared or disappeared
+        self.ring = _CHANGES
+        self.overflowed = False  # so changes may have been lost
+        self.unconfirmed: set[str] = set()  # of the entities: not seen since the subscription
+        self.subscribed_s = 0.0
         self.subscriber: zenoh.Subscriber[Any] | None = None
 
     def next_change(self) -> zenoh.Sample | None:

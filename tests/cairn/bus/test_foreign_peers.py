@@ -199,6 +199,33 @@ def test_process_receives_only_the_tokens_of_its_own_topics(network: Network) ->
         token.undeclare()
 
 
+def test_graph_is_complete_after_more_changes_than_could_be_kept(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.bus.graph._CONFIRMED_S", 1.0)
+    own, foreign = network.bus(), network.bus()
+    reported: list[str] = []
+    stop = own.graph.watch("/robot/cmd_vel", lambda endpoint: reported.append(endpoint.node.name))
+    ghosts = ghosts_of(foreign, "/robot/cmd_vel", 300)
+    declare = foreign.session.liveliness().declare_token
+    tokens = [declare(ghost) for ghost in ghosts[:20]]
+    assert eventually(lambda: len(reported) == 20)
+
+    monkeypatch.setattr("cairn.bus.graph._POLL_S", 2.0)  # in which more change than are kept
+    assert eventually(lambda: own.graph.endpoint(gid(ghosts[19])) is not None)
+    for token in tokens[:10]:
+        token.undeclare()
+    tokens = [*tokens[10:], *(declare(ghost) for ghost in ghosts[20:])]
+
+    assert eventually(lambda: len(reported) >= 300)
+    assert sorted(reported) == sorted(f"/robot/ghost_{number}" for number in range(300))
+    assert eventually(lambda: not any(own.graph.endpoint(gid(one)) for one in ghosts[:10]))
+    assert all(own.graph.endpoint(gid(one)) for one in ghosts[10:])
+    stop()
+    for token in tokens:
+        token.undeclare()
+
+
 def test_topic_that_others_crowd_is_not_followed_further(
     network: Network, caplog: pytest.LogCaptureFixture
 ) -> None:
