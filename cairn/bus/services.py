@@ -33,10 +33,10 @@ from cairn.schemas.message import InvalidMessage, Service, type_name
 if TYPE_CHECKING:
     from cairn.bus.zenoh_bus import ZenohNode
 
-MOST_PENDING: Final = 2000
+MOST_PENDING: Final = 500
 """Calls of one server that wait until its component takes them; further ones are refused."""
 
-_RING: Final = 4096
+_RING: Final = 1024  # calls that wait until they are read; Zenoh's ring takes 770 bytes for each
 _PRIVATE_RING: Final = 256
 _LONGEST_REASON: Final = 1000
 _REPLIES: Final = 16  # of several servers of one name; Zenoh's thread waits for room for more

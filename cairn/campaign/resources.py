@@ -18,8 +18,8 @@ _PERIOD_S = 5.0
 class ProcessUse:
     """What the processes of one name used: how many there were, and the largest values.
 
-    `first_mib` and `last_mib` are the medians of the memory of all in the first and the last sixth
-    of the campaign; 0 if it was too short.
+    `first_mib` and `last_mib` are the least memory of one in the first and the last sixth of the
+    campaign; 0 if it was shorter than two minutes. Memory is that which no file backs.
     """
 
     starts: int = 0
@@ -81,7 +81,7 @@ def draw_memory(memory: Mapping[str, list[tuple[float, float]]], path: Path) -> 
         times = [at_s / 60 for at_s, _ in samples]
         axes.plot(times, [value for _, value in samples], label=name, linewidth=0.8)
     axes.set_xlabel("time [min]")
-    axes.set_ylabel("memory (RSS) [MiB]")
+    axes.set_ylabel("memory that no file backs [MiB]")
     axes.set_ylim(bottom=0)
     if memory:
         axes.legend(fontsize="x-small", ncols=2)

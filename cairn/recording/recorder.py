@@ -42,6 +42,7 @@ _UNKNOWN_S = 0.5
 """A message of a publisher that the graph does not have yet waits for it so long [s]."""
 _RETRY_S = 1.0  # after a failure of the disk
 _LOSSES_S = 5.0  # interval for noting losses in the file
+_SET_BACK_NS = SECOND  # an older sample may have waited for its publisher; if older, the clock was
 _SAMPLE_BYTES = 600  # memory of a sample, besides its payload
 _LARGE_BYTES = 64 << 10  # messages for which only half of the queue is free
 _LATCHED_BYTES = 64 << 20
@@ -250,7 +251,7 @@ class Recorder:
         self._carried: dict[bytes, list[Sample]] = {}
         self._ring: deque[tuple[int, Sample]] = deque()  # with the value of _ring_ns at the time
         self._ring_ns = 0  # time passed; it stands still when the clock is set back
-        self._received_ns = 0
+        self._newest_ns = 0
         self._ring_bytes = 0
         self._triggered_at = 0
         self._paused = False
@@ -407,7 +408,7 @@ class Recorder:
                 ready.popleft()
             self._save()
             if self._file is not None:
-                self._limit_file(now)
+                self._limit_file(self._now())
         except OSError as error:
             self._dropped.update(one.topic for one in ready if isinstance(one, Sample))
             self._report_disk(error)
@@ -477,9 +478,10 @@ class Recorder:
             self._latched.add(sample, info.qos.depth)
 
     def _keep_in_ring(self, sample: Sample) -> None:
-        if self._received_ns:
-            self._ring_ns += max(0, sample.received_ns - self._received_ns)
-        self._received_ns = sample.received_ns
+        passed = sample.received_ns - self._newest_ns
+        if passed > 0 or passed < -_SET_BACK_NS:
+            self._ring_ns += max(0, passed) if self._newest_ns else 0
+            self._newest_ns = sample.received_ns
         self._ring.append((self._ring_ns, sample))
         self._ring_bytes += _memory(sample)
         oldest = self._ring_ns - round(self.settings.last_s * SECOND)

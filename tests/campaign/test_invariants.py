@@ -150,6 +150,11 @@ def steady(age: int) -> Sequence[ProcessSample]:
     return [process(5, "base", memory_mib=50.0 + (age % 3) + 40.0 * (age < 50))]
 
 
+def searching(age: int) -> Sequence[ProcessSample]:
+    """Of a process that ends while it uses memory for something, as it did before."""
+    return [process(5, "base", memory_mib=50.0 + 20.0 * (age % 100 > 90))]
+
+
 def restarted(age: int) -> Sequence[ProcessSample]:
     """Of one process after the other, each larger than the one before."""
     start = age // 25
@@ -165,6 +170,7 @@ def restarted_equal(age: int) -> Sequence[ProcessSample]:
     [
         (leaking, "base: memory grew from"),
         (steady, ""),
+        (searching, ""),
         (restarted, "base: threads grew from"),
         (restarted_equal, ""),
     ],

@@ -57,10 +57,14 @@ class Bench:
             self.path,
             {"run.json": b"{}"},
             schema_messages().get,
-            now=lambda: self.now,
+            now=self._tick,
             threaded=False,
         )
         self.recorder.start(self.tap)
+
+    def _tick(self) -> int:
+        self.now += 1  # as a clock does between two looks at it
+        return self.now
 
     def send(
         self, topic: str, text: str, qos: Qos = RELIABLE, *, message: object | None = None
