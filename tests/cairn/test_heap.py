@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from cairn.heap import SMALL_CACHES, TUNABLES
+
 _THREADS = """
 import ctypes, sys, threading
 from cairn.heap import share_heap
@@ -41,8 +43,21 @@ print(kept - before, memory() - before)
 """
 
 
+_AGAIN = """
+import os, sys
+from cairn.heap import begin_with_small_caches
+print(os.getpid(), flush=True)
+begin_with_small_caches()
+print(os.getpid(), sys.argv[1], os.environ["GLIBC_TUNABLES"])
+"""
+
+
 def _run(code: str, *arguments: str, **environment: str) -> str:
-    inherited = {name: value for name, value in os.environ.items() if "MALLOC" not in name}
+    inherited = {
+        name: value
+        for name, value in os.environ.items()
+        if "MALLOC" not in name and name != TUNABLES
+    }
     return subprocess.run(
         [sys.executable, "-c", code, *arguments],
         env=inherited | environment,
@@ -63,6 +78,15 @@ def test_all_threads_use_one_heap_unless_the_environment_sets_another_number(
 ) -> None:
     assert _heaps(tmp_path) == 1
     assert _heaps(tmp_path, MALLOC_ARENA_MAX="4") == 4
+
+
+def test_program_begins_again_with_small_caches_unless_the_environment_sets_tunables() -> None:
+    before, begun_again, *after = _run(_AGAIN, "as typed").splitlines()
+    assert begun_again == before
+    assert after == [f"{before} as typed {SMALL_CACHES}"]
+
+    before, *after = _run(_AGAIN, "x", GLIBC_TUNABLES="glibc.malloc.tcache_count=7").splitlines()
+    assert after == [f"{before} x glibc.malloc.tcache_count=7"]
 
 
 def test_memory_of_a_burst_returns_to_the_system() -> None:
