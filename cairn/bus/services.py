@@ -33,7 +33,7 @@ from cairn.schemas.message import InvalidMessage, Service, type_name
 if TYPE_CHECKING:
     from cairn.bus.zenoh_bus import ZenohNode
 
-MOST_PENDING: Final = 500
+MOST_PENDING: Final = 1000
 """Calls of one server that wait until its component takes them; further ones are refused."""
 
 _RING: Final = 1024  # calls that wait until they are read; Zenoh's ring takes 770 bytes for each
