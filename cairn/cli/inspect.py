@@ -33,6 +33,7 @@ _COLUMNS = {
     "received": "recv", "dropped": "dropped", "invalid": "invalid", "refused": "refused",
     "memory_mib": "MiB", "cpu_s": "CPU s", "note": "note",
 }  # fmt: skip
+_SLOW_HANDLER_S = 1.0  # shown when it runs longer, as in the console
 _MAX_ROWS = 1000
 _GRAPH_LIMIT_S = 1.0  # a robot's is read in some ms
 _MAX_NAMES = 50  # publishers or subscribers of one topic
@@ -234,6 +235,7 @@ def _row(
 ) -> dict[str, Any]:
     """Return the row of a component; `own` has each robot's machine on this computer, or None."""
     handler = f"{status.handler} for {status.handler_s:.1f} s" if status.handler else ""
+    busy = f"in {handler}" if status.handler_s >= _SLOW_HANDLER_S else ""
     inputs = [port for port in status.ports if port.direction == port.IN]
     return {
         "component": full,
@@ -252,7 +254,7 @@ def _row(
         "invalid": sum(port.invalid for port in inputs),
         "refused": sum(port.refused for port in inputs),
         "reason": status.reason,
-        "note": "; ".join(filter(None, (handler, status.reason))),
+        "note": "; ".join(filter(None, (busy, status.reason))),
         **_load(status.pid if own.get(full.split("/")[1]) == status.machine else None),
     }
 
