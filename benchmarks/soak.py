@@ -82,10 +82,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=60.0, help="duration")
     parser.add_argument("--warm-up", type=float, default=10.0, help="minutes that do not count")
     options = parser.parse_args()
-    if options.minutes < options.warm_up + 2:
-        parser.error(
-            "growth shows in two minutes after the warm-up at the earliest: give more --minutes"
-        )
+    if options.minutes < options.warm_up + 3:
+        parser.error("growth shows three minutes after the warm-up: give more --minutes")
     samples: Samples = defaultdict(list)
     reached: list[str] = []
     with tempfile.TemporaryDirectory() as folder, launching(Path(folder)) as launch:

@@ -3,14 +3,18 @@
 import ctypes
 import os
 import sys
+from contextlib import suppress
 
 TUNABLES = "GLIBC_TUNABLES"
 SMALL_CACHES = "glibc.malloc.tcache_max=256"
-"""Value of `TUNABLES`: each thread caches freed blocks of up to 256 bytes alone.
+"""Value of `TUNABLES`: each thread caches only freed blocks of up to 256 bytes.
 
-glibc's default is 1,032 bytes, up to 236 kB for each of the 30 to 60 threads of a process: its
-memory grew for an hour until all had filled theirs (docs/benchmarks.md).
+glibc's default is 1,032 bytes, up to 236 kB for each of the 30 to 60 threads of a process: a part
+of the growth of its memory in the first hour (docs/benchmarks.md).
 """
+
+_BEGUN = "CAIRN_BEGUN_WITH_TUNABLES"
+"""Set for the second begin: a privileged program loses `TUNABLES`, and would begin for ever."""
 
 _ARENAS = "MALLOC_ARENA_MAX"
 _M_ARENA_MAX = -8  # malloc.h
@@ -34,8 +38,11 @@ def begin_with_small_caches() -> None:
 
     glibc reads them only when a program begins. Call it first: what was opened or started is lost.
     """
-    if TUNABLES not in os.environ and hasattr(_libc, "gnu_get_libc_version"):
-        environment = os.environ | {TUNABLES: SMALL_CACHES}
+    is_glibc = hasattr(_libc, "gnu_get_libc_version")
+    if not is_glibc or TUNABLES in os.environ or _BEGUN in os.environ:
+        return
+    environment = os.environ | {TUNABLES: SMALL_CACHES, _BEGUN: "1"}
+    with suppress(OSError):  # it runs without as well
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
 
 

@@ -195,6 +195,7 @@ class GraphWatcher:
         """Have what exists sent, and what changes from now on."""
         followed.is_followed = True
         followed.unconfirmed = set(followed.entities)
+        followed.deleted = set()
         followed.malformed = 0
         followed.overflowed = False
         followed.subscribed_s = time.monotonic()
@@ -238,7 +239,7 @@ class GraphWatcher:
     def _make_up_for_losses(self) -> None:
         """Subscribe again, with the longest ring, to that of which changes may have been lost."""
         replaced = []
-        with self._lock:
+        with self._reading, self._lock:
             for pattern, followed in self._followed.items():
                 old, is_short = followed.subscriber, followed.ring < _MAX_ENDPOINTS
                 if old is None:
@@ -249,6 +250,7 @@ class GraphWatcher:
                         followed.entities.pop(token, None)
                         self._by_gid.pop(keys.gid(token), None)
                     followed.unconfirmed.clear()
+                    followed.deleted.clear()
                 if followed.overflowed and (is_short or has_all):
                     followed.ring = _MAX_ENDPOINTS
                     self._subscribe(pattern, followed)
@@ -271,9 +273,13 @@ class GraphWatcher:
             if entity is None:
                 followed.malformed += 1
             elif sample.kind == zenoh.SampleKind.DELETE:
+                followed.note_deleted(token)
                 followed.entities.pop(token, None)
                 self._by_gid.pop(keys.gid(token), None)
             else:
+                # Zenoh sends what existed at a subscription beside what changes since: a token that
+                # comes after its end may be either. What exists is read again.
+                followed.overflowed |= token in followed.deleted
                 if token not in followed.entities:
                     calls = [partial(callback, entity) for callback in followed.callbacks]
                 followed.entities[token] = entity
@@ -305,8 +311,15 @@ class _Followed:
         self.ring = _CHANGES
         self.overflowed = False  # so changes may have been lost
         self.unconfirmed: set[str] = set()  # of the entities: not seen since the subscription
+        self.deleted: set[str] = set()  # in the first seconds of the subscription
         self.subscribed_s = 0.0
         self.subscriber: zenoh.Subscriber[Any] | None = None
+
+    def note_deleted(self, token: str) -> None:
+        """Remember the end of a token, as long as what existed before may still arrive."""
+        is_new = time.monotonic() - self.subscribed_s <= _CONFIRMED_S
+        if is_new and len(self.deleted) < _MAX_ENDPOINTS:
+            self.deleted.add(token)
 
     def next_change(self) -> zenoh.Sample | None:
         """Return the next change that has arrived, if any."""

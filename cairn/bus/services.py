@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 MOST_PENDING: Final = 1000
 """Calls of one server that wait until its component takes them; further ones are refused."""
 
-_RING: Final = 1024  # calls that wait until they are read; Zenoh's ring takes 770 bytes for each
+_RING: Final = 2048  # calls that wait until they are read; Zenoh's ring takes 770 bytes for each
 _PRIVATE_RING: Final = 256
 _LONGEST_REASON: Final = 1000
 _REPLIES: Final = 16  # of several servers of one name; Zenoh's thread waits for room for more

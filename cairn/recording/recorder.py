@@ -388,8 +388,10 @@ class Recorder:
     def _step(self, *, ending: bool = False) -> None:
         """Write what waits, and close the chunk."""
         now = self._now()
-        if now < self._stepped_at:
-            self._triggers.clock_set_back(now)
+        self._triggers.clock_set_back(now)
+        if (set_back := self._stepped_at - now) > 0:
+            self._triggered_at = min(now, self._triggered_at - set_back)
+            self._paused_at = min(now, self._paused_at - set_back)
         self._stepped_at = now
         if self._problem and not ending:
             is_due = has_passed(_RETRY_S, self._disk_failed_at, now)
@@ -529,7 +531,7 @@ class Recorder:
         longest = settings.split_mb * _MIB
         if limit:
             longest = min(longest, limit // 4)
-        if file.size >= longest or has_passed(settings.split_s, file.started_ns, now):
+        if file.size >= longest or now - file.started_ns >= settings.split_s * SECOND:
             self._close_file()
             self._open("" if self.continuous else "continued")
         self._remove_oldest(limit)

@@ -48,7 +48,7 @@ import os, sys
 from cairn.heap import begin_with_small_caches
 print(os.getpid(), flush=True)
 begin_with_small_caches()
-print(os.getpid(), sys.argv[1], os.environ["GLIBC_TUNABLES"])
+print(os.getpid(), sys.argv[1], os.environ.get("GLIBC_TUNABLES", ""))
 """
 
 
@@ -84,6 +84,10 @@ def test_program_begins_again_with_small_caches_unless_the_environment_sets_tuna
     before, begun_again, *after = _run(_AGAIN, "as typed").splitlines()
     assert begun_again == before
     assert after == [f"{before} as typed {SMALL_CACHES}"]
+
+    # A privileged program loses its tunables in between.
+    before, *after = _run(_AGAIN, "x", CAIRN_BEGUN_WITH_TUNABLES="1").splitlines()
+    assert after == [f"{before} x "]
 
     before, *after = _run(_AGAIN, "x", GLIBC_TUNABLES="glibc.malloc.tcache_count=7").splitlines()
     assert after == [f"{before} x glibc.malloc.tcache_count=7"]

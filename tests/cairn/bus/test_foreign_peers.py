@@ -1,13 +1,18 @@
 """Invalid data from foreign or broken peers is rejected and counted, without other effects."""
 
+from __future__ import annotations
+
 import struct
 import time
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import zenoh
 
 from cairn import RELIABLE
 from cairn.bus.codec import Codec
+from cairn.bus.graph import GraphWatcher
 from cairn.bus.keys import (
     Attachment,
     EndpointEntity,
@@ -224,6 +229,43 @@ def test_graph_is_complete_after_more_changes_than_could_be_kept(
     stop()
     for token in tokens:
         token.undeclare()
+
+
+class LivelinessOfLists:
+    """A session whose liveliness subscriptions deliver one list of changes after the other."""
+
+    def __init__(self, *lists: list[tuple[zenoh.SampleKind, str]]) -> None:
+        self._lists = iter(lists)
+
+    def liveliness(self) -> LivelinessOfLists:
+        return self
+
+    def declare_subscriber(self, _key: str, _ring: object, **_: object) -> SimpleNamespace:
+        samples = [SimpleNamespace(kind=kind, key_expr=key) for kind, key in next(self._lists, [])]
+        handler = SimpleNamespace(try_recv=lambda: samples.pop(0) if samples else None)
+        return SimpleNamespace(handler=handler, undeclare=lambda: None)
+
+
+def test_token_that_arrives_after_its_end_does_not_stay(
+    network: Network, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Zenoh sends what existed at a subscription beside what changes since."""
+    monkeypatch.setattr("cairn.bus.graph._CONFIRMED_S", 0.5)
+    put, delete = zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE
+    gone, *others = ghosts_of(network.bus(), "/robot/cmd_vel", 70)
+    session: Any = LivelinessOfLists(
+        [(put, token) for token in (gone, *others)],
+        [(delete, gone), (put, gone), *((put, token) for token in others)],
+        [(put, token) for token in others],
+    )
+    graph = GraphWatcher(session, 0)
+    graph.watch("/robot/cmd_vel", lambda _: None)
+    graph.start()
+
+    assert eventually(lambda: graph.endpoint(gid(gone)) is not None)
+    assert eventually(lambda: graph.endpoint(gid(gone)) is None)
+    assert all(graph.endpoint(gid(token)) for token in others)
+    graph.close()
 
 
 def test_topic_that_others_crowd_is_not_followed_further(

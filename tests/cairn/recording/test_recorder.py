@@ -244,6 +244,37 @@ def test_clock_that_is_set_back_changes_nothing_about_what_is_kept_and_written(
     assert 68 <= numbers[-1] <= 73
 
 
+def test_file_is_continued_after_the_clock_was_set_back(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, last_s=2.0, after_s=3.0, trigger_on_failure=True, exclude=["/rosout"])
+    bench.send("/robot/a", "before")
+    bench.send("/rosout", "", LATCHED, message=Log(name="robot.root", msg="child failed: base: x"))
+    for number in range(10):
+        bench.send("/robot/a", str(number))
+    bench.now -= 2 * SECOND
+    for number in range(10, 60):
+        bench.send("/robot/a", str(number))
+    assert bench.recorder.close().files == (bench.path,)
+    numbers = [int(text) for topic, text in texts(bench.path)[1:] if topic == "/robot/a"]
+    assert numbers == list(range(numbers[-1] + 1))
+    assert 25 <= numbers[-1] <= 40
+
+
+def test_paused_recorder_repeats_what_it_missed_after_the_clock_was_set_back(
+    tmp_path: Path,
+) -> None:
+    bench = Bench(tmp_path)
+    bench.send("/robot/a", "before")
+    bench.recorder.pause()
+    for _ in range(10):
+        bench.send("/robot/a", "paused")
+    bench.now -= 600 * SECOND
+    for _ in range(10):
+        bench.send("/robot/map", "missed", LATCHED)
+    bench.recorder.resume()
+    files = bench.recorder.close().files
+    assert ("/robot/map", "missed") in [one for path in files for one in texts(path)]
+
+
 def test_disk_is_tried_again_after_the_clock_was_set_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
