@@ -3,8 +3,8 @@
     python -m benchmarks.soak --minutes 60
 
 Each process is sampled every 5 s. The first minutes (`--warm-up`) fill caches and pools. Growth is
-that from the least value in the first sixth of the time after them to that in its last sixth, so
-that what a process uses for a while does not count. The start is unknown, so that the global
+that from the least value in the first two minutes after them to that in the last two, so that what
+a process uses for a while does not count. The start is unknown, so that the global
 search, which a robot needs now and then, takes its memory in the first minutes as well. Exit status
 1 if anything grew by more than 2 %.
 """
@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 import cairn.client
-from cairn.campaign.growth import growth_percent, own_memory_mib
+from cairn.campaign.growth import anonymous_memory_mib, growth_percent
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES
@@ -35,7 +35,7 @@ GOALS = ((7.5, 5.0, 0.0), (1.5, 1.2, 0.0))
 PERIOD_S = 5.0
 LIMIT_PERCENT = 2.0
 _GOAL_LIMIT_S = 180.0
-_QUANTITIES = ("memory without files [MiB]", "descriptors", "threads")
+_QUANTITIES = ("anonymous memory [MiB]", "descriptors", "threads")
 
 Samples = dict[tuple[str, str], list[tuple[float, float]]]
 """Time since the start [s] and value, by process and quantity."""
@@ -47,7 +47,7 @@ def sample(run: Run, at_s: float, samples: Samples) -> None:
         with suppress(psutil.Error):  # it has just ended
             process = psutil.Process(pid)
             name = process.cmdline()[0] if process.pid != run.process.pid else "cairn: root"
-            values = (own_memory_mib(process), process.num_fds(), process.num_threads())
+            values = (anonymous_memory_mib(process), process.num_fds(), process.num_threads())
             for quantity, value in zip(_QUANTITIES, values, strict=True):
                 samples[name, quantity].append((at_s, float(value)))
     files = [path for path in run.report.rglob("*") if path.is_file()]
@@ -82,8 +82,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=60.0, help="duration")
     parser.add_argument("--warm-up", type=float, default=10.0, help="minutes that do not count")
     options = parser.parse_args()
-    if options.minutes < options.warm_up + 3:
-        parser.error("growth shows three minutes after the warm-up: give more --minutes")
+    if options.minutes < options.warm_up + 5:
+        parser.error("growth shows five minutes after the warm-up: give more --minutes")
     samples: Samples = defaultdict(list)
     reached: list[str] = []
     with tempfile.TemporaryDirectory() as folder, launching(Path(folder)) as launch:

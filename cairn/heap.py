@@ -6,15 +6,15 @@ import sys
 from contextlib import suppress
 
 TUNABLES = "GLIBC_TUNABLES"
-SMALL_CACHES = "glibc.malloc.tcache_max=256"
+SMALL_THREAD_CACHES = "glibc.malloc.tcache_max=256"
 """Value of `TUNABLES`: each thread caches only freed blocks of up to 256 bytes.
 
 glibc's default is 1,032 bytes, up to 236 kB for each of the 30 to 60 threads of a process: a part
 of the growth of its memory in the first hour (docs/benchmarks.md).
 """
 
-_BEGUN = "CAIRN_BEGUN_WITH_TUNABLES"
-"""Set for the second begin: a privileged program loses `TUNABLES`, and would begin for ever."""
+_RESTARTED = "CAIRN_RESTARTED_WITH_TUNABLES"
+"""Set for the restart: a privileged program loses `TUNABLES`, and would restart for ever."""
 
 _ARENAS = "MALLOC_ARENA_MAX"
 _M_ARENA_MAX = -8  # malloc.h
@@ -33,15 +33,15 @@ def share_heap() -> None:
         _libc.mallopt(_M_ARENA_MAX, 1)
 
 
-def begin_with_small_caches() -> None:
-    """Begin this program again with `SMALL_CACHES`, unless the environment has `TUNABLES` already.
+def restart_with_small_thread_caches() -> None:
+    """Execute this program again with `SMALL_THREAD_CACHES`, unless `TUNABLES` are set already.
 
-    glibc reads them only when a program begins. Call it first: what was opened or started is lost.
+    glibc reads them only when a program starts. Call it first: what was opened or started is lost.
     """
     is_glibc = hasattr(_libc, "gnu_get_libc_version")
-    if not is_glibc or TUNABLES in os.environ or _BEGUN in os.environ:
+    if not is_glibc or TUNABLES in os.environ or _RESTARTED in os.environ:
         return
-    environment = os.environ | {TUNABLES: SMALL_CACHES, _BEGUN: "1"}
+    environment = os.environ | {TUNABLES: SMALL_THREAD_CACHES, _RESTARTED: "1"}
     with suppress(OSError):  # it runs without as well
         os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)
 

@@ -20,11 +20,11 @@ _MAX_TOKENS = 20_000
 _MAX_ENDPOINTS = 1000
 """A topic or a name with so many tokens is not followed any further: a topic has some ten."""
 
-_CHANGES = 64
+_FIRST_RING = 64
 """Changes of a topic or a name that wait until they are read, at first.
 
-Zenoh's ring takes 250 bytes for each, also for those that it held long ago. With room for 1,000
-each process grew by up to 0.25 MB per topic, the more, the more often others restarted.
+Zenoh's ring takes 250 bytes for each, and is used slot by slot: with room for 1,000, each process
+grew by up to 0.25 MB per topic as others restarted.
 """
 
 _CONFIRMED_S = 5.0
@@ -308,7 +308,7 @@ class _Followed:
         self.is_urgent = False
         self.is_followed = False  # or it was, until it was crowded
         self.malformed = 0  # tokens that have appeared or disappeared
-        self.ring = _CHANGES
+        self.ring = _FIRST_RING
         self.overflowed = False  # so changes may have been lost
         self.unconfirmed: set[str] = set()  # of the entities: not seen since the subscription
         self.deleted: set[str] = set()  # in the first seconds of the subscription

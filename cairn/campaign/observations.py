@@ -58,7 +58,7 @@ class ProcessSample:
     `name` is that of the component, `root`, `zygote`, or else its command line; on further machines
     it is `root_MACHINE` and `zygote_MACHINE`. `parent` is the name of the parent process, "" if
     that does not belong to the run. `created_s` is the time of its creation [s since 1970]: with
-    the pid it identifies the process. `memory_mib` is the memory that no file backs.
+    the pid it identifies the process. `memory_mib` is its anonymous memory.
     """
 
     pid: int

@@ -205,8 +205,8 @@ class _Life:
 class BoundedGrowth(Invariant):
     """Memory, descriptors and threads do not grow: neither in a process, nor from start to start.
 
-    A process is compared with itself after its warm-up, by the least that it used in the first and
-    in the last sixth of that time. Processes of a component that are restarted are compared at the
+    A process is compared with itself, by the least that it used in the first two minutes after its
+    warm-up and in the last two. Processes of a component that are restarted are compared at the
     same age: those of the first third of the campaign with those of the last.
     """
 

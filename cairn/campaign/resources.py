@@ -6,8 +6,8 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 
-from cairn.campaign.growth import growth
 from cairn.campaign.observations import Processes
 
 PLOT_NAME = "memory.png"
@@ -18,8 +18,8 @@ _PERIOD_S = 5.0
 class ProcessUse:
     """What the processes of one name used: how many there were, and the largest values.
 
-    `first_mib` and `last_mib` are the least memory of one in the first and the last sixth of the
-    campaign; 0 if it was shorter than two minutes. Memory is that which no file backs.
+    `first_mib` and `last_mib` are the medians of the memory of all in the first and the last sixth
+    of the campaign; 0 if it was too short. Memory is anonymous memory.
     """
 
     starts: int = 0
@@ -59,9 +59,10 @@ class Resources:
     def summarize(self) -> dict[str, ProcessUse]:
         """Return the uses by name, with the first and the last memory."""
         for name, use in self.uses.items():
-            found = growth(self._memory[name], 0.0)
-            if found is not None:
-                use.first_mib, use.last_mib = (round(value, 1) for value in found)
+            values = [value for _, value in self._memory[name]]
+            if size := len(values) // 6:
+                use.first_mib = round(median(values[:size]), 1)
+                use.last_mib = round(median(values[-size:]), 1)
         return dict(sorted(self.uses.items()))
 
     def plot(self, folder: Path) -> None:
@@ -81,7 +82,7 @@ def draw_memory(memory: Mapping[str, list[tuple[float, float]]], path: Path) -> 
         times = [at_s / 60 for at_s, _ in samples]
         axes.plot(times, [value for _, value in samples], label=name, linewidth=0.8)
     axes.set_xlabel("time [min]")
-    axes.set_ylabel("memory that no file backs [MiB]")
+    axes.set_ylabel("anonymous memory [MiB]")
     axes.set_ylim(bottom=0)
     if memory:
         axes.legend(fontsize="x-small", ncols=2)

@@ -18,7 +18,7 @@ from cairn.bus.bus import full_name
 from cairn.bus.codec import Codec
 from cairn.campaign.clocks import Clocks
 from cairn.campaign.faults import SkippedFault
-from cairn.campaign.growth import own_memory_mib
+from cairn.campaign.growth import anonymous_memory_mib
 from cairn.campaign.model import CampaignDeployment
 from cairn.campaign.network import Network
 from cairn.campaign.observations import (
@@ -323,7 +323,7 @@ class CampaignRobot:
                     parent=parent,
                     role=self._role_of(name, parent, machine),
                     created_s=process.create_time(),
-                    memory_mib=own_memory_mib(process),
+                    memory_mib=anonymous_memory_mib(process),
                     descriptors=process.num_fds(),
                     threads=process.num_threads(),
                 )

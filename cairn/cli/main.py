@@ -124,9 +124,9 @@ _KERNELS_PER_NOTE = 10  # of about 45
 def script() -> NoReturn:
     """Run the command and end the process: the `cairn` program."""
     if sys.argv[1:2] == ["up"]:  # it runs for months, others for seconds
-        from cairn.heap import begin_with_small_caches
+        from cairn.heap import restart_with_small_thread_caches
 
-        begin_with_small_caches()
+        restart_with_small_thread_caches()
     try:
         main()
     except SystemExit as end:

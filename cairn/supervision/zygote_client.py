@@ -26,7 +26,7 @@ import psutil
 
 from cairn.errors import CairnError
 from cairn.files import explain_os_error
-from cairn.heap import SMALL_CACHES, TUNABLES
+from cairn.heap import SMALL_THREAD_CACHES, TUNABLES
 from cairn.runtime_folder import VARIABLE, check_length, private_folder
 from cairn.supervision.child import ChildUnavailable, ZygoteLost
 from cairn.supervision.orphan_cleanup import MARK, kill_marked
@@ -54,7 +54,7 @@ _MALLOC = {
     "MALLOC_MMAP_THRESHOLD_": _KEPT_BYTES,
     "MALLOC_TRIM_THRESHOLD_": _KEPT_BYTES,
     "MALLOC_TOP_PAD_": str(1 << 20),
-    TUNABLES: SMALL_CACHES,
+    TUNABLES: SMALL_THREAD_CACHES,
 }
 # A process with threads must not fork, and numpy's OpenBLAS would start some when imported.
 _SINGLE_THREADED = {"OPENBLAS_NUM_THREADS": "1"}

@@ -21,4 +21,4 @@ def test_growth_after_the_warm_up_counts(leak_per_s: float, grows: bool) -> None
 
 
 def test_too_short_a_time_does_not_count_as_growth() -> None:
-    assert growth_percent([(0.0, 1.0), (119.0, 9.0)], 0.0) == 0.0
+    assert growth_percent([(0.0, 1.0), (239.0, 9.0)], 0.0) == 0.0

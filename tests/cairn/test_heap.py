@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from cairn.heap import SMALL_CACHES, TUNABLES
+from cairn.heap import SMALL_THREAD_CACHES, TUNABLES
 
 _THREADS = """
 import ctypes, sys, threading
@@ -45,9 +45,9 @@ print(kept - before, memory() - before)
 
 _AGAIN = """
 import os, sys
-from cairn.heap import begin_with_small_caches
+from cairn.heap import restart_with_small_thread_caches
 print(os.getpid(), flush=True)
-begin_with_small_caches()
+restart_with_small_thread_caches()
 print(os.getpid(), sys.argv[1], os.environ.get("GLIBC_TUNABLES", ""))
 """
 
@@ -83,10 +83,10 @@ def test_all_threads_use_one_heap_unless_the_environment_sets_another_number(
 def test_program_begins_again_with_small_caches_unless_the_environment_sets_tunables() -> None:
     before, begun_again, *after = _run(_AGAIN, "as typed").splitlines()
     assert begun_again == before
-    assert after == [f"{before} as typed {SMALL_CACHES}"]
+    assert after == [f"{before} as typed {SMALL_THREAD_CACHES}"]
 
     # A privileged program loses its tunables in between.
-    before, *after = _run(_AGAIN, "x", CAIRN_BEGUN_WITH_TUNABLES="1").splitlines()
+    before, *after = _run(_AGAIN, "x", CAIRN_RESTARTED_WITH_TUNABLES="1").splitlines()
     assert after == [f"{before} x "]
 
     before, *after = _run(_AGAIN, "x", GLIBC_TUNABLES="glibc.malloc.tcache_count=7").splitlines()

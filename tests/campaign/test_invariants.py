@@ -152,7 +152,7 @@ def steady(age: int) -> Sequence[ProcessSample]:
 
 def searching(age: int) -> Sequence[ProcessSample]:
     """Of a process that ends while it uses memory for something, as it did before."""
-    return [process(5, "base", memory_mib=50.0 + 20.0 * (age >= 440))]
+    return [process(5, "base", memory_mib=50.0 + 20.0 * (age >= 480))]
 
 
 def restarted(age: int) -> Sequence[ProcessSample]:
