@@ -3,7 +3,9 @@
 import json
 import re
 import shlex
+import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +41,9 @@ def test_commands_of_the_page_record_a_running_robot(
 
     run = launch("components: {beacon: {plugin: test_beacon}}", "--record")
     run.await_line("child active: beacon")
+    called: dict[str, int] = {}
     for words in [one for one in commands if one[0] == "recorder"]:
+        called[words[1]] = time.time_ns()
         answer = cairn(*words, connect=run.endpoint)
         needs_ring = words[1] == "trigger"
         assert (answer.code, "--last" in answer.err) == (int(needs_ring), needs_ring), words
@@ -57,16 +61,20 @@ def test_commands_of_the_page_record_a_running_robot(
         assert {one.topic for one in file.channels} >= {"/robot/component_status", "/rosout"}
         (deployment,) = [one for one in file.attachments if one.name == "deployment.json"]
         assert "beacon" in json.loads(file.read_attachment(deployment))["components"]
-    numbers: dict[tuple[str, str], list[int]] = {}
+    published: dict[tuple[str, str], dict[int, int]] = {}  # time of each number, of each publisher
     for name in ("recording.mcap", "recording_2.mcap"):
         with McapFile(run.report / name) as file:
             assert not file.notes
             for message in file.messages(lambda _: True):
-                channel = message.channel
-                numbers.setdefault((channel.topic, channel.gid), []).append(message.sequence)
-    beacons = [some for (topic, _), some in numbers.items() if topic.endswith("component_status")]
+                of_publisher = (message.channel.topic, message.channel.gid)
+                published.setdefault(of_publisher, {})[message.sequence] = message.publish_ns
+    beacons = [some for (topic, _), some in published.items() if topic.endswith("component_status")]
     assert len(beacons) == 4  # root, recording, recorder, beacon
-    assert all(set(some) == set(range(min(some), max(some) + 1)) for some in beacons)
+    resumed = called["trigger"]  # the next command after `resume`
+    for times in beacons:
+        for number, following in pairwise(sorted(times)):
+            in_pause = times[number] < resumed and times[following] > called["pause"]
+            assert following == number + 1 or in_pause, (number, following)
 
 
 def test_settings_on_the_page_are_those_of_the_recorder(page_blocks: Callable[[str], Any]) -> None:
