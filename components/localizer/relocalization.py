@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from cairn.components.localizer.particle_set import PoseEstimate, carry, estimat
 from cairn.components.localizer.pose_health import FITS
 from cairn.components.localizer.recent_observations import TOGETHER_M
 from cairn.components.localizer.scan_fit import usual_fit
-from cairn.planar.poses import Pose, compose, distance, relative, wrap
+from cairn.planar.poses import Pose, apart, compose, distance, relative, wrap
 from cairn.schemas.cairn_nav_msgs import Reason, ReasonCode
 
 Array = NDArray[np.float64]
@@ -31,6 +32,10 @@ PROBATION_S = 30.0
 # static things do not become better evidence by being seen again from the same pose. Or no search
 # may prefer another position for so long a distance [m].
 _CONFIRMATIONS, _CONFIRM_EVERY_M, _UNDISPUTED_M = 3, 0.2, 1.0
+# Objects may have been moved. Where they contradict a position, scans must decide alone: searches
+# in a row from so many poses, so far apart [m], [rad], must find the robot there unambiguously,
+# and the map must explain the scans there beyond doubt (`_DOUBTFUL_FIT`).
+_VIEWPOINTS, _ANOTHER_M, _ANOTHER_RAD = 3, 0.2, 0.35
 # Another pose must explain the recent measurements better by this log-likelihood [nats]: errors
 # that successive observations have in common are worth 2 to 4.
 BETTER = 6.0
@@ -63,6 +68,20 @@ _JUST_FOUND = Reason(
 )
 
 
+@dataclass(frozen=True)
+class _Guess:
+    """Where the last searches in a row found the robot, carried to the dead-reckoned pose `now`.
+
+    `viewpoints` of them were so far apart that each brought another scan, the last at `seen_from`.
+    """
+
+    pose: Pose
+    now: Pose
+    searches: int
+    viewpoints: int
+    seen_from: Pose
+
+
 class Relocalizer:
     """Searches the map for the robot: at an unknown start, when it is probably lost, and for a
     while after it was found.
@@ -76,7 +95,7 @@ class Relocalizer:
         self._modes: tuple[Array, Pose] | None = (
             None  # of the last search, and the dead-reckoned pose
         )
-        self._guess: tuple[Pose, Pose] | None = None  # the last result, and the dead-reckoned pose
+        self._guess: _Guess | None = None
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
         self._confirmed_at: Pose = (0.0, 0.0, 0.0)  # dead-reckoned, as all poses here
@@ -153,16 +172,18 @@ class Relocalizer:
             return None
         self._searched_at = stamp
         found = self._search(recent)
-        if found is None or found.support.contradicting >= max(1, found.support.agreeing):
+        if found is None:
             self._guess = None
             return None
+        if found.support.contradicting >= max(1, found.support.agreeing):
+            return self._against_objects(stamp, recent, found)
         waited = stamp - self._first_measured
         firm = found.support.agreeing >= 2 or found.fit >= FITS
         if found.share >= _UNAMBIGUOUS and (
             firm or (waited >= _WAIT_FOR_SECOND_S and not recent.scanned)
         ):
             # Two modes take turns while there are few measurements: believe the one that stays.
-            if self._found_again(found.pose.mean, recent.now):
+            if self._found_again(found.pose.mean, recent.now).searches > 1:
                 self.start_probation(stamp, recent.now)
                 return found.poses
         elif (
@@ -201,14 +222,16 @@ class Relocalizer:
         # If the robot is certainly not here, the search continues better from the likeliest
         # position.
         refuted = found.score - float(score[0]) >= REFUTED and found.fit >= FITS
-        if (found.share < _UNAMBIGUOUS and not refuted) or support.contradicting > support.agreeing:
+        if support.contradicting > support.agreeing:
+            return self._against_objects(stamp, recent, found)
+        if found.share < _UNAMBIGUOUS and not refuted:
             return None
         fits = recent.scanned and found.fit >= max(FITS, recent.fit(here))
         if not fits and support.agreeing < 2:
             return None
         # Positions that look alike take turns while there are few measurements: believe the one
         # that stays.
-        again = self._found_again(found.pose.mean, recent.now)
+        again = self._found_again(found.pose.mean, recent.now).searches > 1
         if not again and support.agreeing < 2:
             return None
         self.start_probation(stamp, recent.now)
@@ -222,10 +245,30 @@ class Relocalizer:
             self._confirmations += 1
             self._confirmed_at = now
 
-    def _found_again(self, pose: Pose, now: Pose) -> bool:
-        """Whether the last search found the robot at the same position, carried on by odometry."""
-        guess, self._guess = self._guess, (pose, now)
-        return guess is not None and _same(compose(guess[0], relative(guess[1], now)), pose)
+    def _against_objects(
+        self, stamp: float, recent: RecentMeasurements, found: GlobalSearchResult
+    ) -> Array | None:
+        """Return the poses (3, n) of a search that objects contradict, once scans decide alone."""
+        scanned = recent.scanned and found.fit >= _DOUBTFUL_FIT
+        if not scanned or found.share < _UNAMBIGUOUS:
+            self._guess = None
+            return None
+        if self._found_again(found.pose.mean, recent.now).viewpoints < _VIEWPOINTS:
+            return None
+        self.start_probation(stamp, recent.now)
+        return found.poses
+
+    def _found_again(self, pose: Pose, now: Pose) -> _Guess:
+        """Note where a search found the robot; return what searches in a row found there."""
+        last = self._guess
+        if last is None or not _same(compose(last.pose, relative(last.now, now)), pose):
+            guess = _Guess(pose, now, 1, 1, now)
+        elif apart(last.seen_from, now, _ANOTHER_M, _ANOTHER_RAD):
+            guess = _Guess(pose, now, last.searches + 1, last.viewpoints + 1, now)
+        else:
+            guess = _Guess(pose, now, last.searches + 1, last.viewpoints, last.seen_from)
+        self._guess = guess
+        return guess
 
     def _search(self, recent: RecentMeasurements) -> GlobalSearchResult | None:
         known = None

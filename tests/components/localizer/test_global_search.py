@@ -11,19 +11,23 @@ from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.global_search import RecentMeasurements, search
 from cairn.components.localizer.likelihood_field import ScanMap
 from cairn.components.localizer.localization import Localization
+from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.recent_observations import RecentObservations
 from cairn.components.localizer.scan_fit import RecentScans
 from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import MotionModel
-from cairn.planar.poses import Pose, compose, relative
+from cairn.planar.poses import Pose, compose, relative, wrap
+from cairn.visual_map.observations import Observation
 from tests.components.localizer.room import Box, Moment, apart, drive, room, scanned
 
 START = (2.0, 2.0, 0.0)
 # Turned half round it looks the same.
 SYMMETRIC: tuple[Box, ...] = ((1.0, 1.0, 2.0, 2.0), (7.0, 5.0, 8.0, 6.0))
 SCAN_SHARE = 0.14
+# Positions of eight objects on the walls [m]; after a few meters each robot has observed several.
+ON_WALLS = ((2, 0), (5, 0), (9, 2), (9, 5), (7, 7), (3, 7), (0, 5), (0, 2))
 Array = NDArray[np.float64]
 
 
@@ -202,3 +206,48 @@ def test_kidnapped_robot_has_low_health_until_it_is_found(seed: int) -> None:
     assert apart(one.pose().mean, moments[-1].pose)[0] < 0.2
     # The running mean of the fit takes a few scans to fall.
     assert wrong <= 8
+
+
+def exchanged_objects(pose: Pose) -> list[Observation]:
+    """Return those in view: each object is now where the map has the third one after it."""
+    seen = []
+    for object_id in range(len(ON_WALLS)):
+        x, y = ON_WALLS[(object_id + 3) % len(ON_WALLS)]
+        far = math.hypot(x - pose[0], y - pose[1])
+        bearing = wrap(math.atan2(y - pose[1], x - pose[0]) - pose[2])
+        if far < 4.0 and abs(bearing) < 0.6:
+            seen.append(Observation(object_id, far, bearing, 0.05**2, 0.02**2))
+    return seen
+
+
+def through_exchanged_objects(one: Localization, grid: OccupancyCells, seed: int) -> Moment:
+    """Let the robot drive for 40 s among exchanged objects."""
+    one.set_landmarks(Landmark(key, *at, reliability=0.95) for key, at in enumerate(ON_WALLS))
+    for moment in drive(grid, (6.8, 5.5, 2.0), 40.0, seed):
+        through(one, moment)
+        if round(10 * moment.time) % 2 == 0:
+            one.fuse_objects(moment.time, exchanged_objects(moment.pose))
+    return moment
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("start", [START, None], ids=["carried", "unknown start"])
+def test_scans_decide_against_objects_that_were_exchanged(start: Pose | None, seed: int) -> None:
+    grid = room()
+    one = robot(grid, seed)
+    if start is not None:
+        one.set_pose(start, np.diag([0.01**2, 0.01**2, 0.01**2]))
+
+    last = through_exchanged_objects(one, grid, seed)
+
+    assert apart(one.pose().mean, last.pose)[0] < 0.2
+
+
+def test_exchanged_objects_in_a_symmetric_room_locate_no_robot() -> None:
+    grid = room(SYMMETRIC)
+    one = robot(grid)
+    one.set_pose(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
+
+    through_exchanged_objects(one, grid, seed=0)
+
+    assert one.health().value < 0.5

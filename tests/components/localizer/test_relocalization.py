@@ -73,6 +73,44 @@ def test_position_that_scans_do_not_fit_is_rejected(monkeypatch: pytest.MonkeyPa
     assert recover_twice(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.3) == [None, None]
 
 
+def searches_against_objects(
+    monkeypatch: pytest.MonkeyPatch, ahead_m: list[float], fit: float = 0.9, share: float = 0.95
+) -> list[bool]:
+    """Return which searches move the robot to (5, 1), where two objects contradict.
+
+    Each is made after the robot has driven so far ahead.
+    """
+    one = Relocalizer(1000, np.random.default_rng(0))
+    moved = []
+    for stamp, ahead in enumerate(ahead_m):
+        there = PoseEstimate((5.0 + ahead, 1.0, 0.0), np.eye(3) * 1e-4)
+        found = GlobalSearchResult(
+            POSES, there, share, PoseSupport(0, 2), REFUTED + 1.0, fit, POSES
+        )
+        monkeypatch.setattr(relocalization, "search", lambda *_, found=found: found)
+        recent = recent_observations()
+        recent.now = (ahead, 0.0, 0.0)
+        moved.append(one.recover(10.0 + stamp, recent, HERE) is not None)
+    return moved
+
+
+def test_objects_are_outweighed_by_scans_from_three_viewpoints(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert searches_against_objects(monkeypatch, [0.0, 0.1, 0.3, 0.4, 0.6]) == [*[False] * 4, True]
+
+
+@pytest.mark.parametrize(
+    ("ahead_m", "fit", "share"),
+    [([0.0] * 6, 0.9, 0.95), ([0.0, 0.3, 0.6, 0.9], 0.7, 0.95), ([0.0, 0.3, 0.6, 0.9], 0.9, 0.5)],
+    ids=["from one pose", "scans fit badly", "ambiguous"],
+)
+def test_objects_outweigh_weaker_scans(
+    monkeypatch: pytest.MonkeyPatch, ahead_m: list[float], fit: float, share: float
+) -> None:
+    assert not any(searches_against_objects(monkeypatch, ahead_m, fit, share))
+
+
 def test_kidnapped_robot_stays_in_doubt_while_scans_fit_badly() -> None:
     relocalizer = Relocalizer(1000, np.random.default_rng(0))
     for _ in range(300):
