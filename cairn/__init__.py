@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cairn.bus.actions import ClientGoal, ServerGoal
     from cairn.bus.bus import ServiceError
     from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
-    from cairn.clock import SECOND, Clock, from_ns, has_passed, to_ns
+    from cairn.clock import SECOND, Clock, SteadyClock, from_ns, has_passed, to_ns
     from cairn.errors import CairnError
     from cairn.runtime.component import Component
     from cairn.runtime.lifecycle import LifecycleState
@@ -69,6 +69,7 @@ __all__ = [
     "ServerGoal",
     "ServiceError",
     "StartFailed",
+    "SteadyClock",
     "Supervisor",
     "cancel",
     "every",
@@ -84,7 +85,7 @@ _MODULES: Final = {
     "cairn.bus.actions": ("ClientGoal", "ServerGoal"),
     "cairn.bus.bus": ("ServiceError",),
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
-    "cairn.clock": ("SECOND", "Clock", "from_ns", "has_passed", "to_ns"),
+    "cairn.clock": ("SECOND", "Clock", "SteadyClock", "from_ns", "has_passed", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),
     "cairn.runtime.lifecycle": ("LifecycleState",),

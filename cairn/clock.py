@@ -43,6 +43,28 @@ class SimulatedClock:
         self._now = now
 
 
+class SteadyClock:
+    """Time that passes as another clock's does, but without its steps.
+
+    It is for what a component judges by the time since, such as that nothing arrives any more. Call
+    `now` on one thread and more often than every `longest_s` [s]: what is more between two calls is
+    a step of the clock, or the process stood still; both count as no time, as does a step back.
+    """
+
+    def __init__(self, clock: Clock, longest_s: float) -> None:
+        self._clock = clock
+        self._longest = round(longest_s * SECOND)
+        self._read = clock.now()
+        self._steps = 0
+
+    def now(self) -> int:
+        """Return the time in nanoseconds: that of the other clock until its first step."""
+        before, self._read = self._read, self._clock.now()
+        if not 0 <= self._read - before <= self._longest:
+            self._steps += self._read - before
+        return self._read - self._steps
+
+
 def has_passed(seconds: float, since: int, now: int) -> bool:
     """Return whether a time [s] has passed from `since` to `now` [ns].
 

@@ -11,6 +11,7 @@ from cairn import (
     In,
     Out,
     StartFailed,
+    SteadyClock,
     Supervisor,
     every,
     from_ns,
@@ -38,6 +39,9 @@ from cairn.supervision.child import ChildStatus
 
 # The command is repeated so often, so that its readers know that AutoMove is alive [ns].
 _REPEAT_S = 0.5
+# Between two of ten steps in a second no more time passes [s]; a longer one is a step of the clock,
+# or plugins were being loaded, during which nothing arrives.
+_LONGEST_STEP_S = 1.0
 # A longer time to the goal is not reported [s]: 30 years; dividing by a speed could give infinity.
 _LONGEST_S = 1e9
 
@@ -104,12 +108,13 @@ class AutoMove(Supervisor):
     _activated_ns = 0
     _published: tuple[int, ...] | None = None
     _published_at = 0
-    _under_way_ns = 0  # the last time at which the mission had no result
+    _under_way_s = 0.0  # the last time at which the mission had no result
 
     def on_configure(self) -> None:
         """Start without inputs."""
         self._inputs = NavigatorInputs()
         self._goal_ids = GoalIds()
+        self._steady = SteadyClock(self.clock, _LONGEST_STEP_S)
 
     def on_activate(self) -> None:
         """Load the children that the configuration does not load with the first mission."""
@@ -147,7 +152,7 @@ class AutoMove(Supervisor):
     @on("motion_status")
     def on_motion_status(self, status: MotionStatus) -> None:
         """Keep the state of motion control; react to a finished behavior at once."""
-        self._inputs.motion, self._inputs.motion_s = status, self.clock.now() / SECOND
+        self._inputs.motion, self._inputs.motion_s = status, self._now_s()
         if status.state == MotionStatus.DONE:
             self.step()
 
@@ -155,25 +160,26 @@ class AutoMove(Supervisor):
     def on_localization(self, estimate: LocalizationEstimate) -> None:
         """Keep the robot's pose and its health."""
         inputs = self._inputs
-        inputs.localization, inputs.localization_s = estimate, self.clock.now() / SECOND
+        inputs.localization, inputs.localization_s = estimate, self._now_s()
         if estimate.located:
             inputs.set_pose(planar_pose(estimate.pose.pose))
 
     @every(hz=10)
     def step(self) -> None:
         """Advance the mission, and publish command and status."""
-        navigator = self._navigator
+        now_s, navigator = self._now_s(), self._navigator
         if navigator is None:
             return
         before = navigator.state, navigator.goal_id
-        navigator.step(self.clock.now() / SECOND, self._inputs)
+        navigator.step(now_s, self._inputs)
         if (navigator.state, navigator.goal_id) != before:
             self._log_and_publish(navigator)
         else:
             self._publish(navigator)
 
     def _start(self, mission: NavigateGoal) -> None:
-        now, requested = self.clock.now(), to_ns(mission.header.stamp)
+        now_s, requested = self._now_s(), to_ns(mission.header.stamp)
+        age_s = max(0, self.clock.now() - requested) / SECOND if requested else 0.0
         navigator: NavigatorStateMachine | MotionMission
         if mission.motion:
             navigator = MotionMission(
@@ -181,7 +187,7 @@ class AutoMove(Supervisor):
                 action_goal_id=mission.action_goal_id,
                 request=mission,
                 next_goal_id=self._next_goal_id,
-                started_s=now / SECOND,
+                started_s=now_s,
                 limits=self._limits(),
             )
         else:
@@ -192,7 +198,7 @@ class AutoMove(Supervisor):
                 goal_index=mission.first,
                 next_goal_id=self._next_goal_id,
                 # A mission that an earlier process of AutoMove started continues.
-                started_s=(min(requested, now) or now) / SECOND,
+                started_s=now_s - age_s,
                 limits=self._limits(),
             )
         self._navigator = navigator
@@ -204,6 +210,10 @@ class AutoMove(Supervisor):
         self._load_plugins(navigator)
         self._log_and_publish(navigator)
         self.step()
+
+    def _now_s(self) -> float:
+        """Return the time [s] by which the mission is judged: without steps of the clock."""
+        return self._steady.now() / SECOND
 
     def _next_goal_id(self) -> int:
         return self._goal_ids.next(self.clock.now())
@@ -231,7 +241,7 @@ class AutoMove(Supervisor):
             reason = f"not all plugins can be loaded: {error}"
             navigator.fail(Reason(ReasonCode.LOADING_FAILED, reason))
         else:
-            navigator.on_plugins_loaded(self.clock.now() / SECOND)
+            navigator.on_plugins_loaded(self._now_s())
 
     def _plugins(self) -> list[ChildStatus]:
         """Return the children that a mission needs."""
@@ -252,7 +262,7 @@ class AutoMove(Supervisor):
         """Publish command and status when they change, and periodically."""
         now = self.clock.now()
         if not navigator.finished:
-            self._under_way_ns = now
+            self._under_way_s = self._now_s()
         version = (
             navigator.goal_id,
             navigator.state,
@@ -287,7 +297,7 @@ class AutoMove(Supervisor):
                 goals=len(navigator.goals),
                 distance_left=left_m,
                 time_left=min(left_m / self.config.speed, _LONGEST_S),
-                elapsed=max(0.0, self._under_way_ns / SECOND - navigator.started_s),
+                elapsed=max(0.0, self._under_way_s - navigator.started_s),
                 recoveries=navigator.recoveries,
                 reason=navigator.reason.text,
                 reason_code=int(navigator.reason.code),

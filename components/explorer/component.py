@@ -23,6 +23,7 @@ from cairn import (
     Out,
     ParameterRejected,
     RetriedSave,
+    SteadyClock,
     every,
     from_ns,
     on,
@@ -71,6 +72,8 @@ _MISSING_S = 60.0
 _LOST_S, _LOOKED_AROUND_S = 5.0, 300.0
 # Goals that are known as the explorer's own [1]: those that were sent last.
 _OWN = 20
+# Between two of two decisions in a second no more time passes [s]; more is a step of the clock.
+_LONGEST_STEP_S = 2.0
 _SAME_GOAL = 1e-6  # [m], [rad]
 _STATE_BYTES = 1000
 
@@ -121,6 +124,7 @@ class Explorer(Component):
             raise CairnError(f"{file.parent}: no such folder for the state_file")
         if file is not None and self.restarts == 0:
             file.unlink(missing_ok=True)
+        self._steady = SteadyClock(self.clock, _LONGEST_STEP_S)
         self._saved = RetriedSave(self, "exploration")
         self._search = FrontierSearch()
         self._grid: OccupancyCells | None = None
@@ -211,13 +215,13 @@ class Explorer(Component):
             return
         if not len(mission.goals):
             if goal is not None and goal.mission_id == mission.mission_id:
-                goal.closed_ns = goal.closed_ns or self.clock.now()
+                goal.closed_ns = goal.closed_ns or self._steady.now()
             return
         goals = planar_poses(mission.goals).tolist()
         if len(goals) > 1 or not any(_is_same(goals[0], own) for own in self._own):
             self._end(ExplorationStatus.STOPPED, f"preempted by mission {mission.mission_id}")
         elif goal is not None and _is_same(goals[0], goal.pose):
-            goal.mission_id, goal.heard_ns = mission.mission_id, self.clock.now()
+            goal.mission_id, goal.heard_ns = mission.mission_id, self._steady.now()
             self._resent = 0
             known = self.navigation_status.latest
             if known is not None:
@@ -229,14 +233,14 @@ class Explorer(Component):
         goal = self._goal
         if not self._is_exploring or goal is None or status.mission_id != goal.mission_id:
             return
-        goal.heard_ns = self.clock.now()
+        goal.heard_ns = self._steady.now()
         self._reason = status.reason
         if status.state not in NAVIGATION_END_STATES or goal.arrived_ns is not None:
             return
         if status.state == NavigationStatus.CANCELED:
             self._end(ExplorationStatus.STOPPED, "its goal was canceled")
         elif status.state == NavigationStatus.SUCCEEDED:
-            goal.arrived_ns = self.clock.now()
+            goal.arrived_ns = self._steady.now()
         else:
             if goal.frontier is not None:
                 self.log.warning("frontier not reached: %s", status.reason)
@@ -246,11 +250,9 @@ class Explorer(Component):
     @every(hz=2)
     def explore(self) -> None:
         """Choose the next goal if the current one is not needed any more."""
+        now = self._steady.now()
         if not self._is_exploring:
             return
-        now = self.clock.now()
-        if now < self._complete_ns:
-            self._restart_waits(now)
         here, missing = self._missing()
         if missing or here is None or self._grid is None:
             self._reason = missing
@@ -267,16 +269,6 @@ class Explorer(Component):
             self._explore(self._grid, here, now)
         if self._is_exploring:
             self._publish()
-
-    def _restart_waits(self, now: int) -> None:
-        """Begin all waits again after time was set back; what has elapsed stays."""
-        self._begin_ns += now - self._complete_ns
-        self._complete_ns = self._frontier_ns = now
-        goal = self._goal
-        if goal is not None:
-            goal.heard_ns = now
-            goal.closed_ns = None if goal.closed_ns is None else now
-            goal.arrived_ns = None if goal.arrived_ns is None else now
 
     def _explore(self, grid: OccupancyCells, here: Pose, now: int) -> None:
         if self._map_changed or self._goal is None:
@@ -340,7 +332,7 @@ class Explorer(Component):
         self._own.append(pose)
         self._save()
         goals = packed_poses(np.array([pose]))
-        header = Header(stamp=from_ns(now), frame_id="map")
+        header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
         self.exploration_goal.publish(NavigateGoal(header=header, goals=goals))
 
     def _finish(self) -> None:
@@ -364,11 +356,11 @@ class Explorer(Component):
         self._goal = None
         self._own: deque[Pose] = deque(maxlen=_OWN)
         self._resent = 0
-        self._begin_ns = self._complete_ns = self._frontier_ns = self.clock.now()
+        self._begin_ns = self._complete_ns = self._frontier_ns = self._steady.now()
 
     def _end(self, state: int, reason: str) -> None:
         self._state, self._reason = int(state), reason
-        self._end_ns = self.clock.now()
+        self._end_ns = self._steady.now()
         self.log.info("exploration %s: %s", EXPLORATION_STATES[self._state], reason)
         if self._goal is not None:
             header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
@@ -415,11 +407,10 @@ class Explorer(Component):
         )
 
     def _status(self) -> ExplorationStatus:
-        now = self.clock.now()
-        end_ns = now if self._is_exploring else self._end_ns
+        end_ns = self._steady.now() if self._is_exploring else self._end_ns
         x, y, _ = (math.nan,) * 3 if self._goal is None else self._goal.pose
         return ExplorationStatus(
-            header=Header(stamp=from_ns(now), frame_id="map"),
+            header=Header(stamp=from_ns(self.clock.now()), frame_id="map"),
             state=self._state,
             frontiers=len(self._frontiers),
             given_up=self._choice.given_up(self._frontiers),

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cairn import LATCHED
+from cairn import LATCHED, SECOND
+from cairn.clock import SimulatedClock
+from cairn.components.automove.component import AutoMove
 from cairn.planar.messages import packed_poses, planar_pose, pose_message
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
@@ -163,6 +165,46 @@ def test_motion_is_commanded_and_ends_with_motion_control(
     robot.publish("motion_status", MotionStatus(goal_id=command.goal_id, state=MotionStatus.DONE))
     assert statuses.take()[-1].state == NavigationStatus.SUCCEEDED
     assert nav_commands.take()[-1].behavior == NavCommand.STAND
+
+
+@pytest.mark.parametrize("step_s", [-3600, 3600], ids=["back", "ahead"])
+def test_step_of_the_clock_fails_no_mission(
+    make_harness: MakeHarness, monkeypatch: pytest.MonkeyPatch, step_s: int
+) -> None:
+    clock = SimulatedClock()
+    monkeypatch.setattr(AutoMove, "clock", clock)
+    robot = make_harness(PLUGINS)
+    nav_commands = robot.read("nav_command", NavCommand)
+    statuses = robot.read("navigation_status", NavigationStatus)
+
+    def pass_time(seconds: float, motion: MotionStatus | None = None) -> None:
+        for _ in range(round(10 * seconds)):
+            clock.set(clock.now() + SECOND // 10)
+            robot.publish("localization", LocalizationEstimate(located=True, health=0.9))
+            if motion is not None:
+                robot.publish("motion_status", motion)
+            robot.run_for(0.1)
+
+    clock.set(10_000 * SECOND)
+    robot.publish("navigate_goal", mission(1, (1.0, 2.0, 0.5)), qos=LATCHED)
+    pass_time(0.2)
+    goal_id = nav_commands.take()[-1].goal_id
+    robot.publish("plan", Plan(goal_id=goal_id), qos=LATCHED)
+    moving = MotionStatus(goal_id=goal_id, state=MotionStatus.MOVING, distance_left=2.0)
+    pass_time(1.0, moving)
+    clock.set(clock.now() + step_s * SECOND)
+    # To motion control the last command is an hour old until the next one comes.
+    stopped = MotionStatus(goal_id=goal_id, state=MotionStatus.STOPPED, reason="no nav_command")
+    pass_time(0.3, stopped)
+    pass_time(1.0, moving)
+
+    reported = statuses.take()
+    assert reported[-1].state == NavigationStatus.DRIVING
+    assert not any(one.state == NavigationStatus.FAILED for one in reported)
+    assert (reported[-1].recoveries, reported[-1].elapsed < 10.0) == (0, True)
+
+    pass_time(16.0, stopped)  # what is missing all the time fails the mission
+    assert statuses.take()[-1].state == NavigationStatus.FAILED
 
 
 def test_give_way_recovery_sends_a_goal_to_the_planner(make_harness: MakeHarness) -> None:

@@ -222,7 +222,8 @@ def test_exploration_ends_if_what_is_unknown_is_behind_a_keepout_zone(
     assert 4.0 < explorer.goal()[0] < 4.8
 
 
-def test_time_that_is_set_back_delays_no_decision(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step_to_s", [50, 5000], ids=["back", "ahead"])
+def test_step_of_the_clock_changes_no_decision(tmp_path: Path, step_to_s: int) -> None:
     explorer = ExplorerHarness(tmp_path, simulated_time=True)
 
     def pass_time(begin_s: int, end_s: int) -> None:
@@ -237,7 +238,7 @@ def test_time_that_is_set_back_delays_no_decision(tmp_path: Path) -> None:
     explorer.report(NavigationStatus.SUCCEEDED)
     explorer.accept()
 
-    pass_time(50, 55)
+    pass_time(step_to_s, step_to_s + 5)
 
     assert explorer.goal()[0] > 4.0  # the next try
     assert 0.0 < explorer.status.elapsed < 8.0
