@@ -28,6 +28,7 @@ BENCHMARKS = (
     "v4l2_camera",
     "hokuyo",
     "navigation",
+    "exchanged_objects",
     "explore",
     "velocity_gate",
     "sharing",
