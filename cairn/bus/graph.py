@@ -5,7 +5,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -32,6 +32,10 @@ _CONFIRMED_S = 5.0
 
 _POLL_S = 0.1
 """Interval for reading what has changed: one thread for all topics, at any rate of changes."""
+
+_READ_S, _SHORTEST_READ_S, _READ_SHARE = 1.0, 0.1, 10.0
+"""A client reads the graph so often [s], after an unknown endpoint so soon [s], and in all cases
+pauses for so many times as long as it took."""
 
 _POLLS_PER_TOPIC = 5
 """Every so many intervals one more topic is followed, of those that can wait.
@@ -87,6 +91,71 @@ def read_graph(
             _log.warning("graph too large: only the first %d tokens are read", _MAX_TOKENS)
             break
     return list(_parsed(sorted(tokens)))
+
+
+class GraphReader:
+    """Reads the endpoints that match a pattern once a second, on a thread, in a client's session.
+
+    A client does not subscribe to tokens: a zenoh router (1.10) keeps what it has sent of each one
+    to such a client for as long as the client is connected. With a client that followed all
+    publishers, the router's process grew by 130 KiB with each restart of a component.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        pattern: str,
+        report: Callable[[Mapping[str, keys.EndpointEntity]], None],
+    ) -> None:
+        """Begin; `report` gets all endpoints by their tokens, at first and when they change.
+
+        It is called on the reader's thread.
+        """
+        self._session = session
+        self._pattern = pattern
+        self._report = report
+        self._bell = threading.Event()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="cairn graph", daemon=True)
+        self._thread.start()
+
+    def read_soon(self) -> None:
+        """Read them now, as an endpoint is not known; from any thread."""
+        self._bell.set()
+
+    def close(self) -> None:
+        """Report nothing any more, but what is being read just now."""
+        self._closed = True
+        self._bell.set()
+
+    def _run(self) -> None:
+        known: dict[str, keys.EndpointEntity] | None = None
+        while not self._closed:
+            self._bell.clear()
+            began = time.monotonic()
+            try:
+                graph = read_graph(self._session, self._pattern)
+            except zenoh.ZError:
+                return  # the session is closed
+            except CairnError as error:
+                _log.warning("%s; trying again", error)
+                continue
+            found = {
+                keys.token_key(one): one for one in graph if isinstance(one, keys.EndpointEntity)
+            }
+            if found != known and not self._closed:
+                known = found
+                self._report(found)
+            # Thousands of tokens that another program has declared must not take all the time.
+            shortest_s = max(_SHORTEST_READ_S, _READ_SHARE * (time.monotonic() - began))
+            self._sleep(shortest_s)
+            self._bell.wait(max(0.0, _READ_S - shortest_s))
+
+    def _sleep(self, seconds: float) -> None:
+        """Wait also if the bell rings, unless this is closed."""
+        until = time.monotonic() + seconds
+        while not self._closed and (left_s := until - time.monotonic()) > 0:
+            time.sleep(min(left_s, _POLL_S))
 
 
 class GraphWatcher:

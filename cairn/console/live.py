@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import zenoh
 
 from cairn.bus import keys
+from cairn.bus.graph import GraphReader
 from cairn.bus.message_limits import MAX_MESSAGE_SIZE, ring_length
 from cairn.client.connection import Connection, Publishers
 from cairn.console.message_types import MessageTypes
@@ -28,14 +29,12 @@ from cairn.errors import CairnError
 if TYPE_CHECKING:
     from cairn.console.hub import Hub
 
-_MAX_TOKENS: Final = 20_000
 _MAX_CHANNELS: Final = 2_000
 _MAX_KEPT: Final = 100  # messages of one publisher of a latched topic
 _MAX_DEPTH: Final = 1_000
 _MAX_PUBLISHERS: Final = 100  # of one topic
 _KEPT_BYTES: Final = 32 << 20  # of one latched topic; the newest of each publisher always
 _RING: Final = 16
-_GRAPH_PAUSE_S: Final = 0.2
 _CHECK_S: Final = 0.5
 _LOST_AFTER: Final = 3  # checks without a link
 _FIRST_RETRY_S: Final = 0.5
@@ -120,7 +119,17 @@ class LiveSource:
         loop = asyncio.get_running_loop()
         self._connection, self._publishers = connection, Publishers(connection)
         hub.set_link()
-        graph = _GraphReader(connection, loop, self._set_tokens)
+
+        def take_over(endpoints: Mapping[str, keys.EndpointEntity]) -> None:
+            if self._connection is connection:
+                self._set_tokens(endpoints)
+
+        def report(endpoints: Mapping[str, keys.EndpointEntity]) -> None:
+            with suppress(RuntimeError):  # the event loop has ended
+                loop.call_soon_threadsafe(take_over, endpoints)
+
+        pattern = keys.endpoints_pattern(connection.domain, kind="M$*")
+        graph = GraphReader(connection.session, pattern, report)
         try:
             missing = 0
             # Not session.is_closed(), which may wait forever: see Connection.is_alive.
@@ -373,64 +382,6 @@ class _Reader:
 
     def _kept_bytes(self) -> int:
         return sum(len(one.payload) for messages in self._kept.values() for one in messages)
-
-
-class _GraphReader:
-    """Follows all endpoints of the bus on a thread, and reports them to the event loop."""
-
-    def __init__(
-        self,
-        connection: Connection,
-        loop: asyncio.AbstractEventLoop,
-        report: Callable[[Mapping[str, keys.EndpointEntity]], None],
-    ) -> None:
-        self._loop = loop
-        self._report = report
-        self._closed = threading.Event()
-        self._subscriber = connection.session.liveliness().declare_subscriber(
-            keys.endpoints_pattern(connection.domain, kind="M$*"),
-            zenoh.handlers.RingChannel(_MAX_TOKENS),
-            history=True,
-        )
-        threading.Thread(target=self._read, name="cairn graph", daemon=True).start()
-
-    def close(self) -> None:
-        """Follow the graph no longer."""
-        self._closed.set()
-        with suppress(zenoh.ZError):
-            self._subscriber.undeclare()
-
-    def _read(self) -> None:
-        endpoints: dict[str, keys.EndpointEntity] = {}
-        try:
-            while True:
-                sample: zenoh.Sample | None = self._subscriber.handler.recv()
-                while sample is not None:
-                    self._change(endpoints, sample)
-                    sample = self._subscriber.handler.try_recv()
-                self._loop.call_soon_threadsafe(self._set, dict(endpoints))
-                if self._closed.wait(_GRAPH_PAUSE_S):
-                    return
-        except (zenoh.ZError, RuntimeError):  # undeclared, or the loop has ended
-            return
-
-    def _change(self, endpoints: dict[str, keys.EndpointEntity], sample: zenoh.Sample) -> None:
-        token = str(sample.key_expr)
-        if sample.kind == zenoh.SampleKind.DELETE:
-            endpoints.pop(token, None)
-            return
-        try:
-            entity = keys.parse_token(token)
-        except keys.WireFormatError:
-            return  # of another profile or version
-        if len(endpoints) == _MAX_TOKENS:
-            return
-        if isinstance(entity, keys.EndpointEntity):
-            endpoints[token] = entity
-
-    def _set(self, endpoints: Mapping[str, keys.EndpointEntity]) -> None:
-        if not self._closed.is_set():
-            self._report(endpoints)
 
 
 def _sent(sample: Any) -> int:

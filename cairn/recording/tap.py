@@ -11,7 +11,7 @@ import re
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple, Protocol
 
@@ -20,6 +20,7 @@ import zenoh
 from cairn.bus import keys
 from cairn.bus.caches import query_caches
 from cairn.bus.codec import Codec
+from cairn.bus.graph import GraphReader
 from cairn.bus.lockstep_bus import LockstepBus, LockstepPublisher
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
@@ -101,10 +102,13 @@ class ZenohTap:
         domain: int,
         receive: Callable[[Sample], None],
         topics: Sequence[str] = EVERY_TOPIC,
+        *,
+        is_client: bool = True,
     ) -> None:
         """Open it; `receive` is called on threads of the tap and of Zenoh, and must be quick.
 
-        `topics` are patterns of full names (`TopicPatterns`).
+        `topics` are patterns of full names (`TopicPatterns`). `is_client`: whether the session is
+        that of a client (`open_client`), or of a component.
         """
         self.lost: Counter[str] = Counter()
         self.refused = 0
@@ -117,18 +121,19 @@ class ZenohTap:
         self._keys: dict[str, tuple[str, str, str]] = {}
         self._followed: dict[bytes, _Numbers] = {}
         self._wanted = TopicPatterns(topics)
+        self._present: Mapping[str, keys.EndpointEntity] = {}
         self._closed = False
-        tokens: queue.Queue[zenoh.Sample | None] = queue.Queue(_MAX_PUBLISHERS)
-
-        def note(token: zenoh.Sample) -> None:
-            with suppress(queue.Full):  # such a graph is forged
-                tokens.put_nowait(token)
-
-        handler: Any = zenoh.handlers.Callback(note, indirect=False)
-        self._tokens = tokens
-        self._token_subscriber = session.liveliness().declare_subscriber(
-            keys.endpoints_pattern(domain, kind="MP"), handler, history=True
-        )
+        self._tokens: queue.Queue[zenoh.Sample | None] = queue.Queue(_MAX_PUBLISHERS)
+        pattern = keys.endpoints_pattern(domain, kind="MP")
+        self._reader: GraphReader | None = None
+        self._token_subscriber: Any = None
+        if is_client:
+            self._reader = GraphReader(session, pattern, self._note_all)
+        else:
+            handler: Any = zenoh.handlers.Callback(self._queue_token, indirect=False)
+            self._token_subscriber = session.liveliness().declare_subscriber(
+                pattern, handler, history=True
+            )
         self._expressions = [
             str(zenoh.KeyExpr.autocanonize(f"{domain}/{topic}/*/*"))
             for topic in _disjoint(self._wanted.patterns)
@@ -141,7 +146,10 @@ class ZenohTap:
             threading.Thread(target=self._collect, args=(one.handler,), name="cairn tap")
             for one in self._subscribers
         ]
-        self._threads.append(threading.Thread(target=self._follow_graph, name="cairn tap graph"))
+        if not is_client:
+            self._threads.append(
+                threading.Thread(target=self._follow_graph, name="cairn tap graph")
+            )
         for thread in self._threads:
             thread.daemon = True
             thread.start()
@@ -161,10 +169,13 @@ class ZenohTap:
         if self._closed:
             return
         self._closed = True
+        if self._reader is not None:
+            self._reader.close()
         with suppress(zenoh.ZError):  # the session is closed
             for subscriber in self._subscribers:
                 subscriber.undeclare()
-            self._token_subscriber.undeclare()
+            if self._token_subscriber is not None:
+                self._token_subscriber.undeclare()
         with suppress(queue.Full):
             self._tokens.put_nowait(None)
         for thread in self._threads:
@@ -198,6 +209,8 @@ class ZenohTap:
                     self.refused += 1
                     return
                 numbers = self._followed[gid] = _Numbers()
+                if self._reader is not None and gid not in self._known:
+                    self._reader.read_soon()
             if attachment is None:
                 number = numbers.last + 1
             if not numbers.accept(number, cached=cached):
@@ -224,24 +237,43 @@ class ZenohTap:
         self._keys[key] = parsed
         return parsed
 
+    def _queue_token(self, token: zenoh.Sample) -> None:
+        with suppress(queue.Full):  # such a graph is forged
+            self._tokens.put_nowait(token)
+
     def _follow_graph(self) -> None:
         while (token := self._tokens.get()) is not None:
+            key = str(token.key_expr)
             try:
-                entity = keys.parse_token(str(token.key_expr))
+                entity = keys.parse_token(key)
             except keys.WireFormatError:
                 continue
-            if not isinstance(entity, keys.EndpointEntity) or not self._wanted.match(entity.topic):
-                continue
-            gid = keys.gid(str(token.key_expr))
-            if token.kind == zenoh.SampleKind.DELETE:
-                if gid in self._known:
-                    self._ended[gid] = None
-            elif gid in self._known:
-                self._ended.pop(gid, None)
-            elif len(self._known) < _MAX_PUBLISHERS:
-                self._known[gid] = PublisherInfo(entity.node.name, entity.qos)
-                if entity.qos.latched:  # it may have published before it knew of this tap
-                    self._ask_caches(entity.data_key)
+            if isinstance(entity, keys.EndpointEntity):
+                self._note(key, entity, ended=token.kind == zenoh.SampleKind.DELETE)
+
+    def _note_all(self, endpoints: Mapping[str, keys.EndpointEntity]) -> None:
+        """Note the publishers that have appeared or ended since the last reading."""
+        before, self._present = self._present, endpoints
+        for key, entity in endpoints.items():
+            if key not in before:
+                self._note(key, entity, ended=False)
+        for key, entity in before.items():
+            if key not in endpoints:
+                self._note(key, entity, ended=True)
+
+    def _note(self, key: str, entity: keys.EndpointEntity, *, ended: bool) -> None:
+        if not self._wanted.match(entity.topic):
+            return
+        gid = keys.gid(key)
+        if ended:
+            if gid in self._known:
+                self._ended[gid] = None
+        elif gid in self._known:
+            self._ended.pop(gid, None)
+        elif len(self._known) < _MAX_PUBLISHERS:
+            self._known[gid] = PublisherInfo(entity.node.name, entity.qos)
+            if entity.qos.latched:  # it may have published before it knew of this tap
+                self._ask_caches(entity.data_key)
 
     def _ask_caches(self, key: str) -> None:
         """Have the latched publishers of a key send what they keep, without waiting."""

@@ -83,7 +83,9 @@ class Recorder(Component):
             log=self.log,
         )
         if isinstance(bus, ZenohBus):
-            tap: Tap = ZenohTap(bus.session, bus.domain, recorder.receive, recorder.topics)
+            tap: Tap = ZenohTap(
+                bus.session, bus.domain, recorder.receive, recorder.topics, is_client=False
+            )
         else:
             assert isinstance(bus, LockstepBus)
             tap = LockstepTap(bus, self.clock.now, recorder.receive, recorder.topics)

@@ -1,8 +1,9 @@
 """A bus declares and sends in rmw_zenoh's format, as seen by a bare Zenoh session."""
 
+import queue
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,16 @@ import zenoh
 
 from cairn import LATCHED, SENSOR, CairnError, Qos
 from cairn.bus.codec import Codec
-from cairn.bus.graph import read_graph
-from cairn.bus.keys import Attachment, EndpointEntity, NodeEntity, gid, token_key, tokens_pattern
+from cairn.bus.graph import GraphReader, read_graph
+from cairn.bus.keys import (
+    Attachment,
+    EndpointEntity,
+    NodeEntity,
+    endpoints_pattern,
+    gid,
+    token_key,
+    tokens_pattern,
+)
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
@@ -117,6 +126,30 @@ def test_graph_lists_nodes_alive_and_omits_closed_ones(network: Network) -> None
 
 def _names(network: Network) -> list[str]:
     return [one.name for one in network.graph() if isinstance(one, NodeEntity)]
+
+
+def test_client_is_shown_endpoints_that_appear_and_end(network: Network) -> None:
+    first = node(network.bus(), "/robot/first")
+    first.advertise("/robot/word", String, SENSOR)
+    reported: queue.Queue[list[str]] = queue.Queue()
+
+    def report(found: Mapping[str, EndpointEntity]) -> None:
+        reported.put(sorted(one.topic for one in found.values()))
+
+    with open_client([network.endpoint]) as client:
+        reader = GraphReader(client, endpoints_pattern(0, kind="MP"), report)
+        assert reported.get(timeout=LIMIT_S) == ["/robot/word"]
+        second = node(network.bus(), "/robot/second")
+        second.advertise("/robot/twist", Twist, SENSOR)
+        reader.read_soon()
+        assert reported.get(timeout=LIMIT_S) == ["/robot/twist", "/robot/word"]
+        second.close()
+        assert reported.get(timeout=LIMIT_S) == ["/robot/word"]
+
+        reader.close()
+        first.close()
+        assert eventually(lambda: network.graph() == [])
+        assert reported.empty()
 
 
 def test_router_that_does_not_list_the_graph_in_time_is_an_error() -> None:

@@ -52,8 +52,9 @@ def await_subscriber(session: zenoh.Session, key: str) -> None:
     publisher.undeclare()
 
 
+@pytest.mark.parametrize("is_client", [True, False])
 def test_tap_delivers_latched_messages_of_before_and_all_later_ones_once(
-    bus: ZenohBus, client: zenoh.Session
+    bus: ZenohBus, client: zenoh.Session, is_client: bool
 ) -> None:
     node = bus.node("/robot/node", print)
     early = node.advertise("/robot/early", String, LATCHED.with_depth(2))
@@ -61,13 +62,20 @@ def test_tap_delivers_latched_messages_of_before_and_all_later_ones_once(
         early.publish(String(data=text))
     got: list[Sample] = []
 
-    tap = ZenohTap(client, 0, got.append)
+    tap = ZenohTap(client, 0, got.append, is_client=is_client)
     await_that(lambda: len(got) == 2)
     for text in ("4", "5"):
         early.publish(String(data=text))
-    late = node.advertise("/robot/late", String, LATCHED)
+    late_node = bus.node("/robot/late_node", print)
+    late = late_node.advertise("/robot/late", String, LATCHED)
     late.publish(String(data="late"))
     await_that(lambda: len(got) == 5)
+    late_gid = got[-1].gid if got[-1].topic == "/robot/late" else got[-2].gid
+    await_that(lambda: tap.publisher(late_gid) is not None)
+    assert tap.is_present(late_gid)
+    late_node.close()
+    await_that(lambda: not tap.is_present(late_gid))
+    assert tap.is_present(got[0].gid)
     tap.close()
 
     codec = Codec()
