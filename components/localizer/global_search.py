@@ -209,10 +209,7 @@ def _apart(poses: Array, count: int) -> list[Array]:
 
 def _on_rings(recent: RecentMeasurements, count: int, random: np.random.Generator) -> list[Array]:
     newest = {
-        entry.observation.object_id: entry
-        for entry in recent.observations.entries
-        if entry.observation.object_id in recent.landmarks
-        and recent.landmarks[entry.observation.object_id].live
+        entry.observation.object_id: entry for entry in recent.observations.usable(recent.landmarks)
     }
     rings = []
     for object_id, entry in newest.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,9 @@ ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 # Observations nearer than this count as so far away [m], where the bearing is no longer linear in
 # the position. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
 _NEAR_M = 0.3
+# An object that was recognized in less than this share of so many images from one pose was confused
+# with another one. A robot that stands never sees it from elsewhere, so it would count for ever.
+_CONFUSED_SHARE, _CONFUSED_IMAGES = 0.1, 20
 # Seconds of motion, and observations of each object, that are kept: odometry drifts by 0.16 m and
 # 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],
 # [rad/sqrt(s)]: a little more than those of the parameter `base`.
@@ -45,11 +48,21 @@ _BLOCK = 512
 
 @dataclass(frozen=True)
 class TimedObservation:
-    """An observation, the dead-reckoned pose it was made from and the seconds moved until then."""
+    """An observation, the dead-reckoned pose it was made from and the seconds moved until then.
+
+    From about that pose its object was `seen` in so many of so many `images`, since the first time.
+    """
 
     observation: Observation
     at: Pose
     moved_s: float
+    seen: int = 1
+    images: int = 1
+
+    @property
+    def is_confusion(self) -> bool:
+        """Whether too few images show the object for it to be there."""
+        return self.images >= _CONFUSED_IMAGES and self.seen < _CONFUSED_SHARE * self.images
 
 
 @dataclass(frozen=True)
@@ -95,16 +108,26 @@ class RecentObservations:
         self.entries.clear()
 
     def add(self, observations: Sequence[Observation], at: Pose, moved_s: float) -> None:
-        """Add observations made from `at`; those of one object only from different poses."""
-        kept = [e for e in self.entries if moved_s - e.moved_s <= self.horizon_s]
+        """Add an image's observations, made from `at`; those of one object only from different
+        poses.
+        """
+        kept = [
+            one
+            if apart(one.at, at, ANOTHER_M, ANOTHER_RAD)
+            else replace(one, images=one.images + 1)
+            for one in self.entries
+            if moved_s - one.moved_s <= self.horizon_s
+        ]
         for observation in observations:
+            new = TimedObservation(observation, at, moved_s)
             same = [e for e in kept if e.observation.object_id == observation.object_id]
             if same and not apart(same[-1].at, at, ANOTHER_M, ANOTHER_RAD):
                 # The newest pose is better: its odometry has drifted least.
                 kept.remove(same[-1])
+                new = replace(new, seen=same[-1].seen + 1, images=same[-1].images)
             elif len(same) >= self.per_object:
                 kept.remove(same[0])
-            kept.append(TimedObservation(observation, at, moved_s))
+            kept.append(new)
         self.entries = kept
 
     def log_likelihood(
@@ -118,7 +141,7 @@ class RecentObservations:
         """Return the log-likelihood (n,) of all observations but `left_out`'s if the robot were
         now at `poses`.
         """
-        entries = self._usable(landmarks, left_out)
+        entries = self.usable(landmarks, left_out)
         total = np.zeros(poses.shape[1])
         if not entries:
             return total
@@ -144,32 +167,42 @@ class RecentObservations:
     ) -> PoseSupport:
         """Return how many positions of objects (but `left_out`) agree with and contradict
         `pose`.
+
+        What one image alone shows does not contradict: it may be another object.
         """
-        entries = self._usable(landmarks, left_out)
+        entries = self.usable(landmarks, left_out)
         if not entries:
             return PoseSupport(0, 0)
         mean = np.asarray(pose.mean)[:, None]
         nis = self._nis(mean, entries, now, moved_s, landmarks, pose.covariance)[:, 0]
         best: dict[int, list[float]] = {}
+        seen: Counter[int] = Counter()
         for value, entry in zip(nis, entries, strict=True):
             best.setdefault(entry.observation.object_id, []).append(float(value))
+            seen[entry.observation.object_id] += entry.seen
         medians = {key: sorted(values)[len(values) // 2] for key, values in best.items()}
         return PoseSupport(
             _distinct_positions(
                 [landmarks[key] for key, value in medians.items() if value <= AGREES]
             ),
             _distinct_positions(
-                [landmarks[key] for key, value in medians.items() if value > CONTRADICTS]
+                [
+                    landmarks[key]
+                    for key, value in medians.items()
+                    if value > CONTRADICTS and seen[key] > 1
+                ]
             ),
         )
 
-    def _usable(
-        self, landmarks: Mapping[int, Landmark], left_out: int | None
+    def usable(
+        self, landmarks: Mapping[int, Landmark], left_out: int | None = None
     ) -> list[TimedObservation]:
+        """Return those of mapped objects but `left_out`, without confusions, the oldest first."""
         return [
             entry
             for entry in self.entries
-            if entry.observation.object_id != left_out
+            if not entry.is_confusion
+            and entry.observation.object_id != left_out
             and entry.observation.object_id in landmarks
             and landmarks[entry.observation.object_id].live
         ]

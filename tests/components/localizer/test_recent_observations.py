@@ -31,6 +31,36 @@ def test_true_pose_is_supported_by_all_objects_around_it(heading: float) -> None
     assert support == PoseSupport(agreeing=len(LANDMARKS), contradicting=0)
 
 
+def test_confused_objects_do_not_contradict_the_pose_of_a_robot_that_stands_for_long() -> None:
+    here = (0.0, 0.0, 0.0)
+    recent = RecentObservations()
+    random = np.random.default_rng(0)
+    contradicting = []
+    for _ in range(3000):  # ten minutes
+        ids = [0, 1]  # what is there, with one percent of confusions
+        ids = [int(random.integers(2, 8)) if random.random() < 0.01 else one for one in ids]
+        bearings = (math.radians(15), math.radians(60))
+        made = [Observation(i, 2.0, b, 0.01, 0.0003) for i, b in zip(ids, bearings, strict=True)]
+        recent.add(made, here, 0.0)
+        support = recent.support(PoseEstimate(here, np.eye(3) * 1e-4), here, 0.0, LANDMARKS)
+        contradicting.append(support.contradicting)
+
+    assert support.agreeing == 2
+    assert np.mean(contradicting) < 0.05
+
+
+def test_object_contradicts_the_pose_once_two_images_show_it_elsewhere() -> None:
+    here = (0.0, 0.0, 0.0)
+    recent = RecentObservations()
+    contradicting = []
+    for _ in range(2):
+        recent.add([Observation(0, 1.0, 0.0, 0.01, 0.0003)], here, 0.0)
+        support = recent.support(PoseEstimate(here, np.eye(3) * 1e-4), here, 0.0, LANDMARKS)
+        contradicting.append(support.contradicting)
+
+    assert contradicting == [0, 1]
+
+
 def test_memory_for_the_poses_of_a_global_search_does_not_grow_with_the_observations() -> None:
     recent = RecentObservations()
     for moved_s in range(4):
