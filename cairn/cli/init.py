@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import keyword
 import re
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from typing import Annotated
@@ -17,8 +19,8 @@ from cairn.errors import CairnError
 _FIRST_MAP = "ground_floor"
 _SKELETON = Path(__file__).parent / "skeleton"
 _RENAMED = {"package": "{package}", "deployment.yaml": "{package}.yaml", "gitignore": ".gitignore"}
-# Modules of these names would hide Python's, Cairn's, or the skeleton's own.
-_RESERVED = frozenset({"cairn", "test", "tests", "deploy", "site", "code", "typing", "random"})
+# Packages of these names would hide what the skeleton itself has.
+_RESERVED = frozenset({"tests", "deploy"})
 
 
 def init(
@@ -49,12 +51,15 @@ def init(
 
 def _package_name(folder: Path) -> str:
     name = folder.name
-    if not re.fullmatch("[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
+    if keyword.iskeyword(name):
+        raise CairnError(f"{name} is a keyword of Python, not the name of a package; give another")
+    if not re.fullmatch("[a-z][a-z0-9_]*", name):
         raise CairnError(
             f"{name!r} is not the name of a Python package; write lowercase letters, digits and "
             "underscores, as in my_robot"
         )
-    if name in _RESERVED:
+    # In its folder, `import` finds the package in place of an installed one of the same name.
+    if name in _RESERVED or name in sys.stdlib_module_names or find_spec(name) is not None:
         raise CairnError(f"a package {name} would hide another one; give another name")
     return name
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,6 +26,8 @@ from cairn.errors import CairnError
 from cairn.recording.recorder import Recorder, RecorderSettings, RecorderStatus
 from cairn.recording.run_attachments import MessageClasses, as_json, run_attachments, versions
 from cairn.recording.tap import ZenohTap
+from cairn.recording.topics import TopicPatterns
+from cairn.recording.triggers import Condition
 from cairn.runtime.parameters import error_reason
 from cairn.signal_handlers import signal_handlers
 
@@ -118,6 +121,7 @@ def record(
             tap = ZenohTap(connection.session, domain, recorder.receive, recorder.topics)
             try:
                 recorder.start(tap)
+                _note_missing(connection, settings, robot)
                 if not json:
                     files = recorder.status().files  # none before a trigger
                     note(f"recording to {files[0] if files else path}; Ctrl-C ends it")
@@ -145,12 +149,29 @@ def _settings(**values: Any) -> RecorderSettings:
         raise CairnError(f"cairn record: {wrong}") from error
 
 
+def _note_missing(connection: Connection, settings: RecorderSettings, robot: str) -> None:
+    """Note the topics that have no publisher so far: their names may be misspelled."""
+    published = {end.topic for end in connection.endpoints() if end.kind == "MP"}
+    triggers = [Condition(text, robot).patterns for text in settings.triggers]
+    for wanted in [*(TopicPatterns([text], robot) for text in settings.topics), *triggers]:
+        if any(wanted.match(topic) for topic in published):
+            continue
+        name = wanted.patterns[0].removeprefix("/*/")
+        shorts = {topic.split("/", 2)[-1]: topic for topic in sorted(published)}
+        close = get_close_matches(name.split("/", 2)[-1], shorts)
+        guess = f"; did you mean {' or '.join(shorts[one] for one in close)}?" if close else ""
+        note(f"{name} has no publisher so far{guess}")
+
+
 def _wait(
     recorder: Recorder, connection: Connection, bell: Bell, ended: list[int], duration: float | None
 ) -> None:
-    """Wait for a signal, the end of the deployment, or of the duration [s]; pass triggers on."""
+    """Wait for a signal, the end of the deployment, or of the duration [s]; pass triggers on.
+
+    A trigger that cannot work ends it, too: it would keep watch in vain.
+    """
     deadline = None if duration is None else time.monotonic() + duration
-    while recorder.failure is None:
+    while recorder.failure is None and not recorder.trigger_problem:
         left = _ALIVE_S if deadline is None else min(_ALIVE_S, deadline - time.monotonic())
         if left <= 0:
             return

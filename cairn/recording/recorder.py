@@ -269,6 +269,11 @@ class Recorder:
         """Whether it writes everything, without a trigger."""
         return self.settings.last_s == 0
 
+    @property
+    def trigger_problem(self) -> str:
+        """Why a trigger cannot work: a message that came has no such number; "" if all can."""
+        return self._triggers.problem
+
     def start(self, tap: Tap) -> None:
         """Start to record what a tap delivers to `receive`.
 
@@ -348,7 +353,7 @@ class Recorder:
             lost={} if tap is None else self._lost(tap),
             refused=self._refused + (0 if tap is None else tap.refused),
             paused=self._paused,
-            problem=self._problem or self._triggers.problem,
+            problem=self._problem or self.trigger_problem,
         )
 
     def close(self) -> RecorderStatus:

@@ -44,7 +44,10 @@ def test_robot_of_the_skeleton_drives_and_maps_with_its_own_name(folder: Path) -
     assert cairn("check", str(robot), *overlays).code == 0
 
 
-@pytest.mark.parametrize("name", ["My_Robot", "my-robot", "1robot", "class", "cairn", "tests"])
+@pytest.mark.parametrize(
+    "name",
+    ["My_Robot", "my-robot", "1robot", "class", "cairn", "tests", "numpy", "json"],
+)
 def test_name_that_no_package_can_have_is_rejected(folder: Path, name: str) -> None:
     answer = cairn("init", name)
 
