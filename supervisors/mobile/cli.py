@@ -240,13 +240,18 @@ def _without_numbers(cause: str) -> str:
 
 
 def progress_line(status: NavigationStatus, printed_cause: str = "") -> str:
-    """Return the progress as a line; a cause that was printed last is not repeated."""
+    """Return the progress as a line.
+
+    A cause that was printed last is not repeated, but for what holds the robot on its way.
+    """
     of = f"goal {status.goal + 1} of {status.goals}: " if status.goals > 1 else ""
     left = ""
-    if status.state == NavigationStatus.DRIVING and status.distance_left > 0.0:
-        left = f": {status.distance_left:.1f} m left, about {status.time_left:.0f} s"
+    is_driving = status.state == NavigationStatus.DRIVING
+    if is_driving and status.distance_left > 0.0:
+        left = f": {status.distance_left:.1f} m left"
+        left += "" if status.reason else f", about {status.time_left:.0f} s"
     reason, cause = status.reason, cause_of(status)
-    if cause and _without_numbers(cause) == _without_numbers(printed_cause):
+    if cause and not is_driving and _without_numbers(cause) == _without_numbers(printed_cause):
         reason = reason.removesuffix(cause).removesuffix(": ")
     why = f"{', but' if left else ':'} {reason}" if reason else ""
     return f"{status.elapsed:6.1f} s  {of}{NAVIGATION_STATES[status.state]}{left}{why}"

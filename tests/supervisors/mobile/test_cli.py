@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -79,6 +80,17 @@ def test_a_cause_is_printed_once() -> None:
         "   0.0 s  recovering: give way (2 of 4)",
         "   0.0 s  recovering: go near (3 of 4)",
     ]
+
+
+def test_what_holds_the_robot_is_printed_as_long_as_it_does() -> None:
+    status = NavigationStatus(state=NavigationStatus.DRIVING, distance_left=4.8, time_left=12.0)
+    held = replace(status, reason="stopped by the velocity gate: emergency stop")
+
+    assert progress_line(status) == "   0.0 s  driving: 4.8 m left, about 12 s"
+    again = progress_line(held, held.reason)
+    assert (
+        again == "   0.0 s  driving: 4.8 m left, but stopped by the velocity gate: emergency stop"
+    )
 
 
 class Statuses:
