@@ -137,8 +137,8 @@ class CampaignReport:
         lines += [
             "## Processes",
             "",
-            "| process | starts | memory: first sixth | last sixth | largest [MiB] | descriptors "
-            "| threads |",
+            "| process | starts | anonymous memory: first sixth | last sixth | largest [MiB] "
+            "| descriptors | threads |",
             "|---|---|---|---|---|---|---|",
         ]
         lines += [
@@ -146,7 +146,13 @@ class CampaignReport:
             f"{use.memory_mib:.1f} | {use.descriptors} | {use.threads} |"
             for name, use in self.processes.items()
         ]
-        lines += ["", "Descriptors and threads are the largest values.", ""]
+        lines += [
+            "",
+            "Anonymous memory is what no file backs. It includes what components share with the "
+            "process from which they were forked, so it is more than `cairn ps` shows. Descriptors "
+            "and threads are the largest values.",
+            "",
+        ]
         lines += ["## Faults", "", "```text"]
         for fault in self.faults:
             lines.append(str(fault))

@@ -477,8 +477,10 @@ def read_bag(path: Path) -> BagContents:
                 damaged.append(f"a message of {topic.name} is damaged: {error_text(error)}")
                 continue
             messages.setdefault(topic.name, []).append((received, message))
-        if not bag.counts.total():
+        if not bag.counts.total() and bag.lost:
             raise ValueError("; ".join(["it holds no message that can be read", *bag.lost[:5]]))
+        if not bag.counts.total():
+            raise RecordingError(f"{path} holds no message: nothing was recorded")
         if damaged and not messages:
             raise ValueError(damaged[0])
     for of in messages.values():

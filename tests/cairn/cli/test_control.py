@@ -55,6 +55,7 @@ def test_unknown_names_are_reported_with_the_known_ones(command: Command) -> Non
     assert unknown.code == 1
     assert "there is no absent on the bus" in unknown.err
     assert "beacon" in unknown.err
+    assert_words(command("restart", "root").err, "/rover/root", "no supervisor", "`cairn up`")
     lost = command("ps", "--robot", "tower")
     assert lost.code == 1
     assert "robot tower" in lost.err

@@ -271,6 +271,16 @@ def test_cut_off_mcap_file_is_read_up_to_there_with_a_note(tmp_path: Path) -> No
     assert any("cut off at byte" in note for note in recording.notes())
 
 
+def test_whole_mcap_file_without_messages_is_not_called_damaged(tmp_path: Path) -> None:
+    with (tmp_path / "empty.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        writer.finish()
+
+    with pytest.raises(RecordingError, match=r"empty.mcap holds no message: nothing was recorded$"):
+        open_recording(tmp_path / "empty.mcap")
+
+
 def test_mcap_file_without_readable_messages_is_rejected_with_a_remedy(tmp_path: Path) -> None:
     (file,) = ros2(tmp_path / "bag", drive(), StoragePlugin.MCAP).glob("*.mcap")
     cut = tmp_path / "cut.mcap"
