@@ -168,7 +168,7 @@ def _wait(
 ) -> None:
     """Wait for a signal, the end of the deployment, or of the duration [s]; pass triggers on.
 
-    A trigger that cannot work ends it, too: it would keep watch in vain.
+    A trigger that cannot work ends it, too: nothing would be recorded.
     """
     deadline = None if duration is None else time.monotonic() + duration
     while recorder.failure is None and not recorder.trigger_problem:
