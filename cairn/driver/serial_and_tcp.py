@@ -26,6 +26,8 @@ _CAUSES = {
     errno.EAGAIN: "another program has it open; `cairn doctor` shows which",
     errno.EACCES: "permission denied; the user is not in the device's group; `cairn doctor` shows "
     "the remedy",
+    errno.ENOENT: "No such file or directory; plug the device in, or correct the name; `cairn "
+    "doctor` lists what is connected",
     errno.ENOTTY: "it is not a serial port",
     errno.ECONNRESET: "it has closed the connection; perhaps another program is connected to it",
 }
