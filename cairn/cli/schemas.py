@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -144,9 +145,10 @@ def export_types(
 def find_type(name: str) -> type[Any]:
     """Return the class of a message, service or action; `CairnError` if there is none.
 
-    The plugins, which take time, are imported only for a type that is not known without them.
+    A name without its package will do if only one has it. The plugins, which take time, are
+    imported only for a type that is not known without them.
     """
-    full = full_type_name(name)
+    full = full_type_name(name) if "/" in name else _with_package(name)
     try:
         return interface(full)
     except DefinitionError as error:
@@ -160,6 +162,19 @@ def find_type(name: str) -> type[Any]:
             f"unknown type {name}; {suggestion(full, names)} (`cairn schema list` lists all: those "
             "of ROS 2 and Cairn, of imported packages, and of the ports of installed plugins)"
         ) from error
+
+
+def _with_package(name: str) -> str:
+    names = sorted({*interface_type_names(), *messages_of_plugins()})
+    found = [full for full in names if full.rpartition("/")[2] == name]
+    if len(found) > 1:
+        raise CairnError(f"{name}: several packages have it: {', '.join(found)}; give one of these")
+    if not found:
+        close = get_close_matches(name, dict.fromkeys(full.rpartition("/")[2] for full in names))
+        found = [full for full in names if full.rpartition("/")[2] in close]
+        guess = f"did you mean {' or '.join(found)}?" if found else "give it with its package"
+        raise CairnError(f"unknown type {name}; {guess} (`cairn schema list` lists all)")
+    return found[0]
 
 
 def find_message(name: str) -> type[Any]:

@@ -69,6 +69,7 @@ def test_service_and_action_are_shown_as_their_files_with_the_messages_in_them()
     assert "\nMSG: builtin_interfaces/Duration\n" in action
     assert "MSG: builtin_interfaces/Time" not in action  # which only ROS 2's own types need
     assert cairn("schema", "show", "std_msgs/Empty").out.startswith("# std_msgs/msg/Empty\n")
+    assert cairn("schema", "show", "LaserScan").out.startswith("# sensor_msgs/msg/LaserScan\n")
 
 
 def test_shown_json_has_the_official_type_description() -> None:
@@ -89,7 +90,9 @@ def test_part_of_an_action_is_shown() -> None:
     ("name", "words"),
     [
         ("std_msgs/msg/Strng", ("unknown type std_msgs/msg/Strng", "std_msgs/msg/String")),
-        ("Strng", ("'Strng'", "not the name of a ROS 2 interface")),
+        ("Strng", ("unknown type Strng; did you mean", "std_msgs/msg/String?")),
+        ("Empty", ("Empty: several packages have it", "std_msgs/msg/Empty, std_srvs/srv/Empty")),
+        ("std_msgs/a/b/c", ("'std_msgs/a/b/c'", "not the name of a ROS 2 interface")),
         ("no_msgs/msg/X", ("unknown type no_msgs/msg/X", "cairn schema list")),
     ],
 )
