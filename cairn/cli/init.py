@@ -5,7 +5,7 @@ from __future__ import annotations
 import keyword
 import re
 import sys
-from importlib.util import find_spec
+from importlib.machinery import PathFinder
 from pathlib import Path
 from string import Template
 from typing import Annotated
@@ -35,9 +35,9 @@ def init(
 
     Its tests pass as written. The README in the folder explains the next steps.
     """
-    package = _package_name(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CairnError(f"{folder} exists and is not an empty folder; give another name")
+    package = _package_name(folder)
     names = {"package": package, "project": package.replace("_", "-")}
     try:
         count = _write(folder, names)
@@ -59,7 +59,9 @@ def _package_name(folder: Path) -> str:
             "underscores, as in my_robot"
         )
     # In its folder, `import` finds the package in place of an installed one of the same name.
-    if name in _RESERVED or name in sys.stdlib_module_names or find_spec(name) is not None:
+    installed = PathFinder.find_spec(name)
+    hides = installed is not None and installed.origin is not None
+    if name in _RESERVED or name in sys.stdlib_module_names or hides:
         raise CairnError(f"a package {name} would hide another one; give another name")
     return name
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from cairn.components.localizer.global_search import GlobalSearchResult, RecentM
 from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.particle_set import PoseEstimate, carry, estimate
 from cairn.components.localizer.pose_health import FITS
-from cairn.components.localizer.recent_observations import TOGETHER_M
+from cairn.components.localizer.recent_observations import TOGETHER_M, RecentObservations
 from cairn.components.localizer.scan_fit import usual_fit
 from cairn.planar.poses import Pose, apart, compose, distance, relative, wrap
 from cairn.schemas.cairn_nav_msgs import Reason, ReasonCode
@@ -33,8 +33,8 @@ PROBATION_S = 30.0
 # may prefer another position for so long a distance [m].
 _CONFIRMATIONS, _CONFIRM_EVERY_M, _UNDISPUTED_M = 3, 0.2, 1.0
 # Objects may have been moved. Where they contradict a position, scans must decide alone: searches
-# in a row from so many poses, so far apart [m], [rad], must find the robot there unambiguously,
-# and the map must explain the scans there beyond doubt (`_DOUBTFUL_FIT`).
+# in a row from so many poses, so far apart [m], [rad], must find the robot there, unambiguously
+# also without the objects, and the map must explain the scans beyond doubt (`_DOUBTFUL_FIT`).
 _VIEWPOINTS, _ANOTHER_M, _ANOTHER_RAD = 3, 0.2, 0.35
 # Another pose must explain the recent measurements better by this log-likelihood [nats]: errors
 # that successive observations have in common are worth 2 to 4.
@@ -58,6 +58,7 @@ _UNAMBIGUOUS = 0.9
 # Without scans, a robot waits so long [s] for a second object before it believes a result by one
 # object; or for the particles around the only object to narrow to this spread [m].
 _WAIT_FOR_SECOND_S, _WAIT_FOR_SPREAD_S, _ONE_OBJECT_SPREAD_M = 15.0, 10.0, 0.8
+_MOST_NATS = 100.0  # that no exponential function overflows
 # A search result that is wider than this [m] is not one position.
 _WIDEST_M = 0.5
 # Poses that differ by less than this [m], [rad] are the same position; the modes of a search are as
@@ -69,15 +70,15 @@ _JUST_FOUND = Reason(
 
 
 @dataclass(frozen=True)
-class _Guess:
-    """Where the last searches in a row found the robot, carried to the dead-reckoned pose `now`.
+class _Streak:
+    """Where scans alone have found the robot in all of the last searches.
 
-    `viewpoints` of them were so far apart that each brought another scan, the last at `seen_from`.
+    `pose` is that at the dead-reckoned pose `now`; from `viewpoints` of the poses, the last of
+    them `seen_from`, each scan was another one.
     """
 
     pose: Pose
     now: Pose
-    searches: int
     viewpoints: int
     seen_from: Pose
 
@@ -95,7 +96,8 @@ class Relocalizer:
         self._modes: tuple[Array, Pose] | None = (
             None  # of the last search, and the dead-reckoned pose
         )
-        self._guess: _Guess | None = None
+        self._guess: tuple[Pose, Pose] | None = None  # the last result, and the dead-reckoned pose
+        self._streak: _Streak | None = None
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
         self._confirmed_at: Pose = (0.0, 0.0, 0.0)  # dead-reckoned, as all poses here
@@ -109,7 +111,7 @@ class Relocalizer:
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
         self._fit = self._usual = 1.0
-        self._guess = self._modes = None
+        self._guess = self._modes = self._streak = None
 
     def confirmed(self, stamp: float) -> bool:
         """Whether no other position than the current one is likely any more."""
@@ -172,18 +174,20 @@ class Relocalizer:
             return None
         self._searched_at = stamp
         found = self._search(recent)
+        streak, self._streak = self._streak, None
         if found is None:
             self._guess = None
             return None
         if found.support.contradicting >= max(1, found.support.agreeing):
-            return self._against_objects(stamp, recent, found)
+            self._guess = None
+            return self._against_objects(stamp, recent, found, streak)
         waited = stamp - self._first_measured
         firm = found.support.agreeing >= 2 or found.fit >= FITS
         if found.share >= _UNAMBIGUOUS and (
             firm or (waited >= _WAIT_FOR_SECOND_S and not recent.scanned)
         ):
             # Two modes take turns while there are few measurements: believe the one that stays.
-            if self._found_again(found.pose.mean, recent.now).searches > 1:
+            if self._found_again(found.pose.mean, recent.now):
                 self.start_probation(stamp, recent.now)
                 return found.poses
         elif (
@@ -203,6 +207,7 @@ class Relocalizer:
         self._searched_at = stamp
         self._away_m = max(self._away_m, distance(recent.now, self._found_at))
         found = self._search(recent)
+        streak, self._streak = self._streak, None
         if found is None or found.pose.spread > _WIDEST_M:
             self._confirmations = 0
             return None
@@ -223,7 +228,7 @@ class Relocalizer:
         # position.
         refuted = found.score - float(score[0]) >= REFUTED and found.fit >= FITS
         if support.contradicting > support.agreeing:
-            return self._against_objects(stamp, recent, found)
+            return self._against_objects(stamp, recent, found, streak, here)
         if found.share < _UNAMBIGUOUS and not refuted:
             return None
         fits = recent.scanned and found.fit >= max(FITS, recent.fit(here))
@@ -231,7 +236,7 @@ class Relocalizer:
             return None
         # Positions that look alike take turns while there are few measurements: believe the one
         # that stays.
-        again = self._found_again(found.pose.mean, recent.now).searches > 1
+        again = self._found_again(found.pose.mean, recent.now)
         if not again and support.agreeing < 2:
             return None
         self.start_probation(stamp, recent.now)
@@ -246,29 +251,46 @@ class Relocalizer:
             self._confirmed_at = now
 
     def _against_objects(
-        self, stamp: float, recent: RecentMeasurements, found: GlobalSearchResult
+        self,
+        stamp: float,
+        recent: RecentMeasurements,
+        found: GlobalSearchResult,
+        streak: _Streak | None,
+        here: PoseEstimate | None = None,
     ) -> Array | None:
-        """Return the poses (3, n) of a search that objects contradict, once scans decide alone."""
-        scanned = recent.scanned and found.fit >= _DOUBTFUL_FIT
-        if not scanned or found.share < _UNAMBIGUOUS:
-            self._guess = None
+        """Return the poses (3, n) of a search that objects contradict, once scans decide alone.
+
+        `streak`: of the searches before; `here`: the robot's pose, if it has one.
+        """
+        if not recent.scanned or found.fit < _DOUBTFUL_FIT or found.modes is None:
             return None
-        if self._found_again(found.pose.mean, recent.now).viewpoints < _VIEWPOINTS:
+        pose, now = found.pose.mean, recent.now
+        alone = replace(recent, observations=RecentObservations())
+        score = float(alone.log_likelihood(np.asarray(pose)[:, None])[0])
+        if here is not None:
+            ahead = score - float(alone.log_likelihood(np.asarray(here.mean)[:, None])[0])
+            if ahead < BETTER:
+                return None
+        elsewhere = found.modes[:, [not _same(pose, (x, y, t)) for x, y, t in found.modes.T]]
+        better_by = np.minimum(alone.log_likelihood(elsewhere) - score, _MOST_NATS)
+        if 1.0 / (1.0 + float(np.exp(better_by).sum())) < _UNAMBIGUOUS:
             return None
-        self.start_probation(stamp, recent.now)
+        if streak is None or not _same(compose(streak.pose, relative(streak.now, now)), pose):
+            streak = _Streak(pose, now, 1, now)
+        elif apart(streak.seen_from, now, _ANOTHER_M, _ANOTHER_RAD):
+            streak = _Streak(pose, now, streak.viewpoints + 1, now)
+        else:
+            streak = replace(streak, pose=pose, now=now)
+        if streak.viewpoints < _VIEWPOINTS:
+            self._streak = streak
+            return None
+        self.start_probation(stamp, now)
         return found.poses
 
-    def _found_again(self, pose: Pose, now: Pose) -> _Guess:
-        """Note where a search found the robot; return what searches in a row found there."""
-        last = self._guess
-        if last is None or not _same(compose(last.pose, relative(last.now, now)), pose):
-            guess = _Guess(pose, now, 1, 1, now)
-        elif apart(last.seen_from, now, _ANOTHER_M, _ANOTHER_RAD):
-            guess = _Guess(pose, now, last.searches + 1, last.viewpoints + 1, now)
-        else:
-            guess = _Guess(pose, now, last.searches + 1, last.viewpoints, last.seen_from)
-        self._guess = guess
-        return guess
+    def _found_again(self, pose: Pose, now: Pose) -> bool:
+        """Whether the last search found the robot at the same position, carried on by odometry."""
+        guess, self._guess = self._guess, (pose, now)
+        return guess is not None and _same(compose(guess[0], relative(guess[1], now)), pose)
 
     def _search(self, recent: RecentMeasurements) -> GlobalSearchResult | None:
         known = None

@@ -1,6 +1,8 @@
 """Relocalization: a lost robot is found again, and until when it was certainly not lost."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -73,23 +75,46 @@ def test_position_that_scans_do_not_fit_is_rejected(monkeypatch: pytest.MonkeyPa
     assert recover_twice(monkeypatch, share=0.5, score=REFUTED + 1.0, fit=0.3) == [None, None]
 
 
+@dataclass(frozen=True)
+class Measurements:
+    """Recent measurements of a lost robot, of which the map explains other parts elsewhere."""
+
+    observations: Any
+    now: tuple[float, float, float]
+    score_there: float = 0.0  # of the scans at (5, 1)
+    scanned: bool = True
+
+    def fit(self, _: PoseEstimate) -> float:
+        return 0.2
+
+    def log_likelihood(self, poses: np.ndarray) -> np.ndarray:
+        is_there = np.abs(poses[0] - 5.0 - self.now[0]) < 0.1
+        return np.where(is_there, self.score_there, 0.0)
+
+
 def searches_against_objects(
-    monkeypatch: pytest.MonkeyPatch, ahead_m: list[float], fit: float = 0.9, share: float = 0.95
+    monkeypatch: pytest.MonkeyPatch,
+    ahead_m: Sequence[float | None],
+    fit: float = 0.9,
+    score: float = REFUTED + 1.0,
 ) -> list[bool]:
     """Return which searches move the robot to (5, 1), where two objects contradict.
 
-    Each is made after the robot has driven so far ahead.
+    Each is made after the robot has driven so far ahead; None: it finds the robot's pose. `score`
+    is that of the scans there; elsewhere it is 0.
     """
     one = Relocalizer(1000, np.random.default_rng(0))
     moved = []
     for stamp, ahead in enumerate(ahead_m):
-        there = PoseEstimate((5.0 + ahead, 1.0, 0.0), np.eye(3) * 1e-4)
+        there = HERE
+        if ahead is not None:
+            there = PoseEstimate((5.0 + ahead, 1.0, 0.0), np.eye(3) * 1e-4)
+        modes = np.array([there.mean, (1.0, 5.0, 0.0), (3.0, 2.0, 1.0)]).T
         found = GlobalSearchResult(
-            POSES, there, share, PoseSupport(0, 2), REFUTED + 1.0, fit, POSES
+            POSES, there, 0.95, PoseSupport(0, 2), REFUTED + 1.0, fit, POSES, modes
         )
         monkeypatch.setattr(relocalization, "search", lambda *_, found=found: found)
-        recent = recent_observations()
-        recent.now = (ahead, 0.0, 0.0)
+        recent: Any = Measurements(None, (ahead or 0.0, 0.0, 0.0), score)
         moved.append(one.recover(10.0 + stamp, recent, HERE) is not None)
     return moved
 
@@ -100,15 +125,24 @@ def test_objects_are_outweighed_by_scans_from_three_viewpoints(
     assert searches_against_objects(monkeypatch, [0.0, 0.1, 0.3, 0.4, 0.6]) == [*[False] * 4, True]
 
 
+def test_search_that_finds_the_present_pose_ends_the_series(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert not any(searches_against_objects(monkeypatch, [0.0, 0.3, None, 0.6, 0.9]))
+
+
+DRIVING = (0.0, 0.3, 0.6, 0.9)
+
+
 @pytest.mark.parametrize(
-    ("ahead_m", "fit", "share"),
-    [([0.0] * 6, 0.9, 0.95), ([0.0, 0.3, 0.6, 0.9], 0.7, 0.95), ([0.0, 0.3, 0.6, 0.9], 0.9, 0.5)],
-    ids=["from one pose", "scans fit badly", "ambiguous"],
+    ("ahead_m", "fit", "score"),
+    [((0.0,) * 6, 0.9, 30.0), (DRIVING, 0.7, 30.0), (DRIVING, 0.9, 2.0)],
+    ids=["from one pose", "scans fit badly", "scans are ambiguous"],
 )
 def test_objects_outweigh_weaker_scans(
-    monkeypatch: pytest.MonkeyPatch, ahead_m: list[float], fit: float, share: float
+    monkeypatch: pytest.MonkeyPatch, ahead_m: Sequence[float], fit: float, score: float
 ) -> None:
-    assert not any(searches_against_objects(monkeypatch, ahead_m, fit, share))
+    assert not any(searches_against_objects(monkeypatch, ahead_m, fit, score))
 
 
 def test_kidnapped_robot_stays_in_doubt_while_scans_fit_badly() -> None:
