@@ -5,7 +5,7 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -33,7 +33,7 @@ _CONFIRMED_S = 5.0
 _POLL_S = 0.1
 """Interval for reading what has changed: one thread for all topics, at any rate of changes."""
 
-_READ_S, _SHORTEST_READ_S, _READ_SHARE = 1.0, 0.1, 10.0
+_READ_S, _SHORTEST_READ_S, _READ_SHARE = 1.0, 0.1, 4.0
 """A client reads the graph so often [s], after an unknown endpoint so soon [s], and in all cases
 pauses for so many times as long as it took."""
 
@@ -55,6 +55,20 @@ def read_graph(
     patience_s: float | None = None,
 ) -> list[keys.NodeEntity | keys.EndpointEntity]:
     """Return the nodes and endpoints alive whose tokens match a pattern, sorted by their tokens.
+
+    See `read_tokens`.
+    """
+    return list(read_tokens(session, pattern, timeout_s, patience_s=patience_s).values())
+
+
+def read_tokens(
+    session: zenoh.Session,
+    pattern: str,
+    timeout_s: float = 10.0,
+    *,
+    patience_s: float | None = None,
+) -> dict[str, keys.NodeEntity | keys.EndpointEntity]:
+    """Return the nodes and endpoints alive whose tokens match a pattern, by their sorted tokens.
 
     The router sends all tokens that match, and no others, so the narrowest pattern is the fastest:
     see `cairn.bus.keys`. After `patience_s` [s] it returns what has arrived, perhaps nothing.
@@ -90,7 +104,8 @@ def read_graph(
         if len(tokens) == _MAX_TOKENS:
             _log.warning("graph too large: only the first %d tokens are read", _MAX_TOKENS)
             break
-    return list(_parsed(sorted(tokens)))
+    found = {token: _entity(token) for token in sorted(tokens)}
+    return {token: one for token, one in found.items() if one is not None}
 
 
 class GraphReader:
@@ -134,14 +149,14 @@ class GraphReader:
             self._bell.clear()
             began = time.monotonic()
             try:
-                graph = read_graph(self._session, self._pattern)
+                graph = read_tokens(self._session, self._pattern)
             except zenoh.ZError:
                 return  # the session is closed
             except CairnError as error:
                 _log.warning("%s; trying again", error)
                 continue
             found = {
-                keys.token_key(one): one for one in graph if isinstance(one, keys.EndpointEntity)
+                token: one for token, one in graph.items() if isinstance(one, keys.EndpointEntity)
             }
             if found != known and not self._closed:
                 known = found
@@ -332,7 +347,7 @@ class GraphWatcher:
     ) -> list[Callable[[], None]]:
         """Remember a change; return the calls to make."""
         token = str(sample.key_expr)
-        entity = next(iter(_parsed([token])), None)
+        entity = _entity(token)
         calls: list[Callable[[], None]] = []
         crowded = None
         with self._lock:
@@ -399,9 +414,9 @@ class _Followed:
             return None
 
 
-def _parsed(tokens: Iterable[str]) -> Iterable[keys.NodeEntity | keys.EndpointEntity]:
-    for token in tokens:
-        try:
-            yield keys.parse_token(token)
-        except keys.WireFormatError:
-            continue  # a token of another profile or version, which is not of our graph
+def _entity(token: str) -> keys.NodeEntity | keys.EndpointEntity | None:
+    """Return what a token announces; None if it is of another profile or version."""
+    try:
+        return keys.parse_token(token)
+    except keys.WireFormatError:
+        return None

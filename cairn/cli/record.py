@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+import zenoh
 from pydantic import ValidationError
 
 from cairn.bell import Bell
+from cairn.bus import keys
 from cairn.bus.bus import full_name
+from cairn.bus.graph import read_graph
 from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.cli.output import line, note, print_json
 from cairn.client import ControlError, NoReplyError
@@ -32,6 +35,7 @@ from cairn.runtime.parameters import error_reason
 from cairn.signal_handlers import signal_handlers
 
 _ALIVE_S = 1.0
+_GRAPH_LIMIT_S = 1.0
 _REPLY_LIMIT_S = 15.0
 _PARAMETERS_LIMIT_S = 0.5
 _DEFAULTS = RecorderSettings()
@@ -121,7 +125,8 @@ def record(
             tap = ZenohTap(connection.session, domain, recorder.receive, recorder.topics)
             try:
                 recorder.start(tap)
-                _note_missing(connection, settings, robot)
+                with suppress(CairnError, zenoh.ZError):  # it is a hint only
+                    _note_missing(connection, settings, robot)
                 if not json:
                     files = recorder.status().files  # none before a trigger
                     note(f"recording to {files[0] if files else path}; Ctrl-C ends it")
@@ -151,16 +156,17 @@ def _settings(**values: Any) -> RecorderSettings:
 
 def _note_missing(connection: Connection, settings: RecorderSettings, robot: str) -> None:
     """Note the topics that have no publisher so far: their names may be misspelled."""
-    published = {end.topic for end in connection.endpoints() if end.kind == "MP"}
-    triggers = [Condition(text, robot).patterns for text in settings.triggers]
-    for wanted in [*(TopicPatterns([text], robot) for text in settings.topics), *triggers]:
-        if any(wanted.match(topic) for topic in published):
-            continue
-        name = wanted.patterns[0].removeprefix("/*/")
-        shorts = {topic.split("/", 2)[-1]: topic for topic in sorted(published)}
-        close = get_close_matches(name.split("/", 2)[-1], shorts)
-        guess = f"; did you mean {' or '.join(shorts[one] for one in close)}?" if close else ""
-        note(f"{name} has no publisher so far{guess}")
+    pattern = keys.endpoints_pattern(connection.domain, kind="MP")
+    graph = read_graph(connection.session, pattern, patience_s=_GRAPH_LIMIT_S)
+    published = sorted({one.topic for one in graph if isinstance(one, keys.EndpointEntity)})
+    wanted = [TopicPatterns([text], robot) for text in settings.topics]
+    wanted += [Condition(text, robot).patterns for text in settings.triggers]
+    shorts = {topic.split("/", 2)[-1]: topic for topic in published}
+    for name, one in {one.patterns[0].removeprefix("/*/"): one for one in wanted}.items():
+        if not any(map(one.match, published)):
+            close = get_close_matches(name.split("/", 2)[-1], shorts)
+            guess = f"; did you mean {' or '.join(shorts[found] for found in close)}?"
+            note(f"{name} has no publisher so far{guess if close else ''}")
 
 
 def _wait(
@@ -168,10 +174,10 @@ def _wait(
 ) -> None:
     """Wait for a signal, the end of the deployment, or of the duration [s]; pass triggers on.
 
-    A trigger that cannot work ends it, too: nothing would be recorded.
+    Triggers of which none can work end it, too: nothing would be recorded.
     """
     deadline = None if duration is None else time.monotonic() + duration
-    while recorder.failure is None and not recorder.trigger_problem:
+    while recorder.failure is None and not recorder.cannot_trigger:
         left = _ALIVE_S if deadline is None else min(_ALIVE_S, deadline - time.monotonic())
         if left <= 0:
             return

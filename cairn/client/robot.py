@@ -568,21 +568,24 @@ class Robot:
     def _supervisor_of(self, name: str) -> tuple[str, str]:
         """Return the full name of the supervisor of a component, and the component's short name."""
         known: dict[str, str] = {}
-        running: list[str] = []
+        running: dict[str, str] = {}
         for node, status in self.connection.statuses().items():
             of_robot = node.split("/")[1]
             if self._robot and of_robot != self._robot:
                 continue
-            running.append(node)
+            running[node] = status.machine
             for child in status.children:
                 known[f"/{of_robot}/{child}"] = node
         full = resolve([*known, *running], name, self._robot)
-        if full not in known:
+        short = full.rpartition("/")[2]
+        if full not in known and short in ("root", f"root_{running[full]}"):
             raise CairnError(
                 f"{full} has no supervisor: it is the process of `cairn up`; end that, or start it "
                 "again"
             )
-        return known[full], full.rpartition("/")[2]
+        if full not in known:
+            raise CairnError(f"{full}: its supervisor does not answer; see `cairn ps`")
+        return known[full], short
 
     def _check_logger(self, component: str) -> None:
         writers = {end.node.name for end in self.connection.endpoints(ROSOUT) if end.kind == "MP"}

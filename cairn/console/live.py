@@ -231,12 +231,13 @@ class LiveSource:
 
     def _topics_of(self, endpoints: Mapping[str, keys.EndpointEntity]) -> dict[int, _Topic]:
         """Return the topics that have a publisher, by channel."""
-        found: defaultdict[tuple[str, str, str], list[keys.EndpointEntity]] = defaultdict(list)
-        for one in endpoints.values():
+        found: defaultdict[tuple[str, str, str], dict[str, keys.EndpointEntity]] = defaultdict(dict)
+        for token, one in endpoints.items():
             if one.kind == "MP":
-                found[one.topic, one.type_name, one.type_hash].append(one)
+                found[one.topic, one.type_name, one.type_hash][token] = one
         topics = {}
-        for (name, type_, hash_), publishers in sorted(found.items())[:_MAX_CHANNELS]:
+        for (name, type_, hash_), by_token in sorted(found.items())[:_MAX_CHANNELS]:
+            publishers = list(by_token.values())
             known = self._types.find(type_)
             if known is None:
                 self._learn_types()
@@ -253,7 +254,7 @@ class LiveSource:
             channel = Channel(id_, name, type_, schema, is_latched, depth)
             limit = MAX_MESSAGE_SIZE if known is None else known.max_bytes
             ring = ring_length(max(_RING, depth), limit)
-            gids = frozenset(keys.gid(keys.token_key(one)) for one in publishers)
+            gids = frozenset(map(keys.gid, by_token))
             topics[id_] = _Topic(channel, publishers[0].data_key, ring, gids)
         return topics
 

@@ -38,8 +38,9 @@ _log = logging.getLogger("cairn.recording")
 _PERIOD_S = 0.5
 """Interval in which chunks are closed, so that a killed recorder has lost less than a second."""
 _CHUNK_BYTES = 2 << 20  # waiting, at which a chunk is written earlier
-_UNKNOWN_S = 0.5
-"""A message of a publisher that the graph does not have yet waits for it so long [s]."""
+_UNKNOWN_S = 3.0
+"""A message of a publisher that the graph does not have yet waits for it so long [s]: a client
+reads the graph once a second, more seldom if that takes long."""
 _RETRY_S = 1.0  # after a failure of the disk
 _LOSSES_S = 5.0  # interval for noting losses in the file
 _SET_BACK_NS = SECOND  # an older sample may have waited for its publisher; if older, the clock was
@@ -270,9 +271,9 @@ class Recorder:
         return self.settings.last_s == 0
 
     @property
-    def trigger_problem(self) -> str:
-        """Why a trigger cannot work: a message that came has no such number; "" if all can."""
-        return self._triggers.problem
+    def cannot_trigger(self) -> bool:
+        """Whether it waits for triggers of which none can work; the status says why."""
+        return not self.continuous and self._triggers.cannot_work
 
     def start(self, tap: Tap) -> None:
         """Start to record what a tap delivers to `receive`.
@@ -353,7 +354,7 @@ class Recorder:
             lost={} if tap is None else self._lost(tap),
             refused=self._refused + (0 if tap is None else tap.refused),
             paused=self._paused,
-            problem=self._problem or self.trigger_problem,
+            problem=self._problem or self._triggers.problem,
         )
 
     def close(self) -> RecorderStatus:

@@ -57,12 +57,27 @@ class Condition:
         self._sign = _SIGNS[parsed["sign"]]
         self._value = value
         self._met: dict[bytes, bool] = {}
+        self.works = False
+        """Whether a message had that number."""
+        self.problem = ""
+        """Why the last message without that number had none."""
 
     def observe(self, gid: bytes, message: Any) -> str | None:
-        """Return why a message triggers; None if it does not.
+        """Return why a message triggers; None if it does not, or has no such number."""
+        try:
+            value = self._value_in(message)
+        except CairnError as error:
+            self.problem = str(error)
+            return None
+        self.works = True
+        met = self._sign(value, self._value)
+        before = self._met.get(gid, False)
+        if len(self._met) >= 1000:
+            self._met.clear()
+        self._met[gid] = met
+        return f"{self.text} (it is {value:g})" if met and not before else None
 
-        Raises `CairnError` if the message has no such field, or it is not a number.
-        """
+    def _value_in(self, message: Any) -> float:
         value = message
         for name in self._fields:
             if name.startswith("_") or not hasattr(type(value), "__dataclass_fields__"):
@@ -72,12 +87,7 @@ class Condition:
             value = getattr(value, name)
         if not isinstance(value, int | float):
             raise self._no_number(message)
-        met = self._sign(float(value), self._value)
-        before = self._met.get(gid, False)
-        if len(self._met) >= 1000:
-            self._met.clear()
-        self._met[gid] = met
-        return f"{self.text} (it is {value:g})" if met and not before else None
+        return float(value)
 
     def _no_number(self, message: Any) -> CairnError:
         name = type_name(type(message))
@@ -113,13 +123,22 @@ class Triggers:
         self._statuses = TopicPatterns(status)
         self._restarts: dict[str, int] = {}  # by component
         self._codec = Codec()
-        self.problem = ""
-        """Why a condition cannot be evaluated; "" if all can."""
         self.topics = tuple(
             dict.fromkeys(
                 [*status, *(one for item in self._conditions for one in item.patterns.patterns)]
             )
         )
+
+    @property
+    def problem(self) -> str:
+        """Why a condition could not be evaluated; "" if all could so far."""
+        return next((one.problem for one in self._conditions if one.problem), "")
+
+    @property
+    def cannot_work(self) -> bool:
+        """Whether nothing can trigger: no message that came had the number of any condition."""
+        broken = [one.problem and not one.works for one in self._conditions]
+        return bool(broken) and all(broken) and not self._statuses.patterns
 
     def clock_set_back(self, now_ns: int) -> None:
         """Take failures that are logged from `now_ns` [ns] on: the clock was set back to it."""
@@ -137,7 +156,10 @@ class Triggers:
             return None
         message_class = self._find_message(sample.type_name)
         if message_class is None:
-            self.problem = f"{sample.topic}: message type {sample.type_name} is not known"
+            unknown = f"{sample.topic}: message type {sample.type_name} is not known"
+            for condition in self._conditions:
+                if condition.patterns.match(sample.topic):
+                    condition.problem = unknown
             return None
         try:
             message = self._codec.decode(message_class, sample.payload)
@@ -149,12 +171,11 @@ class Triggers:
                 reasons.append(self._restart(sample.topic.split("/")[1], message))
             elif isinstance(message, Log) and sample.sent_ns >= self._since_ns:
                 reasons.append(self._failure(message))
-        for condition in self._conditions:
-            if condition.patterns.match(sample.topic):
-                try:
-                    reasons.append(condition.observe(sample.gid, message))
-                except CairnError as error:
-                    self.problem = str(error)
+        reasons += [
+            condition.observe(sample.gid, message)
+            for condition in self._conditions
+            if condition.patterns.match(sample.topic)
+        ]
         return "; ".join(filter(None, reasons)) or None
 
     def _failure(self, entry: Log) -> str | None:

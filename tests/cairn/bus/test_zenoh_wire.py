@@ -131,6 +131,7 @@ def _names(network: Network) -> list[str]:
 def test_client_is_shown_endpoints_that_appear_and_end(network: Network) -> None:
     first = node(network.bus(), "/robot/first")
     first.advertise("/robot/word", String, SENSOR)
+    assert eventually(lambda: len(network.graph()) == 2)
     reported: queue.Queue[list[str]] = queue.Queue()
 
     def report(found: Mapping[str, EndpointEntity]) -> None:
