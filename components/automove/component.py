@@ -207,7 +207,11 @@ class AutoMove(Supervisor):
             navigator.fail(Reason(ReasonCode.LOADING_FAILED, why))
             self._log_and_publish(navigator)
             return
+        began = self.clock.now()
         self._load_plugins(navigator)
+        # Nothing arrives meanwhile, so the mission is not judged by it; but it does take the time.
+        loading_s = (self.clock.now() - began) / SECOND - (self._now_s() - now_s)
+        navigator.started_s -= max(0.0, loading_s)
         self._log_and_publish(navigator)
         self.step()
 

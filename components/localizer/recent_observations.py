@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,7 +35,8 @@ ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 _NEAR_M = 0.3
 # An object that was recognized in less than this share of so many images from one pose was confused
 # with another one. A robot that stands never sees it from elsewhere, so it would count for ever.
-_CONFUSED_SHARE, _CONFUSED_IMAGES = 0.1, 20
+# After so many images, earlier ones count half: what was hidden for a while counts again soon.
+_CONFUSED_SHARE, _CONFUSED_IMAGES, _MOST_IMAGES = 0.1, 20, 200
 # Seconds of motion, and observations of each object, that are kept: odometry drifts by 0.16 m and
 # 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],
 # [rad/sqrt(s)]: a little more than those of the parameter `base`.
@@ -50,14 +51,20 @@ _BLOCK = 512
 class TimedObservation:
     """An observation, the dead-reckoned pose it was made from and the seconds moved until then.
 
-    From about that pose its object was `seen` in so many of so many `images`, since the first time.
+    From about that pose its object was `seen` in so many of so many `images` that showed objects,
+    since the first time; earlier ones count less.
     """
 
     observation: Observation
     at: Pose
     moved_s: float
-    seen: int = 1
-    images: int = 1
+    seen: float = 1.0
+    images: float = 1.0
+
+    def with_image(self) -> TimedObservation:
+        """Return it with one more image from that pose."""
+        share = 0.5 if self.images >= _MOST_IMAGES else 1.0
+        return replace(self, seen=share * self.seen, images=share * self.images + 1.0)
 
     @property
     def is_confusion(self) -> bool:
@@ -112,9 +119,9 @@ class RecentObservations:
         poses.
         """
         kept = [
-            one
-            if apart(one.at, at, ANOTHER_M, ANOTHER_RAD)
-            else replace(one, images=one.images + 1)
+            one.with_image()
+            if observations and not apart(one.at, at, ANOTHER_M, ANOTHER_RAD)
+            else one
             for one in self.entries
             if moved_s - one.moved_s <= self.horizon_s
         ]
@@ -124,7 +131,7 @@ class RecentObservations:
             if same and not apart(same[-1].at, at, ANOTHER_M, ANOTHER_RAD):
                 # The newest pose is better: its odometry has drifted least.
                 kept.remove(same[-1])
-                new = replace(new, seen=same[-1].seen + 1, images=same[-1].images)
+                new = replace(new, seen=same[-1].seen + 1.0, images=same[-1].images)
             elif len(same) >= self.per_object:
                 kept.remove(same[0])
             kept.append(new)
@@ -176,7 +183,7 @@ class RecentObservations:
         mean = np.asarray(pose.mean)[:, None]
         nis = self._nis(mean, entries, now, moved_s, landmarks, pose.covariance)[:, 0]
         best: dict[int, list[float]] = {}
-        seen: Counter[int] = Counter()
+        seen: defaultdict[int, float] = defaultdict(float)
         for value, entry in zip(nis, entries, strict=True):
             best.setdefault(entry.observation.object_id, []).append(float(value))
             seen[entry.observation.object_id] += entry.seen

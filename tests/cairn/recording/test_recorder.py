@@ -304,6 +304,29 @@ def test_status_has_the_reason_why_a_condition_cannot_be_evaluated(tmp_path: Pat
     assert "LocalizationEstimate has no number wealth" in problem
 
 
+def test_recorder_cannot_trigger_if_no_message_had_the_number_of_any_condition(
+    tmp_path: Path,
+) -> None:
+    estimate = LocalizationEstimate(header=Header(), health=0.9)
+    mixed = Bench(tmp_path, last_s=2.0, triggers=["*.health < 0.3"])
+    wrong = Bench(tmp_path, last_s=2.0, triggers=["localization.wealth < 0.3"])
+    watched = Bench(
+        tmp_path,
+        last_s=2.0,
+        triggers=["localization.wealth < 0.3"],
+        trigger_on_failure=True,
+    )
+
+    for bench in (mixed, wrong, watched):
+        assert not bench.recorder.cannot_trigger
+        bench.send("/robot/localization", "", message=estimate)
+        bench.send("/robot/words", "without a number")
+
+    assert not mixed.recorder.cannot_trigger
+    assert wrong.recorder.cannot_trigger
+    assert not watched.recorder.cannot_trigger
+
+
 def test_failure_of_a_component_triggers_unless_it_is_older_than_the_recorder(
     tmp_path: Path,
 ) -> None:

@@ -143,3 +143,20 @@ def test_overlapping_patterns_deliver_a_message_once(bus: ZenohBus, client: zeno
     await_that(lambda: bool(got) and got[-1].topic == "/robot/end_b")
     tap.close()
     assert [one.topic for one in got if one.topic != "/robot/c"] == ["/robot/ab", "/robot/end_b"]
+
+
+@pytest.mark.parametrize("is_client", [True, False])
+def test_publisher_with_a_qos_that_cairn_does_not_have_is_known(
+    bus: ZenohBus, client: zenoh.Session, is_client: bool
+) -> None:
+    token = (
+        "@ros2_lv/0/abc/0/7/MP/%/%robot/foreign/%robot%text/std_msgs::msg::dds_::String_/"
+        f"{type_hash(String)}/::2,:,7:1,:,,"  # keep all, with a deadline for each message
+    )
+    declared = bus.session.liveliness().declare_token(token)
+    tap = ZenohTap(client, 0, print, is_client=is_client)
+
+    await_that(lambda: tap.publisher(keys.gid(token)) is not None)
+
+    tap.close()
+    declared.undeclare()

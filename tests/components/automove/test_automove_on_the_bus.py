@@ -207,6 +207,21 @@ def test_step_of_the_clock_fails_no_mission(
     assert statuses.take()[-1].state == NavigationStatus.FAILED
 
 
+def test_time_in_which_plugins_are_loaded_is_part_of_the_mission(
+    make_harness: MakeHarness, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimulatedClock()
+    clock.set(10_000 * SECOND)
+    monkeypatch.setattr(AutoMove, "clock", clock)
+    monkeypatch.setattr(AutoMove, "_load", lambda *_: clock.set(clock.now() + 5 * SECOND))
+    robot = make_harness(PLUGINS)
+    statuses = robot.read("navigation_status", NavigationStatus)
+
+    robot.publish("navigate_goal", mission(1, (1.0, 2.0, 0.5)), qos=LATCHED)
+
+    assert statuses.take()[-1].elapsed == pytest.approx(10.0)  # of two plugins
+
+
 def test_give_way_recovery_sends_a_goal_to_the_planner(make_harness: MakeHarness) -> None:
     robot = make_harness(PLUGINS)
     nav_commands = robot.read("nav_command", NavCommand)

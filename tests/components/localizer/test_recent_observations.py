@@ -49,6 +49,23 @@ def test_confused_objects_do_not_contradict_the_pose_of_a_robot_that_stands_for_
     assert np.mean(contradicting) < 0.05
 
 
+def test_object_that_was_hidden_for_long_counts_again_soon() -> None:
+    here = (0.0, 0.0, 0.0)
+    recent = RecentObservations()
+    both = [Observation(i, 2.0, math.radians(15 + 45 * i), 0.01, 0.0003) for i in (0, 1)]
+
+    def agreeing(images: int, made: list[Observation]) -> int:
+        for _ in range(images):
+            recent.add(made, here, 0.0)
+        pose = PoseEstimate(here, np.eye(3) * 1e-4)
+        return recent.support(pose, here, 0.0, LANDMARKS).agreeing
+
+    assert agreeing(100, both) == 2
+    assert agreeing(10_000, []) == 2  # in the dark
+    assert agreeing(10_000, both[:1]) == 1  # something stands before it
+    assert agreeing(30, both) == 2
+
+
 def test_object_contradicts_the_pose_once_two_images_show_it_elsewhere() -> None:
     here = (0.0, 0.0, 0.0)
     recent = RecentObservations()
