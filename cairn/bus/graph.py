@@ -130,22 +130,22 @@ class GraphReader:
         self._pattern = pattern
         self._report = report
         self._bell = threading.Event()
-        self._closed = False
+        self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="cairn graph", daemon=True)
         self._thread.start()
 
     def read_soon(self) -> None:
-        """Read them now, as an endpoint is not known; from any thread."""
+        """Read them as soon as that may be, as an endpoint is not known; from any thread."""
         self._bell.set()
 
     def close(self) -> None:
         """Report nothing any more, but what is being read just now."""
-        self._closed = True
+        self._closed.set()
         self._bell.set()
 
     def _run(self) -> None:
         known: dict[str, keys.EndpointEntity] | None = None
-        while not self._closed:
+        while not self._closed.is_set():
             self._bell.clear()
             began = time.monotonic()
             try:
@@ -158,19 +158,13 @@ class GraphReader:
             found = {
                 token: one for token, one in graph.items() if isinstance(one, keys.EndpointEntity)
             }
-            if found != known and not self._closed:
+            if found != known and not self._closed.is_set():
                 known = found
                 self._report(found)
             # Thousands of tokens that another program has declared must not take all the time.
             shortest_s = max(_SHORTEST_READ_S, _READ_SHARE * (time.monotonic() - began))
-            self._sleep(shortest_s)
+            self._closed.wait(shortest_s)  # also if the bell rings
             self._bell.wait(max(0.0, _READ_S - shortest_s))
-
-    def _sleep(self, seconds: float) -> None:
-        """Wait also if the bell rings, unless this is closed."""
-        until = time.monotonic() + seconds
-        while not self._closed and (left_s := until - time.monotonic()) > 0:
-            time.sleep(min(left_s, _POLL_S))
 
 
 class GraphWatcher:
