@@ -70,7 +70,7 @@ _JUST_FOUND = Reason(
 
 
 @dataclass(frozen=True)
-class _Streak:
+class _Series:
     """Where scans alone have found the robot in all of the last searches.
 
     `pose` is that at the dead-reckoned pose `now`; from `viewpoints` of the poses, the last of
@@ -97,7 +97,7 @@ class Relocalizer:
             None  # of the last search, and the dead-reckoned pose
         )
         self._guess: tuple[Pose, Pose] | None = None  # the last result, and the dead-reckoned pose
-        self._streak: _Streak | None = None
+        self._series: _Series | None = None
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
         self._confirmed_at: Pose = (0.0, 0.0, 0.0)  # dead-reckoned, as all poses here
@@ -111,7 +111,7 @@ class Relocalizer:
         self._probation_ends = -math.inf
         self._confirmations = _CONFIRMATIONS
         self._fit = self._usual = 1.0
-        self._guess = self._modes = self._streak = None
+        self._guess = self._modes = self._series = None
 
     def confirmed(self, stamp: float) -> bool:
         """Whether no other position than the current one is likely any more."""
@@ -174,13 +174,13 @@ class Relocalizer:
             return None
         self._searched_at = stamp
         found = self._search(recent)
-        streak, self._streak = self._streak, None
+        series, self._series = self._series, None
         if found is None:
             self._guess = None
             return None
         if found.support.contradicting >= max(1, found.support.agreeing):
             self._guess = None
-            return self._against_objects(stamp, recent, found, streak)
+            return self._against_objects(stamp, recent, found, series)
         waited = stamp - self._first_measured
         firm = found.support.agreeing >= 2 or found.fit >= FITS
         if found.share >= _UNAMBIGUOUS and (
@@ -207,7 +207,7 @@ class Relocalizer:
         self._searched_at = stamp
         self._away_m = max(self._away_m, distance(recent.now, self._found_at))
         found = self._search(recent)
-        streak, self._streak = self._streak, None
+        series, self._series = self._series, None
         if found is None or found.pose.spread > _WIDEST_M:
             self._confirmations = 0
             return None
@@ -228,7 +228,7 @@ class Relocalizer:
         # position.
         refuted = found.score - float(score[0]) >= REFUTED and found.fit >= FITS
         if support.contradicting > support.agreeing:
-            return self._against_objects(stamp, recent, found, streak, here)
+            return self._against_objects(stamp, recent, found, series, here)
         if found.share < _UNAMBIGUOUS and not refuted:
             return None
         fits = recent.scanned and found.fit >= max(FITS, recent.fit(here))
@@ -255,12 +255,12 @@ class Relocalizer:
         stamp: float,
         recent: RecentMeasurements,
         found: GlobalSearchResult,
-        streak: _Streak | None,
+        series: _Series | None,
         here: PoseEstimate | None = None,
     ) -> Array | None:
         """Return the poses (3, n) of a search that objects contradict, once scans decide alone.
 
-        `streak`: of the searches before; `here`: the robot's pose, if it has one.
+        `series`: of the searches before; `here`: the robot's pose, if it has one.
         """
         if not recent.scanned or found.fit < _DOUBTFUL_FIT or found.modes is None:
             return None
@@ -275,14 +275,14 @@ class Relocalizer:
         better_by = np.minimum(alone.log_likelihood(elsewhere) - score, _MOST_NATS)
         if 1.0 / (1.0 + float(np.exp(better_by).sum())) < _UNAMBIGUOUS:
             return None
-        if streak is None or not _same(compose(streak.pose, relative(streak.now, now)), pose):
-            streak = _Streak(pose, now, 1, now)
-        elif apart(streak.seen_from, now, _ANOTHER_M, _ANOTHER_RAD):
-            streak = _Streak(pose, now, streak.viewpoints + 1, now)
+        if series is None or not _same(compose(series.pose, relative(series.now, now)), pose):
+            series = _Series(pose, now, 1, now)
+        elif apart(series.seen_from, now, _ANOTHER_M, _ANOTHER_RAD):
+            series = _Series(pose, now, series.viewpoints + 1, now)
         else:
-            streak = replace(streak, pose=pose, now=now)
-        if streak.viewpoints < _VIEWPOINTS:
-            self._streak = streak
+            series = replace(series, pose=pose, now=now)
+        if series.viewpoints < _VIEWPOINTS:
+            self._series = series
             return None
         self.start_probation(stamp, now)
         return found.poses
