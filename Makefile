@@ -70,7 +70,7 @@ docs: $(VENV)/docs
 
 ## All benchmarks.
 bench: $(VENV)/ready
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m cairn_lab.benchmarks
 
 ## Renew the lock files from the ranges of pyproject.toml: only what no longer fits, or everything
 ## with `make lock UPGRADE=--upgrade`. Then THIRD_PARTY.md, which states the versions.
@@ -85,14 +85,14 @@ lock: $(VENV)/ready
 	$(LOCKED) requirements/dev.txt
 	$(BIN)/python -m tests.packaging.third_party
 
-$(VENV)/ready: pyproject.toml requirements/dev.txt requirements/pip.txt
+$(VENV)/ready: pyproject.toml lab/pyproject.toml requirements/dev.txt requirements/pip.txt
 	@test -n "$(PYTHON)" || { echo "Cairn needs Python 3.11 or later, and none was found. Install one \
 	(Ubuntu, Debian: apt-get install python3 python3-venv), or name it: make PYTHON=/path/to/python3" \
 	>&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(LOCKED) requirements/pip.txt
 	$(LOCKED) requirements/dev.txt
-	$(LOCAL) .
+	$(LOCAL) . --editable lab
 	# Importing all plugins compiles the kernels, so that no robot waits for it, nor each test worker.
 	$(BIN)/python -c "from cairn.deployment.plugins import installed_plugins as plugins; plugins()"
 	@touch $@

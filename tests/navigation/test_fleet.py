@@ -19,7 +19,7 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import DeploymentHarness, LockstepReading
-from cairn.tools.evaluation.runs import survey
+from cairn_lab.evaluation.runs import survey
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 

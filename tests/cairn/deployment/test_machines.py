@@ -14,8 +14,9 @@ from cairn.deployment.machines import (
     parents_elsewhere,
     remote_inputs,
 )
-from cairn.deployment.model import ChildSpec, Deployment
+from cairn.deployment.model import Deployment
 from cairn.deployment.shipped import FOLDER
+from cairn.runtime.child_spec import ChildSpec
 
 SIM = FOLDER / "sim.yaml"
 MACHINES = "machines: {base: {address: 10.9.0.1}, brain: {address: brain.local, port: 7500}}\n"

@@ -23,9 +23,9 @@ from cairn import to_ns
 from cairn.bus.bus import MessageId
 from cairn.cli.main import build
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import ChildSpec, Deployment
+from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
-from cairn.placement.run_plan import with_recorder
+from cairn.processes.run_plan import with_recorder
 from cairn.recording.reader import McapRecording
 from cairn.recording.rewrite import rewrite
 from cairn.rerun import cli
@@ -36,6 +36,7 @@ from cairn.rerun.files import with_files
 from cairn.rerun.run import CALL_BATCH, chosen_starts, prepared_rerun, starts_in
 from cairn.runtime.call_records import RecordEncoder, StartInfo
 from cairn.runtime.call_records import RecordKind as Kind
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.input_files import content_digest
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import CallBatch

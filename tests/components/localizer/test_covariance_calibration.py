@@ -7,7 +7,7 @@ import pytest
 
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
 from cairn.components.localizer.particle_set import PoseEstimate
-from cairn.tools.evaluation.results import SIGMA_LIMITS
+from cairn_lab.evaluation.results import SIGMA_LIMITS
 from tests.components.localizer.random_floor import START, floor, new_robot, wander
 
 CELL_M = 0.05

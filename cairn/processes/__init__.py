@@ -1,0 +1,1 @@
+"""Runs a deployment: supervisors, the zygote, where each component runs, the machines, lockstep."""

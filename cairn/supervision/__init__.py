@@ -1,1 +1,0 @@
-"""Keeps components running: restart policy, processes and the engine that drives both."""
