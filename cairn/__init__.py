@@ -86,8 +86,8 @@ _MODULES: Final = {
     "cairn.bus.actions": ("ClientGoal", "ServerGoal"),
     "cairn.bus.bus": ("ServiceError",),
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
-    "cairn.system.clock": ("SECOND", "Clock", "SteadyClock", "from_ns", "has_passed", "to_ns"),
     "cairn.errors": ("CairnError",),
+    "cairn.processes.supervisor": ("StartFailed", "Supervisor"),
     "cairn.runtime.component": ("Component",),
     "cairn.runtime.lifecycle": ("LifecycleState",),
     "cairn.runtime.parameters": (
@@ -112,7 +112,8 @@ _MODULES: Final = {
     ),
     "cairn.runtime.rate_limited_log": ("RateLimitedLog",),
     "cairn.runtime.retried_save": ("RetriedSave",),
-    "cairn.processes.supervisor": ("StartFailed", "Supervisor"),
+    "cairn.schemas.builtin_interfaces": ("from_ns", "to_ns"),
+    "cairn.system.clock": ("SECOND", "Clock", "SteadyClock", "has_passed"),
 }
 
 

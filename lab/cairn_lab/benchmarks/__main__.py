@@ -5,9 +5,10 @@ import importlib
 import sys
 from pathlib import Path
 
-from cairn_lab.benchmarks.results import RESULTS, Figure, Results, Run, record
 from rich.console import Console
 from rich.table import Table
+
+from cairn_lab.benchmarks.results import RESULTS, Figure, Results, Run, record
 
 BENCHMARKS = (
     "roundtrip",
@@ -62,7 +63,7 @@ def main() -> int:
         parser.error(f"unknown benchmark {', '.join(unknown)}; choose from {', '.join(BENCHMARKS)}")
     kept = True
     for name in options.names or BENCHMARKS:
-        metrics = importlib.import_module(f"benchmarks.{name}").measure()
+        metrics = importlib.import_module(f"cairn_lab.benchmarks.{name}").measure()
         table = Table(box=None, pad_edge=False, title=name, title_justify="left")
         for column in ("metric", "value", "limit", "", "note"):
             table.add_column(column)

@@ -16,13 +16,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import yaml
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.running import results, run_deployment
-from cairn_lab.evaluation.runs import Trial, examination, robot_start, survey
 
 from cairn.deployment.shipped import FOLDER
 from cairn.security.authority import Authority, Member
 from cairn.security.folder import VARIABLE, RobotFolder
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.running import results, run_deployment
+from cairn_lab.evaluation.runs import Trial, examination, robot_start, survey
 from tests.machines.network import Computer, missing, two_computers, wired_computers
 
 ROUNDS = 3

@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 import psutil
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.bus.qos import RELIABLE
 from cairn.bus.type_hash import type_hash
@@ -34,6 +33,7 @@ from cairn.schemas.message import schema_messages, type_name
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import String
 from cairn.system.clock import SECOND
+from cairn_lab.benchmarks.result import Metric
 
 RUN_S = float(os.environ.get("CAIRN_BENCH_RECORDER_S", "600"))
 KILLS = 100

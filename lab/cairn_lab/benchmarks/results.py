@@ -11,12 +11,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, Self
 
-from cairn_lab.benchmarks.result import Metric
 from pydantic import BaseModel, ConfigDict, FiniteFloat
 
 from cairn.system.files import replace_file
+from cairn_lab.benchmarks.result import Metric
 
-RESULTS = Path(__file__).with_name("results.json")
+RESULTS = Path(__file__).parents[2] / "results.json"
 MARKED = re.compile(
     r"(?P<begin><!-- (?P<what>results: .+?|measured) -->\n)(.*?)(?P<end><!-- end -->)", re.S
 )
@@ -179,6 +179,6 @@ def commit() -> str:
             ["git", *words], cwd=folder, check=True, capture_output=True, text=True
         ).stdout.strip()
 
-    others = (f":(exclude){RESULTS.name}", ":(exclude,top)docs/benchmarks.md")
+    others = (":(exclude,top)lab/results.json", ":(exclude,top)docs/benchmarks.md")
     changes = git("status", "--porcelain", "--", ":/", *others)
     return git("rev-parse", "--short=8", "HEAD") + ("+" if changes else "")

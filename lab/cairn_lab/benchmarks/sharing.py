@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.bus.codec import Codec
 from cairn.components.map_builder.cell_messages import decision_message
@@ -22,6 +21,7 @@ from cairn.planar.map_file import write_map
 from cairn.planar.scans import Rays
 from cairn.schemas.cairn_msgs import SharedCells
 from cairn.testing.lockstep import ComponentHarness, Lockstep
+from cairn_lab.benchmarks.result import Metric
 from tests.components.localizer.room import ROOM, room, scanned
 from tests.components.map_builder import test_shared_cells, test_shared_landmarks
 from tests.navigation.test_fleet import Repair, repair_maps_of_five_robots

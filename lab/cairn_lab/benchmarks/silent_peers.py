@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from cairn_lab.benchmarks.result import Metric
 
 import cairn.client
 from cairn.bus import keys, session
@@ -34,6 +33,7 @@ from cairn.schemas.cairn_nav_msgs import NavigateGoal, VelocityGateStatus
 from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import Launching, Run, launching, new_socket
+from cairn_lab.benchmarks.result import Metric
 
 PEERS = 40
 """Silent sessions, a fifth of them in processes that are stopped."""

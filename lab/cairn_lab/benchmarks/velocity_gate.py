@@ -19,8 +19,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import yaml
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.running import results, run_deployment
 from numpy.typing import NDArray
 
 from cairn.bus.exclusive import Exclusive
@@ -43,6 +41,8 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.system.clock import SECOND
 from cairn.testing.lockstep import DeploymentHarness
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.running import results, run_deployment
 
 Kind = Literal["forged", "late", "contradictory"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

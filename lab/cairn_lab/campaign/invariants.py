@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Final
 
+from cairn.deployment.model import Deployment
+from cairn.runtime.parameters import Config
 from cairn_lab.campaign.faults import Injection
 from cairn_lab.campaign.kinds import KindGroup
 from cairn_lab.campaign.observations import (
@@ -13,9 +15,6 @@ from cairn_lab.campaign.observations import (
     LogLine,
     Processes,
 )
-
-from cairn.deployment.model import Deployment
-from cairn.runtime.parameters import Config
 
 
 class Invariant:

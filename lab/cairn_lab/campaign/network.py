@@ -13,12 +13,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 
-from cairn_lab.campaign.link import HOST, Link
-
 from cairn.deployment.model import Deployment
 from cairn.security.authority import Authority, Member
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import free_port
+from cairn_lab.campaign.link import HOST, Link
 
 
 class Network:

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from statistics import median
 
-from cairn_lab.campaign.growth import growth
-from cairn_lab.campaign.invariants import Invariant
-from cairn_lab.campaign.observations import DeploymentEnded, LogLine, Processes, ProcessSample
 from pydantic import Field
 
 from cairn.deployment.model import Deployment
 from cairn.runtime.parameters import Config
+from cairn_lab.campaign.growth import growth
+from cairn_lab.campaign.invariants import Invariant
+from cairn_lab.campaign.observations import DeploymentEnded, LogLine, Processes, ProcessSample
 
 _REASONS = frozenset({"failed", "hung", "stopped", "ended", "start failed", "stop failed"})
 """Events of children with which the log gives the reason for the end of a process."""

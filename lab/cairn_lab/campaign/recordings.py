@@ -6,8 +6,6 @@ import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
-from cairn_lab.campaign.robot import CampaignRobot
-
 from cairn.errors import CairnError
 from cairn.recording.reader import McapRecording
 from cairn.recording.recorder import Recorder, RecorderSettings
@@ -15,6 +13,7 @@ from cairn.recording.run_attachments import MessageClasses, run_attachments, sta
 from cairn.recording.tap import ZenohTap
 from cairn.rerun.files import input_attachments
 from cairn.rerun.run import needed_messages, starts_in
+from cairn_lab.campaign.robot import CampaignRobot
 
 
 class LaunchRecording:

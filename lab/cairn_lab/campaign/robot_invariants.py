@@ -6,8 +6,6 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from cairn_lab.campaign.invariants import Invariant
-from cairn_lab.campaign.observations import GoalEnded
 from pydantic import Field
 
 from cairn.deployment.model import Deployment
@@ -20,6 +18,8 @@ from cairn.schemas.cairn_nav_msgs import (
     VelocityGateStatus,
 )
 from cairn.schemas.nav_msgs import Odometry
+from cairn_lab.campaign.invariants import Invariant
+from cairn_lab.campaign.observations import GoalEnded
 
 _STANDS_MPS = 0.01
 _STANDS_RADPS = 0.02

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, Any
 
-from cairn_lab.campaign.invariants import Invariant
-from cairn_lab.campaign.observations import Processes
 from pydantic import BeforeValidator, Field
 
 from cairn.deployment.model import Deployment
 from cairn.runtime.parameters import Config
 from cairn.schemas.interfaces import find_message
+from cairn_lab.campaign.invariants import Invariant
+from cairn_lab.campaign.observations import Processes
 
 
 def _message_class(name: object) -> type[Any]:

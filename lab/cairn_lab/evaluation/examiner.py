@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.evaluation.results import GoalResult, LocalizationQuality, RunResult
-from cairn_lab.evaluation.shortest_paths import ShortestPaths
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -40,6 +38,8 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
+from cairn_lab.evaluation.results import GoalResult, LocalizationQuality, RunResult
+from cairn_lab.evaluation.shortest_paths import ShortestPaths
 
 # A kidnapped robot with turning wheels needs this much room to stop [m].
 _STOPPING_ROOM_M = 0.35

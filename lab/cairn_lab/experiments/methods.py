@@ -13,12 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cairn.runtime.child_spec import ChildSpec
-
 from cairn import CairnError
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import load_plugin
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.ports import PortSpec, ports_of
 
 WORLD, LOCALIZER, MAP_BUILDER = "world", "localizer", "map_builder"

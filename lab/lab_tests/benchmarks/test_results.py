@@ -4,10 +4,11 @@ import math
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
+
 from cairn_lab.benchmarks.__main__ import BENCHMARKS
 from cairn_lab.benchmarks.result import Metric
 from cairn_lab.benchmarks.results import MARKED, RESULTS, Results, Run, record
-from pydantic import ValidationError
 
 PAGE = Path("docs/benchmarks.md")
 PAGE_TEXT = "<!-- results: startup, make demo -->\n<!-- end -->\nprose\n"

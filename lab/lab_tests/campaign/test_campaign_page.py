@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from cairn_lab.campaign import CampaignReport
 from lab_tests.campaign.test_campaign import TREE
-
 from tests.docs.conftest import Block
 
 

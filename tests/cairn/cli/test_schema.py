@@ -7,10 +7,10 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from cairn.deployment.message_types import find_message, messages_of_plugins
 
 from cairn import LATCHED
 from cairn.bus.type_hash import definition, type_description, type_hash
+from cairn.deployment.message_types import find_message, messages_of_plugins
 from cairn.deployment.plugins import installed_plugins
 from cairn.errors import CairnError
 from cairn.recording.mcap_file import McapFile

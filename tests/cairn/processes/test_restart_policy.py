@@ -2,11 +2,11 @@
 
 from typing import get_args
 
-from cairn.runtime.child_spec import ChildSpec, Restart, Strategy, Supervision
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn.processes.restart_policy import Decision, RestartPolicy
+from cairn.runtime.child_spec import ChildSpec, Restart, Strategy, Supervision
 from tests.wording import assert_words
 
 NAMES = ("base", "scanner", "localizer", "planner")
