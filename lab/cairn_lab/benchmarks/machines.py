@@ -44,9 +44,10 @@ components:
 
 
 def measure() -> list[Metric]:
-    """Measure the round trips and the tour."""
+    """Measure the round trips and the tour; nothing if this computer has no network namespaces."""
     if reason := missing():
-        return [Metric("not measured", 0, "", note=reason)]
+        print(f"machines: not measured: {reason}")
+        return []
     return [*_round_trips(), *_tour()]
 
 
