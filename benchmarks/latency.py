@@ -7,10 +7,9 @@ import numpy as np
 
 from benchmarks.result import Metric
 from benchmarks.running import results, run_deployment
-from cairn import Supervisor
+from cairn import In, Out, Supervisor, every, on
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header

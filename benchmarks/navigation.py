@@ -15,12 +15,12 @@ import yaml
 from benchmarks.lockstep import ROOT
 from benchmarks.result import Metric
 from benchmarks.running import results
+from cairn import In, Out, on
 from cairn.bus.qos import SENSOR
 from cairn.clock import SECOND, from_ns, to_ns
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.scans import sweep_s
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, on
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 

@@ -19,10 +19,10 @@ from pydantic import Field
 
 from benchmarks.result import Metric
 from benchmarks.running import free_port, results, run_deployment
+from cairn import In, Out, on
 from cairn.bus.codec import Codec
 from cairn.runtime.component import Component
 from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out, on
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.schemas.std_msgs import Header, String
 

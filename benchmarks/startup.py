@@ -20,8 +20,8 @@ import yaml
 from scipy import ndimage
 
 from benchmarks.result import Metric
+from cairn import Out, every
 from cairn.runtime.component import Component
-from cairn.runtime.ports import Out, every
 from cairn.schemas.geometry_msgs import Twist, Vector3
 
 COUNT = 10

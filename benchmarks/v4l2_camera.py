@@ -12,11 +12,11 @@ import simplejpeg
 
 from benchmarks.result import Metric
 from benchmarks.running import results, run_deployment
+from cairn import In, every, on
 from cairn.bus.qos import SENSOR
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
 from cairn.components.v4l2_camera.decoding import ImageLayout
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, every, on
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 
 _HERE = "benchmarks.v4l2_camera"

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from benchmarks.result import Metric
 from benchmarks.running import results, run_deployment
+from cairn import In, Out, every, on
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.lockstep_bus import LockstepSubscription
 from cairn.bus.qos import SENSOR
@@ -34,7 +35,6 @@ from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose, compose
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.cairn_nav_msgs import Collision, TeleoperationCommand
 from cairn.schemas.cairn_sim_msgs import WorldState
 from cairn.schemas.geometry_msgs import PoseWithCovariance, Twist, TwistWithCovariance, Vector3

@@ -11,10 +11,10 @@ import yaml
 from benchmarks.lockstep import ROOT
 from benchmarks.navigation import in_real_time
 from benchmarks.result import Metric
+from cairn import In, on
 from cairn.bus.qos import RELIABLE
 from cairn.clock import SECOND, to_ns
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, on
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 
 _PIXELS = ROOT / "deploy" / "pixels.yaml"

@@ -12,6 +12,7 @@ from cairn.bus.roles import Role
 from cairn.clock import Clock
 from cairn.errors import CairnError
 from cairn.runtime.call_log import CallLog
+from cairn.runtime.loop import Scheduler
 from cairn.runtime.parameters import COMMON_PARAMETERS, Config
 
 if TYPE_CHECKING:
@@ -20,18 +21,30 @@ if TYPE_CHECKING:
 
 
 class ComponentContext(Protocol):
-    """What the runtime provides to a component; component authors do not use it directly."""
+    """What the runtime provides to a component and its ports; for no direct use by authors."""
 
     name: str
     config: Config
     clock: Clock
+    unlogged_clock: Clock
+    """The component's time, read without a record in the call log."""
     log: logging.Logger
     random: np.random.Generator
     restarts: int
     bus: Bus
     node: Node
+    scheduler: Scheduler
     launch: "LaunchRequest"
     call_log: CallLog | None
+
+    @property
+    def may_publish(self) -> bool:
+        """Whether messages may be sent now."""
+        ...
+
+    def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
+        """Make one call into the component, while active."""
+        ...
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Make `call` once at time `at` [ns] of the component's clock, while active."""

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from cairn.clock import SECOND, to_ns
 from cairn.runtime.component import Component
-from cairn.runtime.ports import BoundIn
+from cairn.runtime.topic_ports import In
 
 _CHECKS: Final = 5  # in the shortest of the ages
 _SHORTEST_PERIOD_NS: Final = SECOND // 100
@@ -23,7 +23,7 @@ class InputAges:
     def __init__(
         self,
         component: Component,
-        inputs: Mapping[str, BoundIn[Any]],
+        inputs: Mapping[str, In[Any]],
         max_age_s: Mapping[str, float],
     ) -> None:
         """Watch the inputs (by port) for which `max_age_s` has an age [s]."""

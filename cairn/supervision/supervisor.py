@@ -39,9 +39,9 @@ from cairn.deployment.model import fallback_name
 from cairn.errors import CairnError, Escalate
 from cairn.process_exit import ExitReport
 from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.runtime.ports import every
 from cairn.supervision.child import (
     Child,
     ChildStatus,

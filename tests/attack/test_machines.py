@@ -9,7 +9,7 @@ import json
 import random
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from secrets import token_hex
@@ -158,7 +158,7 @@ def keys_of(
         ports = [one for name, one in ports_of(cls).items()
                  if not attribute or name in getattr(cls, attribute)]  # fmt: skip
         ports += [
-            replace(part, name=f"{name}/{below}")
+            part.declare(f"{name}/{below}", part.interface)
             for name, action in actions_of(cls).items()
             for below, part in action.topics().items()
             if not attribute
@@ -166,7 +166,7 @@ def keys_of(
         for port in ports:
             if port.direction == direction:
                 topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
-                key = keys.message_key(deployment.domain, topic, port.message)
+                key = keys.message_key(deployment.domain, topic, port.interface)
                 found.setdefault(key, set()).add(member.name)
     return found
 
@@ -344,8 +344,8 @@ def test_machine_announces_its_own_nodes_only(robot: Robot, cases: Cases) -> Non
     for node in nodes:
         entities += [
             EndpointEntity(
-                node, 2, kind, "/robot/scan", type_name(plugin.message),
-                type_hash(plugin.message), plugin.qos,
+                node, 2, kind, "/robot/scan", type_name(plugin.interface),
+                type_hash(plugin.interface), plugin.qos,
             )
             for kind in ("MP", "MS", "SS", "SC")
         ]  # fmt: skip
