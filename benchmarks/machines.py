@@ -20,7 +20,7 @@ import yaml
 from benchmarks.result import Metric
 from benchmarks.running import results, run_deployment
 from cairn.deployment.shipped import FOLDER
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.tools.evaluation.runs import Trial, examination, robot_start, survey
 from tests.machines.network import Computer, missing, two_computers, wired_computers
@@ -130,8 +130,8 @@ def _identities(first: Computer, second: Computer) -> Iterator[Path]:
     with _folder() as folder:
         os.environ[VARIABLE] = str(folder / "security")
         members = [
-            Member("first", None, (first.address,)),
-            Member("second", None, (second.address,)),
+            AuthorityMember("first", None, (first.address,)),
+            AuthorityMember("second", None, (second.address,)),
         ]
         robot = RobotFolder.of("robot")
         Authority.create(robot, members)

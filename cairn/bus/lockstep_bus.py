@@ -34,7 +34,7 @@ class LockstepBus:
         self.servers: dict[str, list[LockstepServer]] = {}
         self.taps: list[Callable[[LockstepPublisher, Any], None]] = []
         """Called with every message and its publisher, before it is handed over."""
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, _LockstepTopic] = {}
 
     def node(
         self,
@@ -56,9 +56,9 @@ class LockstepBus:
                 for message, identity in publisher.latched:
                     yield publisher, message, identity
 
-    def topic(self, name: str) -> "_Topic":
+    def topic(self, name: str) -> "_LockstepTopic":
         """Return the topic of that name, created on first use."""
-        return self._topics.setdefault(name, _Topic(name))
+        return self._topics.setdefault(name, _LockstepTopic(name))
 
 
 class LockstepNode:
@@ -143,7 +143,7 @@ class LockstepPublisher:
     def __init__(
         self,
         node: LockstepNode,
-        topic: "_Topic",
+        topic: "_LockstepTopic",
         message: type[Any],
         qos: Qos,
         taps: Sequence[Callable[["LockstepPublisher", Any], None]],
@@ -196,7 +196,7 @@ class LockstepSubscription:
     def __init__(
         self,
         node: LockstepNode,
-        topic: "_Topic",
+        topic: "_LockstepTopic",
         message: type[Any],
         qos: Qos,
         wake: Callable[[], None],
@@ -271,7 +271,7 @@ def _never(delay_ns: int, call: Callable[[], None]) -> None:
     """Make no call: where there is no virtual time, nothing times out."""
 
 
-class _Topic:
+class _LockstepTopic:
     def __init__(self, name: str) -> None:
         self.name = name
         self._measured: tuple[Any, int] = (None, 0)

@@ -21,7 +21,7 @@ from cairn.deployment.model import ChildSpec
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.process_exit import ExitReport
-from cairn.rerun.call_logs import Call, ComponentStart
+from cairn.rerun.call_logs import ComponentStart, RecordedCall
 from cairn.rerun.comparison import first_difference
 from cairn.runtime.call_records import RecordKind, StartInfo
 from cairn.runtime.launch_request import LaunchRequest, RunContext
@@ -188,7 +188,7 @@ class Rerun:
         result.incomplete = self._start.missing
         return result
 
-    def _make(self, call: Call, *, is_last: bool) -> bool:
+    def _make(self, call: RecordedCall, *, is_last: bool) -> bool:
         """Make one call; return whether there should be further ones."""
         environment = _CallEnvironment(_describe(call))
         for record in call.events:
@@ -205,7 +205,7 @@ class Rerun:
         self._check_rest(environment)
         return not (self._stop_at_difference and self.result.first is not None)
 
-    def _enter(self, call: Call) -> None:
+    def _enter(self, call: RecordedCall) -> None:
         runtime, values = self._runtime, call.record[1:]
         if call.kind is RecordKind.START:
             try:
@@ -852,7 +852,7 @@ class _RerunSubscription:
         self._rerun.close_input(self.topic)
 
 
-def _describe(call: Call) -> str:
+def _describe(call: RecordedCall) -> str:
     values = call.record[1:]
     match call.kind:
         case RecordKind.START:

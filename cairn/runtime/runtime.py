@@ -48,7 +48,7 @@ from cairn.runtime.parameters import (
     LOG_LEVEL,
     SERVICE_INTROSPECTION,
     Config,
-    Parameter,
+    ParameterDescription,
     ReadPathMark,
     ServiceIntrospection,
     checked_common,
@@ -247,7 +247,7 @@ class Runtime:
             return self._answer(verb, arguments)
         return self._logged(request_record(verb, arguments), self._answer, verb, arguments)
 
-    def _described_parameters(self) -> list[Parameter]:
+    def _described_parameters(self) -> list[ParameterDescription]:
         return [*describe_parameters(self.config), *describe_common(self._common)]
 
     def _answer(self, verb: str, arguments: Mapping[str, Any]) -> Any:

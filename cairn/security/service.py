@@ -30,7 +30,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from cairn.errors import CairnError
-from cairn.http_server import Http, Server
+from cairn.http_server import Http, HttpServer
 from cairn.security import certificates
 from cairn.security.authority import (
     GRACE_S,
@@ -116,7 +116,7 @@ class WrongAttempts:
         self._counts[address] = self._counts.get(address, 0) + 1
 
 
-class Service:
+class AuthorityService:
     """The service of an authority at one address."""
 
     def __init__(
@@ -160,7 +160,7 @@ class Service:
         """The address for machines."""
         with authority.folder.locked():
             write_url(authority.folder, self.url)
-        self._server = Server(self._config())
+        self._server = HttpServer(self._config())
 
     @property
     def is_serving(self) -> bool:

@@ -51,7 +51,7 @@ from cairn.supervision.child import (
     without_reserve,
 )
 from cairn.supervision.remote_child import RemoteChild
-from cairn.supervision.restart_policy import Decision, RestartPolicy
+from cairn.supervision.restart_policy import RestartDecision, RestartPolicy
 from cairn.supervision.ros_services import ChildLifecycle, Container
 
 _STEP_S = 0.5
@@ -538,7 +538,7 @@ class ChildGroup:
         else:
             self._apply(decision, child)
 
-    def _apply(self, decision: Decision, child: Child | RemoteChild) -> None:
+    def _apply(self, decision: RestartDecision, child: Child | RemoteChild) -> None:
         if decision.give_up:
             self._give_up(decision.give_up)
         if child.name in decision.start:

@@ -13,8 +13,7 @@ from cairn import CairnError, Component, Config, ParameterRejected, every
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import Deployment
-from cairn.recording.recorder import Recorder as RecorderCore
-from cairn.recording.recorder import RecorderSettings
+from cairn.recording.recorder import McapRecorder, RecorderSettings
 from cairn.recording.run_attachments import MessageClasses, run_attachments, started_parameters
 from cairn.recording.tap import LockstepTap, Tap, ZenohTap
 from cairn.rerun.files import input_attachments
@@ -50,7 +49,7 @@ class Recorder(Component):
         }
     )
 
-    _recorder: RecorderCore | None = None
+    _recorder: McapRecorder | None = None
     _tap: Tap | None = None
 
     def on_configure(self) -> None:
@@ -71,7 +70,7 @@ class Recorder(Component):
                 **input_attachments(deployment),
             }
         )
-        recorder = RecorderCore(
+        recorder = McapRecorder(
             self.config,
             self.config.file,
             attachments,

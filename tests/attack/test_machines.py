@@ -35,7 +35,7 @@ from cairn.placement.machine_identity import machine_identity
 from cairn.runtime.ports import actions_of, ports_of
 from cairn.schemas.cairn_msgs import ComponentStatus, MachineStatus
 from cairn.schemas.message import type_name
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import free_port
 from tests.attack.conftest import Cases
@@ -122,8 +122,10 @@ def robot(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Ro
     deployment = load_deployment(FOLDER / "sim.yaml", [overlay])
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         patch.setenv(VARIABLE, str(folder / "security"))
-        members = [Member(name, None, ("127.0.0.1",)) for name in ("base", "brain", "arm")]
-        Authority.create(RobotFolder.of("robot"), [*members, Member("alice", "administer", ())])
+        members = [AuthorityMember(name, None, ("127.0.0.1",)) for name in ("base", "brain", "arm")]
+        Authority.create(
+            RobotFolder.of("robot"), [*members, AuthorityMember("alice", "administer", ())]
+        )
         links = machine_links(deployment, "base", machine_access(deployment, "base"))
         socket = folder / "bus" / "router.sock"
         stack.enter_context(closing(open_router(socket, links=links)))
@@ -399,7 +401,7 @@ def test_certificates_that_are_not_in_force_open_no_link(
         authority = robot.folder  # its new certificate is not in force at this router
     else:
         monkeypatch.setenv(VARIABLE, str(tmp_path / "security"))
-        members = [Member("brain", None, ("127.0.0.1",))]
+        members = [AuthorityMember("brain", None, ("127.0.0.1",))]
         with days_ago(10):
             own = Authority.create(RobotFolder.of("robot"), members, days=1)
         authority = own.folder.path
