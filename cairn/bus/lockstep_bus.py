@@ -40,12 +40,12 @@ class LockstepBus:
         self,
         name: str,
         report: Callable[[str], None],
-        warn: Callable[[str], None] | None = None,  # noqa: ARG002 - `cairn check` knows all nodes
+        warn: Callable[[str], None] | None = None,
     ) -> "LockstepNode":
         """Join the bus under a full name; `report` receives errors about conflicting types."""
         return LockstepNode(self, name, report)
 
-    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002 - never waits
+    def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Return at once: in memory, all declarations are known to all nodes."""
         return []
 
@@ -77,9 +77,9 @@ class LockstepNode:
         topic: str,
         message: type[Any],
         qos: Qos,
-        exclusive: Exclusive | None = None,  # noqa: ARG002 - readers know the publisher's name
+        exclusive: Exclusive | None = None,
         *,
-        shared: bool = False,  # noqa: ARG002 - there are no other programs
+        shared: bool = False,
     ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
         end = LockstepPublisher(self, self.bus.topic(topic), message, qos, self.bus.taps)
@@ -109,9 +109,9 @@ class LockstepNode:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,
-        invalid_response: Any = None,  # noqa: ARG002 - no object is invalid
+        invalid_response: Any = None,
         *,
-        is_private: bool = False,  # noqa: ARG002 - each has what it needs
+        is_private: bool = False,
     ) -> LockstepServer:
         """Return a server of the service `name`."""
         server = LockstepServer(self, name, service, wake, max_bytes)
@@ -123,7 +123,7 @@ class LockstepNode:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002 - one thread
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> LockstepClient:
         """Return a client of the service `name`."""
         client = LockstepClient(self, name, service, post)

@@ -639,21 +639,21 @@ class _RerunBus:
 
     def node(
         self,
-        name: str,  # noqa: ARG002
-        report: Callable[[str], None],  # noqa: ARG002
-        warn: Callable[[str], None] | None = None,  # noqa: ARG002
+        name: str,
+        report: Callable[[str], None],
+        warn: Callable[[str], None] | None = None,
     ) -> "_RerunBus":
         return self
 
-    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002
+    def wait_for_peers(self, timeout_s: float) -> list[str]:
         return []
 
     def advertise(
         self,
         topic: str,
         message: type[Any],
-        qos: Qos,  # noqa: ARG002
-        exclusive: Exclusive | None = None,  # noqa: ARG002
+        qos: Qos,
+        exclusive: Exclusive | None = None,
         *,
         shared: bool = False,
     ) -> "_RerunPublisher | _NothingPublished":
@@ -665,10 +665,10 @@ class _RerunBus:
         self,
         topic: str,
         message: type[Any],
-        qos: Qos,  # noqa: ARG002
+        qos: Qos,
         wake: Callable[[], None],
-        exclusive: Exclusive | None = None,  # noqa: ARG002
-        max_bytes: int | None = None,  # noqa: ARG002
+        exclusive: Exclusive | None = None,
+        max_bytes: int | None = None,
     ) -> "_RerunSubscription":
         subscription = _RerunSubscription(self._rerun, topic, message, wake)
         self._rerun.open_input(topic, subscription)
@@ -679,8 +679,8 @@ class _RerunBus:
         name: str,
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
-        max_bytes: int | None = None,  # noqa: ARG002
-        invalid_response: Any = None,  # noqa: ARG002
+        max_bytes: int | None = None,
+        invalid_response: Any = None,
         *,
         is_private: bool = False,
     ) -> "_RerunServer | _NothingServed":
@@ -692,8 +692,8 @@ class _RerunBus:
         self,
         name: str,
         service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],  # noqa: ARG002
-        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002
+        post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> "_RerunClient":
         return _RerunClient(self._rerun, name, service)
 
@@ -706,7 +706,7 @@ class _NothingPublished:
     gid = bytes(16)
     has_subscribers = False
 
-    def publish(self, message: Any) -> int:  # noqa: ARG002
+    def publish(self, message: Any) -> int:
         return 0
 
     def close(self) -> None:
@@ -792,7 +792,7 @@ class _RerunClient:
         request: Any,
         on_reply: Callable[[Any], None],
         on_failure: Callable[[ServiceError], None],
-        timeout_s: float,  # noqa: ARG002
+        timeout_s: float,
     ) -> None:
         self.sent += 1
         self.pending[self.sent] = (on_reply, on_failure)

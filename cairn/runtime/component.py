@@ -105,6 +105,9 @@ class Component:
     confidential_inputs: ClassVar[frozenset[str]] = frozenset()
     """Input ports whose topics users on the network with less than `administer` may not read."""
 
+    live_parameters: ClassVar[frozenset[str] | None] = None
+    """Parameters, or groups of them, that can be changed while it runs; None: all."""
+
     published_frames: ClassVar[frozenset[str]] = frozenset()
     """Frames whose transforms to their parents it publishes, so that nothing else may."""
 
@@ -137,8 +140,8 @@ class Component:
     @classmethod
     def check_neighbors(
         cls,
-        config: Config,  # noqa: ARG003 - for overriding methods
-        neighbors: Mapping[str, Mapping[str, Config]],  # noqa: ARG003
+        config: Config,
+        neighbors: Mapping[str, Mapping[str, Config]],
     ) -> Iterable[tuple[str, str, str]]:
         """Return which parameters do not fit those of the components on the same topics.
 
@@ -243,7 +246,7 @@ class Component:
     def on_shutdown(self) -> None:
         """Release everything; the component is not used again."""
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - for overriding methods
+    def on_error(self, error: Exception) -> bool:
         """Clean up after an exception in a handler or a transition.
 
         Return True if the component can be configured again in the same process; by default it
@@ -260,7 +263,7 @@ class Component:
     def on_fresh(self, port: str) -> None:
         """React to an input that was stale and has a current message again."""
 
-    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:  # noqa: ARG002
+    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Return the reply to a control request of the component's own, a value that is JSON.
 
         Raises `CairnError` for an unknown request, which is every one by default.
@@ -268,7 +271,7 @@ class Component:
         raise CairnError(f"{self.name}: unknown request {verb}")
 
     def on_parameters(self, new: Config) -> None:
-        """Check a valid change of parameters before it takes effect.
+        """Check a valid change of `live_parameters` before it takes effect.
 
         Raise `ParameterRejected` to keep all parameters as they are. `self.config` is still the old
         configuration here and becomes `new` when this returns.

@@ -49,6 +49,7 @@ from cairn.runtime.parameters import (
     SERVICE_INTROSPECTION,
     Config,
     ParameterDescription,
+    ParameterRejected,
     ReadPathMark,
     ServiceIntrospection,
     checked_common,
@@ -222,6 +223,7 @@ class Runtime:
         }
         new = with_changes(self.config, own)
         if own:
+            self._check_live(new)
             self.component.on_parameters(new)
             self.config = new
             self.component.config = new
@@ -231,6 +233,22 @@ class Runtime:
         self.log.info("parameters changed: %s", dict(changes))
         if self._parameter_services is not None:
             self._parameter_services.publish_change(list(changes))
+
+    def _check_live(self, new: Config) -> None:
+        live = self.component.live_parameters
+        if live is None:
+            return
+        fixed = [
+            name
+            for name in type(new).model_fields
+            if name not in live and getattr(new, name) != getattr(self.config, name)
+        ]
+        if fixed:
+            only = f", or change only {', '.join(sorted(live))}" if live else ""
+            raise ParameterRejected(
+                f"{self.name}: {', '.join(fixed)} cannot change while it runs; change the "
+                f"deployment, and restart it{only}"
+            )
 
     def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Return the reply to a control request; raises `CairnError` if it is rejected or fails."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import Field
 
-from cairn import CairnError, Component, Config, ParameterRejected, every
+from cairn import CairnError, Component, every
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import Deployment
@@ -37,6 +37,7 @@ class Recorder(Component):
     `resume`, `status`. Whatever happens to its disk, it fails no other component.
     """
 
+    live_parameters = frozenset()
     config: RecorderConfig
     clock_source = "system"
     request_roles = MappingProxyType(
@@ -103,12 +104,6 @@ class Recorder(Component):
         """Close the file; a restart continues in another one."""
         self._close()
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes while it runs."""
-        raise ParameterRejected(
-            "the recorder takes its parameters when it is configured; restart it to change them"
-        )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Trigger, split, pause, resume, or return the status."""
