@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from cairn.bus.actions import ClientGoal, ServerGoal
     from cairn.bus.bus import ServiceError
     from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
-    from cairn.clock import SECOND, Clock, SteadyClock, from_ns, has_passed, to_ns
     from cairn.errors import CairnError
+    from cairn.processes.supervisor import StartFailed, Supervisor
     from cairn.runtime.action_ports import ActionClient, ActionServer
     from cairn.runtime.component import Component
     from cairn.runtime.handlers import cancel, every, goal, on, serve
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from cairn.runtime.retried_save import RetriedSave
     from cairn.runtime.service_ports import Client, Server
     from cairn.runtime.topic_ports import In, Out
-    from cairn.supervision.supervisor import StartFailed, Supervisor
+    from cairn.schemas.builtin_interfaces import from_ns, to_ns
+    from cairn.system.clock import SECOND, Clock, SteadyClock, has_passed
 
 __all__ = [
     "LATCHED",
@@ -76,7 +77,7 @@ _MODULES: Final = {
     "cairn.bus.actions": ("ClientGoal", "ServerGoal"),
     "cairn.bus.bus": ("ServiceError",),
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
-    "cairn.clock": ("SECOND", "Clock", "SteadyClock", "from_ns", "has_passed", "to_ns"),
+    "cairn.system.clock": ("SECOND", "Clock", "SteadyClock", "from_ns", "has_passed", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.action_ports": ("ActionClient", "ActionServer"),
     "cairn.runtime.component": ("Component",),
@@ -93,7 +94,7 @@ _MODULES: Final = {
     "cairn.runtime.retried_save": ("RetriedSave",),
     "cairn.runtime.service_ports": ("Client", "Server"),
     "cairn.runtime.topic_ports": ("In", "Out"),
-    "cairn.supervision.supervisor": ("StartFailed", "Supervisor"),
+    "cairn.processes.supervisor": ("StartFailed", "Supervisor"),
 }
 
 

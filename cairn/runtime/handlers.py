@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
-from cairn.clock import SECOND
 from cairn.errors import CairnError
 from cairn.runtime.ports import actions_of, ports_of, qualified_name, services_of
+from cairn.system.clock import SECOND
 
 Method = TypeVar("Method", bound=Callable[..., None])
 ServiceMethod = TypeVar("ServiceMethod", bound=Callable[..., Any])

@@ -13,7 +13,6 @@ from cairn import LATCHED, CairnError
 from cairn.bus.actions import STATUS_TEXT, SentGoal, uuid_of
 from cairn.client.connection import Connection
 from cairn.client.navigation import Navigator
-from cairn.files import replace_file
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
 from cairn.schemas.action_msgs.srv import CancelGoal
@@ -29,6 +28,7 @@ from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from cairn.schemas.std_msgs import Header
 from cairn.supervisors.mobile import mission_file
 from cairn.supervisors.mobile.mission_file import ActionRecord, Mission, MissionFile, check_goals
+from cairn.system.files import replace_file
 from cairn.testing.lockstep import DeploymentHarness
 from tests.navigation.driving import send_poses
 from tests.wording import assert_words, words_in_order
