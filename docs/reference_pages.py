@@ -108,7 +108,7 @@ def _plugins_page() -> str:
 def _plugin_section(name: str, cls: type[Component]) -> str:
     lines = [f"\n## {name}\n", getdoc(cls) or "", "", f"Class: `{cls.__module__}:{cls.__name__}`"]
     ports = [
-        (f"`{port.name}`", port.direction, f"`{type_name(port.message)}`", str(port.qos.depth))
+        (f"`{port.name}`", port.direction, f"`{type_name(port.interface)}`", str(port.qos.depth))
         for port in ports_of(cls).values()
     ]
     if ports:

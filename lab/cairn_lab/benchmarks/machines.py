@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 import yaml
 
 from cairn.deployment.shipped import FOLDER
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn_lab.benchmarks.result import Metric
 from cairn_lab.benchmarks.running import results, run_deployment
@@ -131,8 +131,8 @@ def _identities(first: Computer, second: Computer) -> Iterator[Path]:
     with _folder() as folder:
         os.environ[VARIABLE] = str(folder / "security")
         members = [
-            Member("first", None, (first.address,)),
-            Member("second", None, (second.address,)),
+            AuthorityMember("first", None, (first.address,)),
+            AuthorityMember("second", None, (second.address,)),
         ]
         robot = RobotFolder.of("robot")
         Authority.create(robot, members)
