@@ -184,7 +184,7 @@ REQUESTS: Final[list[tuple[str, str, dict[str, Any], str]]] = [
     ("velocity_gate", "set_parameters", {"scanner": False}, "cannot change while it runs"),
     ("velocity_gate", "set_parameters", {"external.enabled": True}, "cannot change while it runs"),
     ("world", "set_parameters", {"radius": 0.23}, "cannot change while it runs"),
-    ("localizer", "set_parameters", {"particles": 300}, "when it is configured"),
+    ("localizer", "set_parameters", {"particles": 300}, "particles cannot change while it runs"),
 ]
 """Requests that are refused: component, verb, arguments, and a part of the reason."""
 
