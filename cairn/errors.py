@@ -9,5 +9,9 @@ class Escalate(CairnError):
     """A supervisor has given up and stopped all children: it must fail itself."""
 
 
+class LoggedFailure(CairnError):
+    """The failure of a child, which the log already has: its supervisor fails because of it."""
+
+
 class RecordingError(CairnError):
     """A recording is missing, damaged or of another format."""

@@ -21,6 +21,18 @@ A person may miss everything else: maps, missions, results, and what other compo
 """
 
 
+def check_report_option(folder: Path) -> None:
+    """Raise `CairnError` if more than the last two folders of a path that was given do not exist.
+
+    A path with a mistake would otherwise be created.
+    """
+    for missing in reversed(folder.parents[1:]):
+        if not missing.exists():
+            raise CairnError(
+                f"--report {folder}: there is no folder {missing}; create it, or correct the path"
+            )
+
+
 @contextmanager
 def used_folder(folder: Path) -> Iterator[Path]:
     """Create the folder of a run, without the logs of an earlier one; return that of its logs.

@@ -19,7 +19,7 @@ import typer
 
 from cairn.bus.endpoints import DOMAIN_VARIABLE, default_domain, socket_path
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.cli.run_folders import reduce_old, used_folder
+from cairn.cli.run_folders import check_report_option, reduce_old, used_folder
 from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LogWatch, PlainView, View, Watch
 from cairn.deployment.load import SourceDocument, assemble, read_sources
@@ -63,7 +63,10 @@ def up(
     machine: Machine = "",
     report: Annotated[
         Path | None,
-        typer.Option(help="Folder for report and logs; by default one in the user's state folder."),
+        typer.Option(
+            help="Folder for report and logs, which is created, also with its parent; by default "
+            "one in the user's state folder."
+        ),
     ] = None,
     log_level: Annotated[
         LogLevel | None,
@@ -109,6 +112,8 @@ def up(
         )
     service = service_manager(os.environ)
     folder = (report or _folder_of_run(file)).absolute()
+    if report is not None:
+        check_report_option(folder)
     began = time.monotonic()
     sources = read_sources(file, overlay or ())
     documents = [source.node.plain() for source in sources if source.node is not None]

@@ -294,11 +294,14 @@ class Child:
             if canceled():  # which has cut the step short
                 return "canceled"
             self.reason = self._without_name(error)
-            self._log_event(logging.ERROR, "start failed", self.reason)
+            refused = not isinstance(error, ChildUnavailable)
+            has_logged = refused and self.handle is not None  # that it fails, and why
+            level = logging.WARNING if has_logged else logging.ERROR
+            self._log_event(level, "start failed", self.reason)
             if self.handle is not None:
                 self._force_end(self.handle, terminate=True)
             self.handle, self.state = None, "ended"
-            return "unavailable" if isinstance(error, ChildUnavailable) else "refused"
+            return "refused" if refused else "unavailable"
         self._heartbeat, self._heartbeat_at, self._deviates = None, self._host.awake(), False
         self._note_target_reached()
         return "active"

@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 
 from cairn.errors import CairnError, Escalate
 from cairn.processes.child import ChildStatus, SupervisorHost, ZygoteLost
-from cairn.processes.supervisor import ChildGroup, StartFailed, UnknownChild
+from cairn.processes.supervisor import ChildGroup, EscalatedStart, StartFailed, UnknownChild
 from cairn.runtime.call_log import CallLog
 from cairn.runtime.call_records import RecordKind
 from cairn.runtime.launch_request import LaunchRequest
@@ -21,7 +21,8 @@ from cairn.system.process_exit import ExitReport
 T = TypeVar("T")
 
 _ERRORS: Final[dict[str, type[CairnError]]] = {
-    one.__name__: one for one in (StartFailed, UnknownChild, Escalate, ZygoteLost, CairnError)
+    one.__name__: one
+    for one in (StartFailed, UnknownChild, EscalatedStart, Escalate, ZygoteLost, CairnError)
 }
 
 

@@ -16,7 +16,7 @@ Log lines begin with an event in stable words, then the child's name, then the r
 | `child hung: NAME: REASON` | ERROR | its supervisor has killed it as hung |
 | `child deviates: NAME: REASON` | WARNING | it is not in its state; its supervisor restores that |
 | `child held by request: NAME: STATE` | INFO | it is kept in that state until `active` is |
-| `child start failed: NAME: REASON` | ERROR | it did not become active |
+| `child start failed: NAME: REASON` | ERROR, or WARNING after its own | it is not active |
 | `child stop failed: NAME: REASON` | WARNING | a step of stopping failed; a harder one follows |
 | `restarting child NAME: REASON (2 of 3 restarts in 10 s)` | INFO | follows a failure or an end |
 
@@ -36,7 +36,7 @@ from typing import Any, ClassVar, Literal, NoReturn
 
 from cairn.bus.bus import full_name
 from cairn.deployment.model import fallback_name
-from cairn.errors import CairnError, Escalate
+from cairn.errors import CairnError, Escalate, LoggedFailure
 from cairn.processes.child import (
     Child,
     ChildStatus,
@@ -61,8 +61,12 @@ HELD_STATES = ("unconfigured", "inactive", "active")
 """The states of its life cycle in which a child can be held."""
 
 
-class StartFailed(CairnError):
+class StartFailed(LoggedFailure):
     """A child loaded on request did not become active and is unloaded again."""
+
+
+class EscalatedStart(Escalate, LoggedFailure):
+    """A supervisor has given up because a child did not become active."""
 
 
 class UnknownChild(CairnError):
@@ -509,7 +513,7 @@ class ChildGroup:
             decision = self._policy.start_failed(
                 child.name, at_s=now, reason=child.reason, refused=refused
             )
-            self._apply(decision, child)
+            self._apply(decision, child, EscalatedStart)
 
     def _await(self, is_over: Callable[[], bool]) -> None:
         """Look after the children until something is over, or a stop was requested.
@@ -538,18 +542,20 @@ class ChildGroup:
         else:
             self._apply(decision, child)
 
-    def _apply(self, decision: RestartDecision, child: Child | RemoteChild) -> None:
+    def _apply(
+        self, decision: RestartDecision, child: Child | RemoteChild, failure: type[Escalate] = Escalate
+    ) -> None:
         if decision.give_up:
-            self._give_up(decision.give_up)
+            self._give_up(decision.give_up, failure)
         if child.name in decision.start:
             count = self._policy.restart_count
             self._log.info("restarting child %s: %s (%s)", child.name, child.reason, count)
         for name in decision.stop:
             self._stop(self._children[name])
 
-    def _give_up(self, reason: str) -> NoReturn:
+    def _give_up(self, reason: str, failure: type[Escalate] = Escalate) -> NoReturn:
         self.stop_all()
-        raise Escalate(reason)
+        raise failure(reason)
 
     def _child(self, name: str) -> Child | RemoteChild:
         if name not in self._children:

@@ -15,7 +15,7 @@ import numpy as np
 
 from cairn.bus.bus import Bus, Node, full_name
 from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.errors import CairnError, Escalate
+from cairn.errors import CairnError, Escalate, LoggedFailure
 from cairn.runtime.call_log import (
     CallLog,
     LoggedClock,
@@ -478,7 +478,8 @@ class Runtime:
         # The cause of an escalation is a child, not the handler that noticed it.
         where = "" if isinstance(failure.error, Escalate) else f"{failure.where}: "
         self._reason = f"{where}{self._describe_error(failure.error)}"
-        self.log.error("%s", self._reason, exc_info=failure.error)
+        level = logging.WARNING if isinstance(failure.error, LoggedFailure) else logging.ERROR
+        self.log.log(level, "%s", self._reason, exc_info=failure.error)
         self._finishing = None
         self._ports.unsubscribe()
         self._timers.stop()

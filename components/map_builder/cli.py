@@ -10,7 +10,13 @@ import numpy as np
 import typer
 
 from cairn import CairnError
-from cairn.components.map_builder.importing import alter, import_grid, import_models, importer
+from cairn.components.map_builder.importing import (
+    alter,
+    endings_of,
+    import_grid,
+    import_models,
+    importer,
+)
 from cairn.components.map_builder.why import (
     describe_state,
     find_landmark,
@@ -73,7 +79,9 @@ def import_map(
     out: Annotated[
         Path,
         typer.Argument(
-            metavar="MAP", help="Map to write: a grid map if it ends in .yaml, else a visual map."
+            metavar="MAP",
+            help="Map to write: a grid map if it ends in .yaml, else a visual map. Without an "
+            "ending: MAP.yaml, MAP.cairn, or both, as the importer makes.",
         ),
     ],
     displace: Annotated[
@@ -95,23 +103,22 @@ def import_map(
     force: Annotated[bool, typer.Option("--force", help="Replace a map file.")] = False,
 ) -> None:
     """Make a visual map of surveyed objects, or a grid map of a survey or of scans with poses."""
-    if out.exists() and not force:
-        raise CairnError(f"{out} exists already. Give another name, or --force to replace it.")
-    if out.suffix == ".yaml":
-        grid = import_grid(source, dataset, resolution, parse_mount(scanner), reach)
-        prepare(out)
-        write_grid(out, grid)
-        width, height = grid.size_m
-        line(f"{out}: {width:.1f} m x {height:.1f} m, cells of {grid.frame.resolution:g} m")
-        return
+    files = [out]
+    if not out.suffix:
+        files = [out.with_name(out.name + ending) for ending in endings_of(source)]
+    for file in files:
+        if file.exists() and not force:
+            raise CairnError(f"{file} exists already. Give another name, or --force to replace it.")
     moves = _parse_displacements(displace or [])
-    objects = alter(importer(source)(dataset), moves, remove or [])
-    models = import_models(source, dataset)
-    prepare(out)
-    write_map(out, f"imported by {source} from {dataset.name}", objects, models=models)
-    moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
-    removed = "".join(f", {key} removed" for key in remove or [])
-    line(f"{out}: {len(objects)} objects{moved}{removed}")
+    for file in files:
+        if file.suffix == ".yaml":
+            grid = import_grid(source, dataset, resolution, parse_mount(scanner), reach)
+            prepare(file)
+            write_grid(file, grid)
+            width, height = grid.size_m
+            line(f"{file}: {width:.1f} m x {height:.1f} m, cells of {grid.frame.resolution:g} m")
+        else:
+            _import_objects(source, dataset, file, moves, remove or [])
 
 
 @app.command()
@@ -182,6 +189,19 @@ def zones(
     if not as_json:
         line(f"{file.name}: {len(found)} {'zone' if len(found) == 1 else 'zones'}")
     show_rows([zone_row(zone) for zone in found], ZONE_COLUMNS, as_json=as_json, nothing="no zones")
+
+
+def _import_objects(
+    source: str, dataset: Path, out: Path, moves: dict[int, tuple[float, float]], remove: list[int]
+) -> None:
+    """Write the visual map of an importer, some objects displaced by (dx, dy) [m], some removed."""
+    objects = alter(importer(source)(dataset), moves, remove)
+    models = import_models(source, dataset)
+    prepare(out)
+    write_map(out, f"imported by {source} from {dataset.name}", objects, models=models)
+    moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
+    removed = "".join(f", {key} removed" for key in remove)
+    line(f"{out}: {len(objects)} objects{moved}{removed}")
 
 
 def _show_grid(file: Path, as_json: bool) -> None:

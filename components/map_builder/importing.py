@@ -43,6 +43,22 @@ def importer(name: str) -> Importer:
     return loaded
 
 
+def endings_of(name: str) -> list[str]:
+    """Return the endings of the map files that the importer of that name makes.
+
+    Raises `CairnError` that lists the importers if there is none of that name.
+    """
+    kinds = {".yaml": _GRIDS, ".cairn": (IMPORTERS_GROUP,)}
+    names = {
+        ending: {known for group in groups for known in entry_points(group=group).names}
+        for ending, groups in kinds.items()
+    }
+    if found := [ending for ending, known in names.items() if name in known]:
+        return found
+    all_names = ", ".join(sorted(set().union(*names.values())))
+    raise CairnError(f"no importer has the name {name!r}; available: {all_names}.")
+
+
 def import_models(name: str, path: Path) -> Sequence[ObjectModel]:
     """Return the object models of the importer of that name; none if it has no models."""
     if name not in entry_points(group=OBJECT_MODELS_GROUP).names:

@@ -20,6 +20,7 @@ from cairn.components.simulation.world_file import (
     Wall,
     WorldFile,
 )
+from cairn.deployment.problems import suggestion
 from cairn.planar.messages import packed_poses
 from cairn.planar.poses import Pose, compose
 from cairn.schemas import cairn_sim_msgs
@@ -296,7 +297,7 @@ def _shrink(shape: BaseGeometry) -> float:
 
 def unknown_name(name: str, known: list[str]) -> CairnError:
     """Return the error for a name that does not exist."""
-    return CairnError(f"{name} does not exist; there are {', '.join(sorted(known)) or 'none'}")
+    return CairnError(f"{name} does not exist; {suggestion(name, sorted(known))}")
 
 
 def corners_of(one: Furniture) -> list[tuple[float, float]]:

@@ -29,11 +29,10 @@ def test_plugin_that_raises_at_its_first_start_ends_the_deployment_at_once(
 
     assert run.await_end() == 1
 
-    failures = [
-        line for line in run.lines if "ERROR   robot.root: child start failed: base: " in line
-    ]
+    failures = [line for line in run.lines if "robot.root: child start failed: base: " in line]
     assert len(failures) == 1
     assert "ValueError: broken on purpose" in failures[0]
+    assert len([line for line in run.lines if " ERROR " in line]) == 1
     run.await_line("child stopped: beacon: shut down")
     run.await_line("cairn: deployment0.yaml failed: base: .*broken on purpose.*; logs: ")
     assert "Traceback" in run.log_of("base")

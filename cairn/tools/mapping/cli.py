@@ -55,7 +55,7 @@ def build(
         ),
     ],
     out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Name of the map's files, without their endings.")
+        Path, typer.Argument(metavar="OUT", help="Name of the map's files, or of one of them.")
     ],
     extend: Annotated[
         Path | None,
@@ -144,7 +144,7 @@ def build(
             write_landmarks(parts[".cairn"], source, built.landmarks.landmarks)
         write_graph(parts[".graph"], built.mapper, source)
         write_trajectory(parts[".tum"], built.stamps, built.poses)
-        draw_built_map(built, f"{out.name}: map of {recording.name}", parts[".png"])
+        draw_built_map(built, f"{files['.graph'].stem}: map of {recording.name}", parts[".png"])
     _print_result(built, [file for file in files.values() if file.exists()], json)
     if built.hint:
         note(built.hint)
@@ -153,7 +153,7 @@ def build(
 @app.command()
 def save(
     out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Name of the map's files, without their endings.")
+        Path, typer.Argument(metavar="OUT", help="Name of the map's files, or of one of them.")
     ],
     force: Annotated[bool, typer.Option("--force", help="Replace the map's files.")] = False,
     json: Json = False,

@@ -16,8 +16,9 @@ from cairn.system.files import explain_os_error
 def map_files(out: Path, endings: Iterable[str], *, force: bool) -> dict[str, Path]:
     """Return the files of the map `out`, by their endings.
 
-    Raises `CairnError` before anything is done if `out` is a folder or has one of the endings, if
-    its folder cannot be written, or if one of the files exists and `force` is not given.
+    `out` is the name of the map, or that of one of its files. Raises `CairnError` before anything
+    is done if it is a folder, if its folder cannot be written, or if one of the files exists and
+    `force` is not given.
     """
     if not out.name or out.is_dir():
         raise CairnError(
@@ -25,10 +26,7 @@ def map_files(out: Path, endings: Iterable[str], *, force: bool) -> dict[str, Pa
         )
     endings = tuple(endings)
     if out.suffix in endings:
-        raise CairnError(
-            f"{out} has the ending {out.suffix}; give the name without it, "
-            f"{out.with_suffix('')}: a map has several files"
-        )
+        out = out.with_suffix("")
     _check_folder(out)
     files = {ending: out.with_name(out.name + ending) for ending in endings}
     existing = [file for file in files.values() if file.exists()]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.cli.run_folders import reduce_old, used_folder
+from cairn.cli.run_folders import check_report_option, reduce_old, used_folder
 from cairn.errors import CairnError
 from cairn.runtime.child_spec import Storage
 from tests.wording import assert_words
@@ -66,6 +66,17 @@ def test_run_that_is_under_way_is_left_alone(tmp_path: Path) -> None:
             pass
     with used_folder(folders[0]):
         pass
+
+
+def test_folder_below_more_than_one_missing_folder_is_refused_with_the_first_missing(
+    tmp_path: Path,
+) -> None:
+    check_report_option(tmp_path / "a" / "b")
+    with pytest.raises(CairnError, match=f"there is no folder {tmp_path}/a; create it"):
+        check_report_option(tmp_path / "a" / "b" / "c")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "a").mkdir()
+    check_report_option(tmp_path / "a" / "b" / "c")
 
 
 def test_logs_of_an_earlier_run_in_the_folder_are_removed(tmp_path: Path) -> None:

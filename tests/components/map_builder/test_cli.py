@@ -109,6 +109,24 @@ def test_world_is_imported_with_the_requested_cell_size(tmp_path: Path) -> None:
     assert read_map(out).frame.resolution == 0.1
 
 
+def test_name_without_an_ending_gets_all_maps_that_the_importer_makes(
+    dataset: Path, tmp_path: Path
+) -> None:
+    cairn_map("import", "world", ROOM, tmp_path / "room", "--resolution", "0.1")
+    cairn_map("import", "mrclam", dataset, tmp_path / "hall")
+
+    assert {file.name for file in tmp_path.iterdir()} >= {"room.yaml", "room.pgm", "room.cairn"}
+    assert read_map(tmp_path / "room.yaml").frame.resolution == 0.1
+    assert set(objects(tmp_path / "hall.cairn")) == set(range(6, 21))
+    assert not (tmp_path / "hall.yaml").exists()
+    (tmp_path / "room.yaml").unlink()
+    with pytest.raises(CairnError, match=r"room\.cairn exists already"):
+        cairn_map("import", "world", ROOM, tmp_path / "room")
+    assert not (tmp_path / "room.yaml").exists()
+    with pytest.raises(CairnError, match=r"no importer .*'wold'; available: .*carmen.*mrclam"):
+        cairn_map("import", "wold", ROOM, tmp_path / "room")
+
+
 def test_grid_map_is_shown_with_size_origin_and_cells(tmp_path: Path) -> None:
     file = tmp_path / "map.yaml"
     cells = np.array([[FREE] * 4, [FREE, OCCUPIED, UNKNOWN, UNKNOWN]], np.int8)

@@ -39,7 +39,11 @@ def test_sensors_see_moved_furniture_at_its_new_pose(simulate: Simulate) -> None
     ("verb", "arguments", "message"),
     [
         ("move", {"name": "table", "x": 3, "y": 2}, "table would stand on the robot"),
-        ("move", {"name": "sofa", "x": 3, "y": 2}, "sofa does not exist; there are object_1, "),
+        (
+            "move",
+            {"name": "sofa", "x": 3, "y": 2},
+            "sofa does not exist; expected one of: obj",
+        ),
         ("move", {"name": "table", "x": float("nan"), "y": 2}, "move: x = 'nan': "),
         ("move", {"name": "table"}, "move: x: must be given; y: must be given"),
         ("furniture", {"name": "b", "x": 1, "y": 1}, "furniture: give either outline or size"),

@@ -127,7 +127,11 @@ class TestImpossibleChanges:
         [
             (["kidnap", "0.1", "2"], "cannot be at (0.10, 2.00): wall 1 is 0.10 m from there"),
             (["kidnap", "-3", "2"], "outside the walls"),
-            (["move", "sofa", "1", "1"], "sofa does not exist; there are ada, object_1, table"),
+            (
+                ["move", "sofa", "1", "1"],
+                "sofa does not exist; expected one of: ada, object_1",
+            ),
+            (["move", "tabel", "1", "1"], "tabel does not exist; did you mean table?"),
             (["move", "table", "north", "1"], "'north' is not a number"),
             (["move", "table", "nan", "1"], "nan is not a finite number"),
             (["move", "table", "0.1", "1"], "table overlaps wall 1 at (0.00, 1.00)"),

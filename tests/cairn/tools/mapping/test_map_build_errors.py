@@ -119,7 +119,6 @@ def test_data_set_of_several_robots_names_those_that_it_has(tmp_path: Path) -> N
     [
         ("none", ("none is a folder", "such as none/map")),
         (".", (". is a folder", "such as map")),
-        ("new.yaml", ("new.yaml has the ending .yaml", "without it, new")),
         ("text.txt/map", ("text.txt/map cannot be written", "text.txt is not a folder", "give")),
     ],
 )
