@@ -27,11 +27,6 @@ from cairn import (
 )
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.components.path_planner.cost_map import CostMap
-from cairn.components.path_planner.obstacle_memory import (
-    AvoidedPositions,
-    RecentObstacles,
-    StuckDetector,
-)
 from cairn.components.path_planner.planning import (
     Planner,
     PlanOutcome,
@@ -39,6 +34,11 @@ from cairn.components.path_planner.planning import (
     first_blocked,
     nearest_pose,
     remaining_cost,
+)
+from cairn.components.path_planner.unmapped_obstacles import (
+    AvoidedPositions,
+    RecentObstacles,
+    StuckDetector,
 )
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import (

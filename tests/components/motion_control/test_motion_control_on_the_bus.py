@@ -305,7 +305,7 @@ def test_scans_are_placed_where_they_were_taken_although_odometry_is_late() -> N
     drive.run_for(0.7)  # it accelerates
 
     memory = drive.motion_control.component._memory
-    points = memory._points[: memory._count]
+    points = memory.points
     origin = compose(drive.robot.pose, inverse(drive.robot.odom))
     x, y = np.array([compose(origin, (px, py, 0.0))[:2] for px, py in points.tolist()]).T
     errors = np.abs(np.maximum(np.abs(x + 3.0), np.abs(y)) - 1.5)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn import SECOND
 from cairn.planar.grid import Frame
-from cairn.planar.poses import Pose, compose, distance
+from cairn.planar.obstacle_memory import Clearing, ObstacleMemory
+from cairn.planar.poses import Pose, distance, relative
 from cairn.planar.scans import ScanBeams
 from cairn.schemas.cairn_nav_msgs import MotionStatus
 
@@ -25,8 +27,7 @@ class RecentObstacles:
     def __init__(self, frame: Frame, shape: tuple[int, int]) -> None:
         self._frame = frame
         self._shape = shape
-        self._cells = np.empty(0, np.int64)  # rows * columns + column, ascending
-        self._stamps = np.empty(0, np.int64)
+        self._centers = ObstacleMemory(Clearing(behind=_BEHIND_M))  # [m] along the grid's axes
 
     def fits(self, frame: Frame, shape: tuple[int, int]) -> bool:
         """Return whether the cells belong to a map with this frame and shape."""
@@ -39,80 +40,41 @@ class RecentObstacles:
 
         Only hits between the distances `within` [m] from the robot count.
         """
-        points = beams.points()
-        apart = np.hypot(points[:, 0], points[:, 1])
-        points = points[(apart > within[0]) & (apart <= within[1])]
-        cells_seen = self._cell_numbers(points, pose)
-        kept = self._stamps > stamp - memory_ns
-        if self._cells.size and kept.any():
-            cells, stamps = self._cells[kept], self._stamps[kept]
-            kept = ~self._seen_through(cells, pose, beams)
-            cells, stamps = cells[kept], stamps[kept]
-            seen_again = np.isin(cells, cells_seen, assume_unique=True)
-            fresh = np.full(cells_seen.size, stamp, np.int64)
-            again = np.isin(cells_seen, cells, assume_unique=True)
-            fresh[again] = np.maximum(stamp, stamps[seen_again])  # both in ascending order of cells
-            cells = np.concatenate((cells[~seen_again], cells_seen))
-            stamps = np.concatenate((stamps[~seen_again], fresh))
-            order = np.argsort(cells)
-            self._cells, self._stamps = cells[order], stamps[order]
-        else:
-            self._cells, self._stamps = cells_seen, np.full(cells_seen.size, stamp, np.int64)
+        robot = relative(self._frame.origin, pose)
+        rays = beams.rays(robot)
+        # A beam without a hit sees through what is within its reach.
+        seen_to = np.minimum(rays.ranges, rays.reach + _BEHIND_M)
+        self._centers.clear(robot, replace(rays, ranges=seen_to), stamp - memory_ns + 1)
+        hits = rays.points()
+        apart = np.hypot(hits[:, 0] - robot[0], hits[:, 1] - robot[1])
+        counts = (apart > within[0]) & (apart <= within[1])
+        known, seen = self._numbers(self._centers.points), np.unique(self._numbers(hits[counts]))
+        self._centers.see_again(stamp, np.isin(known, seen, assume_unique=True))
+        rows, columns = np.divmod(np.setdiff1d(seen, known, assume_unique=True), self._shape[1])
+        centers = np.column_stack((columns + 0.5, rows + 0.5)) * self._frame.resolution
+        self._centers.add(stamp, centers)
 
     def remember_near(self, x: float, y: float, within: float, stamp: int) -> None:
         """Remember cells within a distance [m] of a position [m] as if seen at that time [ns]."""
-        rows, columns = np.divmod(self._cells, self._shape[1])
         column, row = self._frame.cells(x, y)
-        apart = np.hypot(rows + 0.5 - row, columns + 0.5 - column) * self._frame.resolution
-        near = apart <= within
-        self._stamps[near] = np.maximum(self._stamps[near], stamp)
+        away = self._centers.points - np.array([column, row]) * self._frame.resolution
+        self._centers.see_again(stamp, np.hypot(away[:, 0], away[:, 1]) <= within)
 
     def forget(self, before: int) -> None:
         """Forget cells last seen before a time [ns]."""
-        kept = self._stamps >= before
-        self._cells, self._stamps = self._cells[kept], self._stamps[kept]
+        self._centers.forget_before(before)
 
     def cells(self) -> NDArray[np.int64]:
         """Return rows and columns (n, 2) of the remembered cells, in a fixed order."""
-        return np.column_stack(np.divmod(self._cells, self._shape[1]))
+        numbers = np.sort(self._numbers(self._centers.points))
+        return np.column_stack(np.divmod(numbers, self._shape[1]))
 
-    def _cell_numbers(self, points: NDArray[np.float64], pose: Pose) -> NDArray[np.int64]:
-        """Return the distinct cells that hold points (n, 2) [m] of the robot's frame."""
-        turn = pose[2] - self._frame.origin[2]
-        x, y = self._frame.cells(pose[0], pose[1])
-        cosine = math.cos(turn) / self._frame.resolution
-        sine = math.sin(turn) / self._frame.resolution
-        columns = np.floor(x + cosine * points[:, 0] - sine * points[:, 1]).astype(np.int64)
-        rows = np.floor(y + sine * points[:, 0] + cosine * points[:, 1]).astype(np.int64)
-        inside = (rows >= 0) & (rows < self._shape[0])
-        inside &= (columns >= 0) & (columns < self._shape[1])
-        numbers: NDArray[np.int64] = np.unique(rows[inside] * self._shape[1] + columns[inside])
+    def _numbers(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return row * columns + column of the cells of the map that hold points (n, 2) [m]."""
+        columns, rows = np.floor(points / self._frame.resolution).astype(np.int64).T
+        inside = (rows >= 0) & (rows < self._shape[0]) & (columns >= 0) & (columns < self._shape[1])
+        numbers: NDArray[np.int64] = rows[inside] * self._shape[1] + columns[inside]
         return numbers
-
-    def _seen_through(
-        self, cells: NDArray[np.int64], pose: Pose, beams: ScanBeams
-    ) -> NDArray[np.bool_]:
-        """Return which of the cells a beam passes through and continues behind."""
-        rows, columns = np.divmod(cells, self._shape[1])
-        scanner = compose(pose, beams.start)
-        x, y = self._frame.cells(scanner[0], scanner[1])
-        turn = pose[2] - self._frame.origin[2]
-        dx = (columns + 0.5 - x) * self._frame.resolution
-        dy = (rows + 0.5 - y) * self._frame.resolution
-        apart = np.hypot(dx, dy)
-        count = beams.angles.size
-        if count < 2 or beams.angles[0] == beams.angles[1]:  # the beams' width is unknown
-            return np.zeros(cells.size, np.bool_)
-        first, step = beams.angles[0], beams.angles[1] - beams.angles[0]
-        bearing = np.arctan2(dy, dx) - turn - first
-        full = 2.0 * math.pi
-        nearest = np.rint((bearing % full if step > 0 else -(-bearing % full)) / step)
-        # After a full turn the first beam follows the last one.
-        nearest %= max(1.0, np.rint(full / abs(step)))
-        known = nearest < count
-        ranges = beams.ranges[np.where(known, nearest, 0).astype(np.int64)]
-        through: NDArray[np.bool_] = known & (ranges > apart + _BEHIND_M)
-        return through & (apart < beams.reach)
 
 
 # The robot is stuck when it has moved no further than this [m] for so long [ns]: while motion
