@@ -92,7 +92,7 @@ class StuckDetector:
     """Detects that the robot follows a path but does not progress."""
 
     def __init__(self) -> None:
-        self._stay: tuple[int, int, Pose] | None = None  # goal id, start time, pose
+        self._stay: tuple[int, int, Pose] | None = None  # command id, start time, pose
 
     def is_stuck(self, now: int, status: MotionStatus, pose: Pose) -> bool:
         """Return whether the robot is stuck at `now` [ns]; the time counts again from then on."""
@@ -100,13 +100,13 @@ class StuckDetector:
             self._stay = None
             return False
         stay = self._stay
-        if stay is None or stay[0] != status.goal_id or distance(stay[2], pose) > _STUCK_M:
-            self._stay = status.goal_id, now, pose
+        if stay is None or stay[0] != status.command_id or distance(stay[2], pose) > _STUCK_M:
+            self._stay = status.command_id, now, pose
             return False
         blocked = status.state == MotionStatus.BLOCKED
         if now - stay[1] < (_STUCK_BLOCKED_NS if blocked else _STUCK_MOVING_NS):
             return False
-        self._stay = status.goal_id, now, pose
+        self._stay = status.command_id, now, pose
         return True
 
 

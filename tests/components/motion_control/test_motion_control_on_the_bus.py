@@ -44,7 +44,7 @@ def test_plan_is_followed_to_the_goal_and_its_heading() -> None:
 
     x, y, heading = drive.robot.pose
     assert drive.status.state == STATES.DONE
-    assert drive.status.goal_id == 7
+    assert drive.status.command_id == 7
     assert math.hypot(x - 3, y) < 0.1
     assert heading == pytest.approx(1.0, abs=0.1)
 
@@ -77,7 +77,7 @@ def test_robot_stands_on_command() -> None:
     drive.run_for(1.5)
 
     assert drive.status.state == STATES.STANDING
-    assert drive.status.goal_id == 8
+    assert drive.status.command_id == 8
     assert drive.robot.speed == 0.0
 
 

@@ -12,7 +12,7 @@ import pytest
 from cairn import LATCHED, CairnError
 from cairn.bus.actions import STATUS_TEXT, SentGoal, uuid_of
 from cairn.client.connection import Connection
-from cairn.client.navigation import Navigator
+from cairn.client.navigation import MissionClient
 from cairn.files import replace_file
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
@@ -99,7 +99,7 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     goals = [[1.0, -2.0, 0.5], [3.0, 4.0, 0.0]]
     number, sent = go(robot, *goals)
     (first,) = missions.take()
-    assert first.action_goal_id.uuid.tobytes() == sent.id
+    assert first.goal_id.uuid.tobytes() == sent.id
     assert (first.mission_id, first.first, goals_of(first)) == (number, 0, goals)
 
     publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
@@ -213,7 +213,7 @@ def test_missions_that_no_client_sent_are_goals_too(make_harness: MakeHarness) -
     robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
     assert cancel(robot, "navigate_through_poses") == 1
 
-    identities = {mission.action_goal_id.uuid.tobytes() for mission in missions.take()}
+    identities = {mission.goal_id.uuid.tobytes() for mission in missions.take()}
     assert len(identities) == 3
 
 
@@ -238,7 +238,7 @@ def test_restarted_supervisor_continues_the_mission(make_harness: MakeHarness) -
 
     (again,) = missions.take()
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
-    assert again.action_goal_id.uuid.tobytes() == sent.id
+    assert again.goal_id.uuid.tobytes() == sent.id
 
 
 def test_finished_mission_stays_finished_after_a_restart(
@@ -419,7 +419,7 @@ def test_more_goals_than_allowed_are_refused_wherever_they_are_given(
     with pytest.raises(InvalidMessage, match=words_in_order("goals = 1001", "at most 1000")):
         NavigateGoal(goals=packed_poses(np.array(too_many)))
     with pytest.raises(CairnError, match=words_in_order("1,001 goals", "at most 1,000")):
-        Navigator(Connection(cast("Any", None), 0), "/robot/x", print).goal(too_many)
+        MissionClient(Connection(cast("Any", None), 0), "/robot/x", print).goal(too_many)
     listed = [list(goal) for goal in too_many]
     with pytest.raises(CairnError, match=words_in_order("mission", "at most 1000")):
         make_harness(f"components.mobile_supervisor.parameters.mission={listed}")
