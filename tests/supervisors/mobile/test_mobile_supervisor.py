@@ -19,6 +19,7 @@ from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
 from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
+    MissionOutcome,
     NavigateGoal,
     NavigationStatus,
     ReasonCode,
@@ -28,7 +29,13 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from cairn.schemas.std_msgs import Header
 from cairn.supervisors.mobile import mission_file
-from cairn.supervisors.mobile.mission_file import ActionRecord, Mission, MissionFile, check_goals
+from cairn.supervisors.mobile.mission_file import (
+    ActionRecord,
+    Mission,
+    MissionFile,
+    MissionResult,
+    check_goals,
+)
 from cairn.testing.lockstep import DeploymentHarness
 from tests.navigation.driving import send_poses
 from tests.wording import assert_words, words_in_order
@@ -107,7 +114,7 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
     saved = MissionFile(tmp_path / "mission.json").load()
     assert saved is not None
-    assert (saved.mission_id, saved.first, saved.result) == (number, 1, "")
+    assert (saved.mission_id, saved.first, saved.result) == (number, 1, None)
 
     publish_status(
         robot,
@@ -157,7 +164,7 @@ def test_goals_of_the_explorer_preempt_each_other_and_are_canceled(
     assert (canceled.mission_id, len(canceled.goals)) == (second.mission_id, 0)
     saved = MissionFile(tmp_path / "mission.json").load()
     assert saved is not None
-    assert saved.result == "canceled: the exploration has ended"
+    assert str(saved.result) == "canceled: the exploration has ended"
 
 
 def test_explorer_neither_preempts_nor_cancels_a_mission_of_an_operator(
@@ -434,6 +441,9 @@ def test_progress_beyond_the_goals_is_ignored(make_harness: MakeHarness) -> None
     assert missions.take() == []
 
 
+CANCELED = MissionResult(outcome=MissionOutcome.CANCELED, code=ReasonCode.CANCELED, reason="")
+
+
 def a_mission(number: int = 1, **changes: Any) -> Mission:
     action = ActionRecord(name="navigate_through_poses", goal_id=f"{number:032x}")
     mission = Mission(mission_id=number, requested_ns=number, goals=GOALS, action=action)
@@ -469,7 +479,7 @@ def test_kill_between_goals_and_progress_leaves_the_new_mission_at_its_start(
 
 
 @pytest.mark.parametrize(
-    "after", [a_mission(1, result="canceled: on request"), a_mission(2)], ids=["ended", "preempted"]
+    "after", [a_mission(1, result=CANCELED), a_mission(2)], ids=["ended", "preempted"]
 )
 def test_mission_that_is_over_is_not_continued_if_the_disk_takes_no_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: Mission
