@@ -70,7 +70,7 @@ docs: $(VENV)/docs
 
 ## All benchmarks.
 bench: $(VENV)/ready
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m cairn_lab.benchmarks
 
 ## Renew the lock files from the ranges of pyproject.toml: only what no longer fits, or everything
 ## with `make lock UPGRADE=--upgrade`. Then THIRD_PARTY.md, which states the versions.

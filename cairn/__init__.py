@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from cairn.bus.actions import ClientGoal, ServerGoal
     from cairn.bus.bus import ServiceError
     from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
-    from cairn.clock import SECOND, Clock, SteadyClock, from_ns, has_passed, to_ns
     from cairn.errors import CairnError
+    from cairn.processes.supervisor import StartFailed, Supervisor
     from cairn.runtime.component import Component
     from cairn.runtime.lifecycle import LifecycleState
     from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath, SensorFrame
@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     )
     from cairn.runtime.rate_limited_log import RateLimitedLog
     from cairn.runtime.retried_save import RetriedSave
-    from cairn.supervision.supervisor import StartFailed, Supervisor
+    from cairn.schemas.builtin_interfaces import from_ns, to_ns
+    from cairn.system.clock import SECOND, Clock, SteadyClock, has_passed
 
 __all__ = [
     "LATCHED",
@@ -85,7 +86,7 @@ _MODULES: Final = {
     "cairn.bus.actions": ("ClientGoal", "ServerGoal"),
     "cairn.bus.bus": ("ServiceError",),
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
-    "cairn.clock": ("SECOND", "Clock", "SteadyClock", "from_ns", "has_passed", "to_ns"),
+    "cairn.system.clock": ("SECOND", "Clock", "SteadyClock", "from_ns", "has_passed", "to_ns"),
     "cairn.errors": ("CairnError",),
     "cairn.runtime.component": ("Component",),
     "cairn.runtime.lifecycle": ("LifecycleState",),
@@ -111,7 +112,7 @@ _MODULES: Final = {
     ),
     "cairn.runtime.rate_limited_log": ("RateLimitedLog",),
     "cairn.runtime.retried_save": ("RetriedSave",),
-    "cairn.supervision.supervisor": ("StartFailed", "Supervisor"),
+    "cairn.processes.supervisor": ("StartFailed", "Supervisor"),
 }
 
 

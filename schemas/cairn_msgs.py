@@ -414,7 +414,7 @@ MACHINE_STATUS: Final = "machine_status"
 
 @message("cairn_msgs/msg/MachineChild")
 class MachineChild:
-    """A component that the root of a machine starts, as `cairn.supervision.child` describes it."""
+    """A component that the root of a machine starts, as `cairn.processes.child` describes it."""
 
     name: String
     state: String = ""

@@ -12,8 +12,8 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Any, Final
 
-from cairn.bounded_files import read_bounded
 from cairn.errors import CairnError
+from cairn.limits.files import read_bounded
 from cairn.schemas.field_types import INTEGER_LIMITS
 
 KINDS: Final = ("msg", "srv", "action")

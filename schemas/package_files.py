@@ -17,8 +17,8 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Final
 
-from cairn.bounded_files import read_bounded
 from cairn.errors import CairnError
+from cairn.limits.files import read_bounded
 from cairn.schemas.definitions import (
     KINDS,
     ConstantDefinition,

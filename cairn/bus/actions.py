@@ -15,12 +15,13 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 import numpy as np
 
 from cairn.bus.bus import Call, Client, ServiceError
-from cairn.clock import SECOND, from_ns, to_ns
 from cairn.errors import CairnError, Escalate
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
+from cairn.schemas.builtin_interfaces import from_ns, to_ns
 from cairn.schemas.message import Action, InvalidMessage, Service, type_name
 from cairn.schemas.unique_identifier_msgs.msg import UUID
+from cairn.system.clock import SECOND
 
 Goal = TypeVar("Goal")
 Result = TypeVar("Result")

@@ -22,11 +22,11 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, Field
 
-from cairn.bounded_json import parse_json, too_large
 from cairn.bus.keys import control_key
 from cairn.bus.message_limits import REPLY_BYTES, REQUEST_BYTES
 from cairn.bus.reply_thread import ReplyThread
 from cairn.errors import CairnError
+from cairn.limits.json import parse_json, too_large
 
 _VERB = re.compile(r"[a-z][a-z0-9_]{0,99}")
 _DEFAULT_BYTES = 64 << 10

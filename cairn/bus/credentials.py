@@ -10,7 +10,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict
 
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
+from cairn.system.files import explain_os_error
 
 _LONGEST_PASSWORD: Final = 1024  # bytes
 _TLS_BUFFER: Final = 16 << 20

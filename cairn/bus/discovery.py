@@ -29,10 +29,10 @@ from typing import Any, cast
 
 import zenoh
 
-from cairn.bounded_json import parse_json
 from cairn.bus.keys import CAIRN_ID_PREFIX, process_id, router_key, session_key
 from cairn.bus.message_limits import REPLY_BYTES
 from cairn.bus.session import is_member, process_of
+from cairn.limits.json import parse_json
 
 _ANSWER_POLL_S = 0.1
 """Interval for checking whether a process that has not answered yet still exists."""

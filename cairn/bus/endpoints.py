@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from cairn.errors import CairnError
-from cairn.runtime_folder import LONGEST_SOCKET_PATH, check_private, runtime_folder
+from cairn.system.runtime_folder import LONGEST_SOCKET_PATH, check_private, runtime_folder
 
 DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 MAX_DOMAIN = 232

@@ -10,8 +10,8 @@ from cairn.bus.bus import ServiceError
 from cairn.bus.conflicts import type_conflict
 from cairn.bus.message_limits import default_max_bytes, length_of
 from cairn.bus.services import MOST_PENDING
-from cairn.clock import SECOND
 from cairn.schemas.message import Service, type_name
+from cairn.system.clock import SECOND
 
 if TYPE_CHECKING:
     from cairn.bus.lockstep_bus import LockstepBus, LockstepNode

@@ -4,8 +4,8 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from cairn.bell import Bell
 from cairn.bus.message_limits import PENDING_BYTES
+from cairn.system.bell import Bell
 
 _LONGEST_SLEEP_S = 3600.0
 _CLOSE_LIMIT_S = 1.0

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
 
-from cairn.bell import Bell
 from cairn.bus import keys
 from cairn.bus.bus import ServiceError
 from cairn.bus.codec import Codec
@@ -29,6 +28,7 @@ from cairn.bus.message_limits import (
 from cairn.bus.qos import SERVICES
 from cairn.bus.reply_thread import ReplyThread
 from cairn.schemas.message import InvalidMessage, Service, type_name
+from cairn.system.bell import Bell
 
 if TYPE_CHECKING:
     from cairn.bus.zenoh_bus import ZenohNode

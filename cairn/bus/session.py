@@ -38,7 +38,7 @@ from cairn.bus.endpoints import (
 from cairn.bus.keys import CAIRN_ID_PREFIX, PID_DIGITS, process_id
 from cairn.bus.message_limits import DEFAULT_LIMITS, MessageLimits
 from cairn.errors import CairnError
-from cairn.runtime_folder import (
+from cairn.system.runtime_folder import (
     LONGEST_SOCKET_PATH,
     check_length,
     open_to_group,

@@ -4,13 +4,13 @@ from typing import Annotated, Any
 
 import typer
 
-from cairn.cli.options import File, Json, Overlay, Set
-from cairn.cli.output import line, print_json, print_problems, show
-from cairn.compilation import deferred_compilation
 from cairn.deployment.load import load_deployment
 from cairn.deployment.problems import DeploymentError, Problem
 from cairn.deployment.qos_mismatches import qos_mismatches
 from cairn.deployment.shipped import FOLDER, shipped
+from cairn.system.compilation import deferred_compilation
+from cairn.terminal.options import File, Json, Overlay, Set
+from cairn.terminal.output import line, print_json, print_problems, show
 
 NoImport = Annotated[
     bool,

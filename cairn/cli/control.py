@@ -10,14 +10,14 @@ from typing import Annotated, Any
 
 import typer
 
-from cairn.cli import completion
-from cairn.cli.fields import yaml_value
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, show
 from cairn.client import Parameter
 from cairn.client import connect as connect_to
 from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
+from cairn.terminal import completion
+from cairn.terminal.fields import yaml_value
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, show
 
 param = typer.Typer(help="Read and change the parameters of running components.")
 

@@ -9,14 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from cairn.cli.options import File, Json, Overlay, Set
-from cairn.cli.output import line, note, show
-from cairn.compilation import deferred_compilation
+from cairn.cli.releases.contents import Contents, release_contents
+from cairn.cli.releases.packages import Packages, packages_of
+from cairn.cli.releases.push import Pushed, Target, push, roll_back, targets
 from cairn.deployment.load import load_deployment
 from cairn.errors import CairnError
-from cairn.releases.contents import Contents, release_contents
-from cairn.releases.packages import Packages, packages_of
-from cairn.releases.push import Pushed, Target, push, roll_back, targets
+from cairn.system.compilation import deferred_compilation
+from cairn.terminal.options import File, Json, Overlay, Set
+from cairn.terminal.output import line, note, show
 
 deploy = typer.Typer(help="Bring a deployment to other computers by ssh, and go back.")
 

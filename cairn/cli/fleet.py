@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json
-from cairn.cli.output import show
 from cairn.client import connect as connect_to
 from cairn.client.fleet import FleetRobot, read_fleet
 from cairn.schemas.cairn_msgs import SharedCells, SharedLandmarks
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json
+from cairn.terminal.output import show
 
 _COLUMNS = {
     "robot": "robot", "state": "state", "health": "health", "mission": "mission",

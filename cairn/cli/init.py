@@ -12,9 +12,9 @@ from typing import Annotated
 
 import typer
 
-from cairn.cli.output import line
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
+from cairn.terminal.output import line
 
 _FIRST_MAP = "ground_floor"
 _SKELETON = Path(__file__).parent / "skeleton"

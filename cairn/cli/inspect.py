@@ -12,10 +12,7 @@ import psutil
 import typer
 
 from cairn.bus.keys import is_infrastructure
-from cairn.cli import completion
 from cairn.cli.nodes import marked, note_on, uses
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_problems, show
 from cairn.client import NodeInfo, Topic
 from cairn.client import connect as connect_to
 from cairn.client.connection import check_robot
@@ -26,6 +23,9 @@ from cairn.schemas.cairn_msgs import ComponentStatus, MachineLink
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header
+from cairn.terminal import completion
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, print_problems, show
 
 _COLUMNS = {
     "robot": "robot", "tree": "component", "machine": "machine", "state": "state", "pid": "pid",

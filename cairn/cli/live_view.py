@@ -16,11 +16,11 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from cairn.clock import SECOND
 from cairn.runtime.log_output import printable
 from cairn.runtime.rosout import render
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.rcl_interfaces import Log
+from cairn.system.clock import SECOND
 
 _KEPT = 100  # log records; what fits is shown
 _LEAST_LOG_LINES = 6  # of the terminal: components are left out before

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import show
 from cairn.client import connect as connect_to
 from cairn.client.connection import check_robot
 from cairn.client.machines import described_links
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import show
 
 _COLUMNS = {
     "robot": "robot", "machine": "machine", "seen_from": "seen from", "state": "state",

@@ -9,10 +9,10 @@ from typing import Annotated, NoReturn
 import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
-from cairn.compilation import before_compilation
 from cairn.errors import CairnError
-from cairn.files import private_files
-from cairn.process_exit import end_process
+from cairn.system.compilation import before_compilation
+from cairn.system.files import private_files
+from cairn.system.process_exit import end_process
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
@@ -36,7 +36,7 @@ COMMANDS = (
                 "Bring a deployment to other computers by ssh, and go back.", _RUN),
     LazyCommand("doctor", "cairn.cli.doctor.command:doctor",
                 "Check this computer, and what a deployment needs of it.", _RUN),
-    LazyCommand("security", "cairn.security.cli:app",
+    LazyCommand("security", "cairn.cli.security:app",
                 "Make, renew and revoke certificates of machines and users.", _RUN),
     LazyCommand("ps", "cairn.cli.inspect:ps",
                 "List the components: state, process, load, losses.", _INSPECT),
@@ -98,11 +98,11 @@ COMMANDS = (
                 "Calibrate a camera or a stereo pair.", _MAPS),
     LazyCommand("world", "cairn.components.simulation.cli:app",
                 "Check and draw simulated worlds; change the running one.", _STUDY),
-    LazyCommand("evaluate", "cairn.tools.evaluation.cli:app",
+    LazyCommand("evaluate", "cairn_lab.evaluation.cli:app",
                 "Measure localization and navigation over many runs.", _STUDY),
-    LazyCommand("campaign", "cairn.campaign.cli:campaign",
+    LazyCommand("campaign", "cairn_lab.campaign.cli:campaign",
                 "Drive for long while faults are injected; check invariants.", _STUDY),
-    LazyCommand("experiment", "cairn.tools.experiments.cli:app",
+    LazyCommand("experiment", "cairn_lab.experiments.cli:app",
                 "Run the experiments of the paper.", _STUDY),
     LazyCommand("init", "cairn.cli.init:init",
                 "Create a package for your own robot.", _DEVELOP),
@@ -124,7 +124,7 @@ _KERNELS_PER_NOTE = 10  # of about 45
 def script() -> NoReturn:
     """Run the command and end the process: the `cairn` program."""
     if sys.argv[1:2] == ["up"]:  # it runs for months, others for seconds
-        from cairn.heap import restart_with_small_thread_caches
+        from cairn.system.heap import restart_with_small_thread_caches
 
         restart_with_small_thread_caches()
     try:
@@ -175,7 +175,7 @@ def _print_version(requested: bool) -> None:
     if requested:
         from importlib.metadata import version
 
-        from cairn.cli.output import line
+        from cairn.terminal.output import line
 
         line(f"cairn {version('cairn-robotics')}, zenoh {version('eclipse-zenoh')}")
         raise typer.Exit
@@ -197,7 +197,7 @@ def _check_folder() -> None:
 
 
 def _announce_compilation() -> None:
-    from cairn.cli.output import note
+    from cairn.terminal.output import note
 
     note("compiling kernels, once after an installation or an update: up to a minute")
 
@@ -209,7 +209,7 @@ class _KernelCount:
         self._count = 0
 
     def __call__(self, _kernel: str) -> None:
-        from cairn.cli.output import note
+        from cairn.terminal.output import note
 
         self._count += 1
         if self._count % _KERNELS_PER_NOTE == 0:

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 import typer
 
 from cairn.bus.keys import is_infrastructure
-from cairn.cli import completion
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, print_json, show
 from cairn.client import Endpoint, NodeInfo
 from cairn.client import connect as connect_to
 from cairn.client.connection import resolve
+from cairn.terminal import completion
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, print_json, show
 
 NODE_SERVICES = frozenset({
     "describe_parameters", "get_parameters", "get_parameter_types", "list_parameters",

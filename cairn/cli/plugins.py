@@ -8,13 +8,13 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
-from cairn.cli.options import Json
-from cairn.cli.output import line, print_json, show
-from cairn.compilation import deferred_compilation
 from cairn.deployment.plugins import Plugin, installed_plugins, load_plugin
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import PortSpec, ports_of
 from cairn.schemas.message import type_name
+from cairn.system.compilation import deferred_compilation
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, print_json, show
 
 
 def plugins(

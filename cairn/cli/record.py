@@ -15,12 +15,9 @@ import typer
 import zenoh
 from pydantic import ValidationError
 
-from cairn.bell import Bell
 from cairn.bus import keys
 from cairn.bus.bus import full_name
 from cairn.bus.graph import read_graph
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_json
 from cairn.client import ControlError, NoReplyError
 from cairn.client import connect as connect_to
 from cairn.client.connection import Connection
@@ -32,7 +29,10 @@ from cairn.recording.tap import ZenohTap
 from cairn.recording.topics import TopicPatterns
 from cairn.recording.triggers import Condition
 from cairn.runtime.parameters import error_reason
-from cairn.signal_handlers import signal_handlers
+from cairn.system.bell import Bell
+from cairn.system.signal_handlers import signal_handlers
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, print_json
 
 _ALIVE_S = 1.0
 _GRAPH_LIMIT_S = 1.0

@@ -8,11 +8,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from cairn.bounded_files import megabytes
 from cairn.cli.runs import writing_report
-from cairn.deployment.model import Storage
 from cairn.errors import CairnError
-from cairn.runtime_folder import locked
+from cairn.limits.files import megabytes
+from cairn.runtime.child_spec import Storage
+from cairn.system.runtime_folder import locked
 
 EXPENDABLE: Final = ("logs", "record.jsonl", "world.jsonl")
 """What an old run folder loses: logs, the report's journal, the state of a simulated world.

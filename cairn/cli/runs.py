@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
-from cairn.cli.output import note
-from cairn.clock import SECOND
-from cairn.deployment.model import Storage
 from cairn.errors import CairnError
-from cairn.files import TAKES_NO_DATA
+from cairn.runtime.child_spec import Storage
 from cairn.runtime.log_output import LOG_FORMAT
+from cairn.system.clock import SECOND
+from cairn.system.files import TAKES_NO_DATA
+from cairn.terminal.output import note
 
 
 @contextmanager

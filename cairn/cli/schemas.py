@@ -9,11 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cairn.bus.type_hash import own_definition, type_description, type_hash
-from cairn.cli.completion import interface_types
-from cairn.cli.options import Json
-from cairn.cli.output import line, note, print_json, show
 from cairn.cli.schema_export import export_definitions
-from cairn.compilation import deferred_compilation
 from cairn.deployment.plugins import installed_plugins
 from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
@@ -29,6 +25,10 @@ from cairn.schemas.interfaces import (
 from cairn.schemas.interfaces import find_message as find_defined_message
 from cairn.schemas.message import Action, Service, classes_in, type_name
 from cairn.schemas.package_files import Imported, import_packages
+from cairn.system.compilation import deferred_compilation
+from cairn.terminal.completion import interface_types
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, note, print_json, show
 
 _SEPARATOR = "=" * 80
 _KIND_TITLES = {"msg": "message", "srv": "service", "action": "action"}

@@ -14,16 +14,16 @@ import yaml
 from cairn.bus.actions import STATUS_TEXT
 from cairn.bus.codec import to_plain
 from cairn.cli import systemd_service
-from cairn.cli.fields import message_of, plain_values
 from cairn.cli.nodes import NODE_SERVICES, marked_all
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, print_json, print_problems, show
 from cairn.client import ServiceInfo
 from cairn.client import connect as connect_to
 from cairn.client.connection import resolve
 from cairn.errors import CairnError
 from cairn.schemas.action_msgs.msg import GoalStatus
 from cairn.schemas.interfaces import interface
+from cairn.terminal.fields import message_of, plain_values
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, print_json, print_problems, show
 
 service = typer.Typer(
     help="The services on the bus (list, call); a robot as a service of systemd (install, status, "

@@ -15,15 +15,11 @@ from typing import Annotated, Final
 import platformdirs
 import typer
 
-from cairn.cli.options import File, Json, Machine, Overlay, Set
-from cairn.cli.output import line, note, show
-from cairn.compilation import deferred_compilation
 from cairn.deployment.load import load_deployment
 from cairn.deployment.machines import check_machine
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
-from cairn.files import explain_os_error, replace_file
-from cairn.placement.systemd_unit import (
+from cairn.processes.systemd_unit import (
     DROP_IN,
     TEMPLATE,
     RunCommand,
@@ -31,6 +27,10 @@ from cairn.placement.systemd_unit import (
     template_text,
     unit_name,
 )
+from cairn.system.compilation import deferred_compilation
+from cairn.system.files import explain_os_error, replace_file
+from cairn.terminal.options import File, Json, Machine, Overlay, Set
+from cairn.terminal.output import line, note, show
 
 _BOOTED: Final = Path("/run/systemd/system")  # sd_booted(3)
 _SYSTEM_UNITS: Final = Path("/etc/systemd/system")

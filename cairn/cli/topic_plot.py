@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from cairn.cli.fields import FieldPath
-from cairn.cli.output import line
 from cairn.client import NoMessageError, Subscription
 from cairn.schemas.message import InvalidMessage
+from cairn.terminal.fields import FieldPath
+from cairn.terminal.output import line
 
 _PICTURES_HZ = 4.0
 _MAX_POINTS = 20_000  # kept of each field
@@ -87,7 +87,7 @@ def plot_topic(
         return
     from rich.text import Text
 
-    from cairn.cli.screen import QUIT_KEYS, screen
+    from cairn.terminal.screen import QUIT_KEYS, screen
 
     began = time.monotonic()
     with suppress(KeyboardInterrupt), screen() as shown:

@@ -18,20 +18,20 @@ import yaml
 
 from cairn.bus import keys
 from cairn.bus.codec import to_plain
-from cairn.cli import completion
-from cairn.cli.fields import FieldPath, field_path, message_of, plain_values
 from cairn.cli.nodes import marked
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_json, print_problems, show
-from cairn.cli.schemas import find_message
 from cairn.cli.topic_plot import plot_topic
 from cairn.client import NoMessageError, Robot, Subscription
 from cairn.client import connect as connect_to
-from cairn.clock import from_ns
+from cairn.deployment.message_types import find_message
 from cairn.errors import CairnError
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.message import InvalidMessage, fields_of, type_name
 from cairn.schemas.std_msgs import Header
+from cairn.terminal import completion
+from cairn.terminal.fields import FieldPath, field_path, message_of, plain_values
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, print_json, print_problems, show
 
 _SHOWN = 36  # elements of a sequence: a covariance is complete
 _CHECKED_S = 1.5  # how long a publisher is watched whose messages do not arrive

@@ -11,13 +11,14 @@ import typer
 import yaml
 
 from cairn.bus.codec import to_plain
-from cairn.cli import completion
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, show
 from cairn.client import TransformListener
 from cairn.client import connect as connect_to
-from cairn.clock import SECOND, from_ns
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.message import InvalidMessage
+from cairn.system.clock import SECOND
+from cairn.terminal import completion
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, show
 from cairn.tf import FrameInfo, Transform
 
 _MAX_RATE_HZ = 1000.0

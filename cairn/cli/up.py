@@ -19,27 +19,28 @@ import typer
 
 from cairn.bus.endpoints import DOMAIN_VARIABLE, default_domain, socket_path
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.cli.options import File, Machine, Overlay, Set
-from cairn.cli.output import RunOutput, note
 from cairn.cli.run_folders import reduce_old, used_folder
 from cairn.cli.runs import log_file, writing_report
 from cairn.cli.view import LogWatch, PlainView, View, Watch
-from cairn.clock import from_ns
 from cairn.deployment.load import SourceDocument, assemble, read_sources
 from cairn.deployment.machines import check_machine
-from cairn.deployment.model import Deployment, LogLevel, root_name, view_name
+from cairn.deployment.model import Deployment, root_name, view_name
 from cairn.deployment.plugins import plugin_modules
 from cairn.deployment.problems import DeploymentError
 from cairn.errors import CairnError
-from cairn.placement.lockstep import LockstepRun
-from cairn.placement.machine_identity import machine_identity
-from cairn.placement.process_run import checked_plan, endpoints, run_processes, started_zygote
-from cairn.placement.run_plan import RunPlan, check_sources, with_recorder
-from cairn.placement.systemd_notify import ServiceManager, service_manager
-from cairn.process_exit import ExitReport
+from cairn.processes.lockstep import LockstepRun
+from cairn.processes.machine_identity import machine_identity
+from cairn.processes.process_run import checked_plan, endpoints, run_processes, started_zygote
+from cairn.processes.run_plan import RunPlan, check_sources, with_recorder
+from cairn.processes.systemd_notify import ServiceManager, service_manager
+from cairn.processes.zygote_client import ZygoteProcess
+from cairn.runtime.child_spec import LogLevel
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.rcl_interfaces import Log
-from cairn.signal_handlers import signal_handlers
-from cairn.supervision.zygote_client import ZygoteProcess
+from cairn.system.process_exit import ExitReport
+from cairn.system.signal_handlers import signal_handlers
+from cairn.terminal.options import File, Machine, Overlay, Set
+from cairn.terminal.output import RunOutput, note
 
 _REPORT_SETTING = "report"
 _CLOSING_TABLE = "report.txt"

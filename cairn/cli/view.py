@@ -9,13 +9,13 @@ from uuid import uuid4
 
 from cairn.bus.bus import Bus, Subscription, full_name
 from cairn.bus.qos import LATCHED, Qos
-from cairn.clock import from_ns, to_ns
 from cairn.deployment.model import ROOT, VIEW
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.log_output import LONGEST_RECORD, TokenBucket
 from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS, render
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
+from cairn.schemas.builtin_interfaces import from_ns, to_ns
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log

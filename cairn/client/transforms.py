@@ -16,9 +16,9 @@ from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.bus.message_limits import default_max_bytes
 from cairn.client.connection import Connection, SampleQueue
-from cairn.clock import to_ns
 from cairn.errors import CairnError
 from cairn.runtime.timers import CLOCK_TOPIC
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.tf2_msgs import TFMessage

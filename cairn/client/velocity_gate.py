@@ -13,8 +13,8 @@ from cairn.bus import keys
 from cairn.bus.codec import Codec
 from cairn.bus.control import answering
 from cairn.client.connection import resolve
-from cairn.clock import from_ns
 from cairn.errors import CairnError
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.cairn_nav_msgs import TeleoperationCommand, VelocityGateStatus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import InvalidMessage

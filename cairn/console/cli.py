@@ -9,13 +9,13 @@ from typing import Annotated
 
 import typer
 
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain
-from cairn.cli.output import line
 from cairn.console.companion import ADDRESS, DEFAULT_PORT
 from cairn.console.hub import Hub
 from cairn.console.live import LiveSource
 from cairn.console.recorded import RecordedOperations, RecordedSource
 from cairn.console.server import Address, Console, new_token, token_in
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain
+from cairn.terminal.output import line
 
 
 def console(

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from cairn.files import explain_os_error
+from cairn.system.files import explain_os_error
 
 DEFAULT_PORT: Final = 8765
 ADDRESS: Final = "console: "
@@ -23,7 +23,7 @@ _STOP_LIMIT_S: Final = 3.0
 # The console is a client: the robot ends without it, and it ends when `cairn up` is killed.
 _BOOT: Final = (
     "import os, signal, sys\n"
-    "from cairn.supervision.orphan_cleanup import set_parent_death_signal\n"
+    "from cairn.processes.orphan_cleanup import set_parent_death_signal\n"
     "set_parent_death_signal(signal.SIGTERM)\n"
     "if os.getppid() != int(sys.argv.pop(1)): sys.exit()\n"
     "from cairn.cli.main import script\n"

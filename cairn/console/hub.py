@@ -16,7 +16,6 @@ from typing import Any, Final, Literal
 
 from pydantic import ValidationError
 
-from cairn.bounded_json import parse_json
 from cairn.console import protocol
 from cairn.console.browser import MAX_SUBSCRIPTIONS, Browser, BrowserSubscription, Send
 from cairn.console.images import IMAGE_TYPE, to_jpeg
@@ -24,6 +23,7 @@ from cairn.console.operations import ConsoleMethod, ConsoleOperations, Operation
 from cairn.console.protocol import ERROR, INFO, WARNING, ProtocolError, to_text
 from cairn.console.source import Channel, ConnectionGraph, Message, Source
 from cairn.errors import CairnError
+from cairn.limits.json import parse_json
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import type_name
 

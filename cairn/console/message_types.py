@@ -82,7 +82,7 @@ class MessageTypes:
 
 def print_types() -> None:
     """Print the message types of installed plugins as JSON, in one line."""
-    from cairn.cli.schemas import messages_of_plugins
+    from cairn.deployment.message_types import messages_of_plugins
 
     found = [MessageType.of(one) for one in messages_of_plugins().values()]
     sys.stdout.write(f"{json.dumps([asdict(one) for one in found])}\n")

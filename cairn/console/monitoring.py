@@ -13,13 +13,14 @@ import psutil
 
 from cairn.bus.codec import Codec
 from cairn.client.machines import components_of_lost, described_links, machine_of_router
-from cairn.clock import SECOND, to_ns
 from cairn.console.browser import Browser, BrowserSubscription
 from cairn.console.protocol import SubscribeRequest
 from cairn.console.source import Channel, ConnectionGraph, Message
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_msgs import ComponentStatus, MachineStatus, PortStatus
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.std_msgs import Header
+from cairn.system.clock import SECOND
 
 if TYPE_CHECKING:
     from cairn.console.hub import Hub

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.alias_generators import to_camel
 
-from cairn.bounded_json import parse_json
 from cairn.console.source import Channel
+from cairn.limits.json import parse_json
 
 CONSOLE: Final = "cairn.console.v1"
 SUBPROTOCOLS: Final = (CONSOLE, "foxglove.websocket.v1", "foxglove.sdk.v1")

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 from pydantic import ConfigDict, Field
 
 from cairn.bus.codec import Codec, to_plain
-from cairn.clock import SECOND
 from cairn.console.browser import Browser
 from cairn.console.monitoring import StateEvents
 from cairn.console.operations import (
@@ -33,6 +32,7 @@ from cairn.recording.reader import McapRecording
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rcl_interfaces import Log
+from cairn.system.clock import SECOND
 
 if TYPE_CHECKING:
     from cairn.client.connection import Connection

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from cairn.bounded_json import parse_json
 from cairn.errors import CairnError
+from cairn.limits.json import parse_json
 from cairn.recording.reader import McapRecording
 
 PARAMETERS: Final = "parameters.json"

@@ -10,14 +10,15 @@ from typing import Final
 import numpy as np
 
 from cairn.bus.codec import Codec
-from cairn.clock import SECOND, to_ns
 from cairn.recording.mcap_file import RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_msgs import VisualMapChange
 from cairn.schemas.cairn_nav_msgs import Collision
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.nav_msgs import OccupancyGrid
+from cairn.system.clock import SECOND
 
 _MAP_TYPE: Final = type_name(OccupancyGrid)
 _EVENT_TYPES: Final = frozenset((type_name(VisualMapChange), type_name(Collision)))

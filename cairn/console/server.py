@@ -34,8 +34,8 @@ from cairn.bus.credentials import check_pair, check_secret, read_password
 from cairn.console.hub import Hub, TooManyBrowsers
 from cairn.console.protocol import LONGEST_FRAME, SUBPROTOCOLS
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
-from cairn.http_server import Http, Server
+from cairn.system.files import explain_os_error
+from cairn.system.http_server import Http, Server
 
 TOKEN_REFUSED: Final = 4401
 """Close code: the token is missing or wrong."""

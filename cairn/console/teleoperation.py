@@ -10,8 +10,8 @@ from typing import Final, Protocol
 
 import zenoh
 
-from cairn.clock import SECOND
 from cairn.errors import CairnError
+from cairn.system.clock import SECOND
 
 STOP_AFTER_NS: Final = SECOND // 5
 """The robot is stopped when no command has arrived for so long; the gate itself waits 0.3 s."""

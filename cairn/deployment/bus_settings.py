@@ -29,7 +29,7 @@ from cairn.bus.endpoints import is_encrypted, is_loopback, parse_endpoint, socke
 from cairn.bus.message_limits import LONGEST_MAX_BYTES, MAX_MESSAGE_SIZE
 from cairn.bus.roles import Role
 from cairn.errors import CairnError
-from cairn.runtime_folder import check_private, group_id
+from cairn.system.runtime_folder import check_private, group_id
 
 _REMEDY = (
     "add `users` with passwords, or `tls` with `identity` (cairn security), or `tls` with client "

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from cairn.bounded_yaml import YAML_VALUES
 from cairn.bus.endpoints import default_domain
 from cairn.deployment.check import check_document
 from cairn.deployment.frames import FRAMES
@@ -24,6 +23,7 @@ from cairn.deployment.yaml_document import (
     parse_document,
     read_document,
 )
+from cairn.limits.yaml import YAML_VALUES
 
 _SECTIONS = frozenset(Deployment.model_fields)
 

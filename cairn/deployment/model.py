@@ -35,7 +35,7 @@ ROBOT_FRAMES = "robot_frames"
 """The component that publishes the robot's frames, and its plugin."""
 _ROS = "ros"
 """The supervisor of that component."""
-_ROOT_PLUGIN = "cairn.supervision.supervisor:Supervisor"
+_ROOT_PLUGIN = "cairn.processes.supervisor:Supervisor"
 RESERVED = {
     ROOT: "the root of the tree of components",
     VIEW: "the node with which `cairn up` listens",

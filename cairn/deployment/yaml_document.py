@@ -14,15 +14,15 @@ from typing import Any, TypeAlias
 
 import yaml
 
-from cairn.bounded_files import RefusedFileError, read_text_bounded
-from cairn.bounded_yaml import (
+from cairn.deployment.problems import Location, Problem
+from cairn.limits.files import RefusedFileError, read_text_bounded
+from cairn.limits.yaml import (
     YAML_BYTES,
     YAML_DEPTH,
     YAML_VALUES,
     BoundedComposer,
     YamlLimitError,
 )
-from cairn.deployment.problems import Location, Problem
 
 KeyPath: TypeAlias = tuple[str, ...]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 
-from cairn.clock import from_ns
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.diagnostic_msgs import DiagnosticArray, DiagnosticStatus, KeyValue
 from cairn.schemas.std_msgs import Header
 

@@ -23,7 +23,7 @@ import typer
 from cairn.driver.emulator import FRAME_FAULTS, EmulatedDevice, Emulator, FrameFault
 from cairn.driver.emulator_lines import LineEnd, PtyEnd, SerialEnd, TcpEnd
 from cairn.errors import CairnError
-from cairn.signal_handlers import signal_handlers
+from cairn.system.signal_handlers import signal_handlers
 
 Pty = Annotated[
     Path | None,

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from cairn.clock import SECOND, has_passed, to_ns
 from cairn.driver.diagnostics import ERROR, OK, WARN, RateWindow, diagnostics
 from cairn.runtime.component import Component
 from cairn.runtime.rate_limited_log import RateLimitedLog
-from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.builtin_interfaces import Time, to_ns
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
+from cairn.system.clock import SECOND, has_passed
 
 _FUTURE_S: Final = 0.1  # how far the clocks of two computers may differ
 _SLOW: Final = 0.8  # share of the nominal rate below which diagnostics warn

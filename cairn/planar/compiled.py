@@ -2,7 +2,7 @@
 
 A robot never waits for a compiler: modules are imported before any component's process is forked,
 and from the second start on the compiled code is read from the cache. The zygote does not compile
-either: at the first start a helper process fills the cache (`cairn.compilation`).
+either: at the first start a helper process fills the cache (`cairn.system.compilation`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numba.core import caching
 
-from cairn.compilation import is_compilation_deferred, prepare_compilation, report_compiled
+from cairn.system.compilation import is_compilation_deferred, prepare_compilation, report_compiled
 
 # Numba's annotations cover its public interface only.
 _caching: Any = caching

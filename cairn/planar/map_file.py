@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from cairn.bounded_images import decode_image, look_up, read_image_file
-from cairn.bounded_yaml import no_boolean, read_yaml, yaml_fault
 from cairn.errors import CairnError
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.images import decode_image, look_up, read_image_file
+from cairn.limits.yaml import no_boolean, read_yaml, yaml_fault
 from cairn.planar.grid import (
     FREE,
     FREE_TO,
@@ -28,6 +27,7 @@ from cairn.planar.grid import (
     OccupancyCells,
 )
 from cairn.schemas.nav_msgs import LARGEST_ORIGIN, SMALLEST_CELL
+from cairn.system.files import explain_os_error, replace_file
 
 Mode = Literal["trinary", "scale", "raw"]
 

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from cairn.clock import SECOND, to_ns
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose
 from cairn.planar.scans import Rays, rays_of, sweep_s
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.sensor_msgs import LaserScan
+from cairn.system.clock import SECOND
 
 _KEPT = 20  # scans that wait for their pose: those of 2 s at 10 Hz, of 0.5 s at 40 Hz
 _HISTORY_S = 5  # of odometry, longer than scans wait

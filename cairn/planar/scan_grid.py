@@ -19,7 +19,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double. docs/benchmarks.md has the errors of the logs fr079 and fr101
 # on maps that are made so.
 

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cairn.bounded_files import read_bounded
-from cairn.bounded_json import parse_json
 from cairn.errors import CairnError
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.files import read_bounded
+from cairn.limits.json import parse_json
 from cairn.planar.polygons import crossing, edges_of, is_inside, ring_bounds
 from cairn.schemas.cairn_nav_msgs import MAX_ZONES, ZONE_KINDS, Zone, Zones
 from cairn.schemas.message import InvalidMessage
+from cairn.system.files import explain_os_error, replace_file
 
 ZONE_FILE_BYTES: Final = 16 * 1024 * 1024
 """Largest zones file that is read [bytes]: more than `MAX_ZONES` zones of the most points need."""

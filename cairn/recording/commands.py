@@ -11,13 +11,13 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import typer
 
-from cairn.bounded_files import megabytes
-from cairn.cli.output import line, note, print_json, show
-from cairn.clock import SECOND
 from cairn.errors import RecordingError
+from cairn.limits.files import megabytes
 from cairn.recording.mcap_file import Progress, RecordedChannel
 from cairn.recording.reader import McapRecording
 from cairn.recording.topics import TopicPatterns
+from cairn.system.clock import SECOND
+from cairn.terminal.output import line, note, print_json, show
 
 _MOST_SHOWN: Final = 1_000  # topics: a table of more takes long
 _LONGEST_SHOWN: Final = 2_000  # characters

@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc
 
-from cairn.bounded_images import check_pixels, decode_image, read_header
 from cairn.bus.codec import to_plain
-from cairn.clock import SECOND
 from cairn.errors import CairnError, RecordingError
-from cairn.files import explain_os_error, replace_file, replacing
+from cairn.limits.images import check_pixels, decode_image, read_header
 from cairn.recording.decoding import Definition, MessageDecoder
 from cairn.recording.mcap_file import Progress, RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording
 from cairn.recording.tum import TUM_HEADER, stamp_text, tum_line
+from cairn.system.clock import SECOND
+from cairn.system.files import explain_os_error, replace_file, replacing
 
 _MOST_TOPICS: Final = 200  # files that are open at once
 _MOST_NAMED: Final = 10

@@ -27,10 +27,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from cairn.bounded_compression import RECORD_BYTES, unpack
-from cairn.bounded_files import megabytes, open_regular
 from cairn.errors import RecordingError
-from cairn.files import explain_os_error
+from cairn.limits.compression import RECORD_BYTES, unpack
+from cairn.limits.files import megabytes, open_regular
+from cairn.system.files import explain_os_error
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and the last bytes of a file."""

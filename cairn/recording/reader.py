@@ -11,9 +11,8 @@ from itertools import count
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from cairn.bounded_files import megabytes
-from cairn.clock import SECOND
 from cairn.errors import RecordingError
+from cairn.limits.files import megabytes
 from cairn.recording.mcap_file import (
     ALL_CHANNELS,
     Block,
@@ -23,6 +22,7 @@ from cairn.recording.mcap_file import (
     RecordedChannel,
     RecordedMessage,
 )
+from cairn.system.clock import SECOND
 
 MOST_FILES: Final = 10_000
 """Files of a recording."""

@@ -21,17 +21,17 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from cairn.bell import Bell
 from cairn.bus.keys import own_name
-from cairn.clock import SECOND, has_passed
 from cairn.deployment.model import ALL_TOPICS
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
 from cairn.recording.tap import PublisherInfo, Sample, Tap
 from cairn.recording.topics import TopicPatterns
 from cairn.recording.triggers import Triggers
 from cairn.recording.writer import Compression, FindMessage, RecordingFile
 from cairn.runtime.parameters import Config
+from cairn.system.bell import Bell
+from cairn.system.clock import SECOND, has_passed
+from cairn.system.files import explain_os_error
 
 _log = logging.getLogger("cairn.recording")
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from mcap.writer import CompressionType, Writer
 
 from cairn.errors import RecordingError
-from cairn.files import explain_os_error, replacing
 from cairn.recording.mcap_file import Progress, RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording, RepeatedMessages
+from cairn.system.files import explain_os_error, replacing
 
 
 def rewrite(

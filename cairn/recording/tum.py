@@ -7,7 +7,7 @@ other tools read it (cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats).
 from collections.abc import Iterable
 from typing import Final
 
-from cairn.clock import SECOND
+from cairn.system.clock import SECOND
 
 TUM_HEADER: Final = "# timestamp tx ty tz qx qy qz qw\n"
 """The first line of a file."""

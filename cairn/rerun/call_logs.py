@@ -7,9 +7,9 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from cairn.clock import to_ns
 from cairn.errors import RecordingError
 from cairn.runtime.call_records import CallLogError, Record, RecordDecoder, RecordKind, StartInfo
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_msgs import CallBatch
 
 MOST_STARTS: Final = 10_000

@@ -9,14 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
-from cairn.cli.output import line, note, print_json
-from cairn.clock import SECOND
 from cairn.errors import CairnError
 from cairn.recording.reader import McapRecording
 from cairn.rerun.engine import RerunResult
 from cairn.rerun.excerpt import save_test
 from cairn.rerun.run import chosen_starts, starts_in
 from cairn.rerun.worker import rerun_in_processes
+from cairn.system.clock import SECOND
+from cairn.terminal.output import line, note, print_json
 
 
 def rerun(

@@ -16,23 +16,24 @@ from cairn.bus.codec import Codec
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
-from cairn.clock import SECOND, from_ns
-from cairn.deployment.model import ChildSpec
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
-from cairn.process_exit import ExitReport
+from cairn.processes.logged_children import RecordedChildren
+from cairn.processes.supervisor import Supervisor
 from cairn.rerun.call_logs import Call, ComponentStart
 from cairn.rerun.comparison import first_difference
 from cairn.runtime.call_records import RecordKind, StartInfo
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.ports import actions_of, ports_of, services_of
 from cairn.runtime.runtime import Runtime
 from cairn.runtime.timers import CLOCK_TOPIC
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.message import InvalidMessage, Service, type_name
 from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
-from cairn.supervision.logged_children import RecordedChildren
-from cairn.supervision.supervisor import Supervisor
+from cairn.system.clock import SECOND
+from cairn.system.process_exit import ExitReport
 
 _MOST_NOTES: Final = 20
 _log = logging.getLogger("cairn.rerun")

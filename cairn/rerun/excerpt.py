@@ -7,7 +7,6 @@ from typing import Final
 from cairn.bus.bus import MessageId
 from cairn.bus.codec import Codec
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
 from cairn.recording.mcap_file import RecordedMessage
 from cairn.recording.reader import McapRecording
 from cairn.recording.rewrite import rewrite
@@ -16,6 +15,7 @@ from cairn.rerun.files import ATTACHED
 from cairn.rerun.run import CALL_BATCH, EXCERPT_RECORD, add_uses
 from cairn.runtime.input_files import LONGEST_FILE, file_digest
 from cairn.schemas.cairn_msgs import CallBatch
+from cairn.system.files import explain_os_error
 
 _TEST: Final = '''\
 """{subject} publishes the same as recorded in {source}, for the same calls.

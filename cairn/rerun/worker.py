@@ -20,12 +20,12 @@ from typing import Any, Final
 from pydantic import TypeAdapter, ValidationError
 
 from cairn.errors import CairnError
-from cairn.process_exit import end_process
+from cairn.processes.orphan_cleanup import set_parent_death_signal
 from cairn.recording.reader import McapRecording
 from cairn.rerun.call_logs import ComponentStart
 from cairn.rerun.engine import RerunResult
 from cairn.rerun.run import prepared_rerun, starts_in
-from cairn.supervision.orphan_cleanup import set_parent_death_signal
+from cairn.system.process_exit import end_process
 
 _RESULT = TypeAdapter(RerunResult)
 _SHOWN_LOG: Final = 2000  # characters

@@ -16,12 +16,13 @@ import numpy as np
 
 from cairn.bus.bus import Call, MessageId, Node, ServiceError
 from cairn.bus.qos import LATCHED
-from cairn.clock import Clock, from_ns
 from cairn.errors import CairnError
 from cairn.runtime.call_records import Record, RecordEncoder, RecordKind
 from cairn.runtime.loop import Scheduler
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.cairn_msgs import CallBatch
 from cairn.schemas.std_msgs import Header
+from cairn.system.clock import Clock
 
 CALL_LOG_QOS: Final = LATCHED.with_depth(20)
 """A recorder that starts a little later receives the log from its beginning all the same."""

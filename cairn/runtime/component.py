@@ -9,10 +9,10 @@ import numpy as np
 
 from cairn.bus.bus import Bus, Node
 from cairn.bus.roles import Role
-from cairn.clock import Clock
 from cairn.errors import CairnError
 from cairn.runtime.call_log import CallLog
 from cairn.runtime.parameters import COMMON_PARAMETERS, Config
+from cairn.system.clock import Clock
 
 if TYPE_CHECKING:
     from cairn.runtime.launch_request import LaunchRequest

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from cairn.clock import SECOND, to_ns
 from cairn.runtime.component import Component
 from cairn.runtime.ports import BoundIn
+from cairn.schemas.builtin_interfaces import to_ns
+from cairn.system.clock import SECOND
 
 _CHECKS: Final = 5  # in the shortest of the ages
 _SHORTEST_PERIOD_NS: Final = SECOND // 100

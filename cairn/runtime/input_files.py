@@ -13,7 +13,7 @@ from typing import Final
 
 from pydantic import BaseModel
 
-from cairn.bounded_files import open_regular
+from cairn.limits.files import open_regular
 from cairn.runtime.parameters import Config
 
 MOST_FILES: Final = 2_000

@@ -6,10 +6,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cairn.bus.bus import full_name
 from cairn.bus.credentials import NO_CREDENTIALS, Credentials
-from cairn.bus.exclusive import Exclusive
+from cairn.bus.exclusive import Exclusive, ExclusiveTopic
 from cairn.bus.message_limits import MessageLimits
-from cairn.deployment.exclusive_topics import ExclusiveTopic
-from cairn.deployment.model import ChildSpec, LogLevel, Storage
+from cairn.runtime.child_spec import ChildSpec, LogLevel, Storage
 
 
 class RunContext(BaseModel):

@@ -4,10 +4,10 @@ import logging
 from collections import deque
 from enum import StrEnum
 
-from cairn.clock import SECOND
 from cairn.errors import CairnError
 from cairn.schemas.lifecycle_msgs.msg import State, TransitionDescription, TransitionEvent
 from cairn.schemas.lifecycle_msgs.msg import Transition as RosTransition
+from cairn.system.clock import SECOND
 
 MAX_RECOVERIES = 3
 RECOVERY_WINDOW_S = 10

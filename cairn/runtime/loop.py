@@ -7,8 +7,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from cairn.bell import Bell
-from cairn.clock import SECOND, SystemClock
+from cairn.system.bell import Bell
+from cairn.system.clock import SECOND, SystemClock
 
 _LONGEST_WAIT_S = 3600.0
 _SET_BACK_NS = 1_000_000  # less is jitter of the readings, or a time service that slows the clock

@@ -13,10 +13,10 @@ import numpy as np
 from cairn.bus.bus import Node, Publisher
 from cairn.bus.qos import RELIABLE
 from cairn.bus.type_hash import type_description, type_hash
-from cairn.clock import Clock, from_ns
 from cairn.errors import CairnError
 from cairn.runtime.loop import Scheduler
 from cairn.runtime.parameters import Parameter, ParameterRejected
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.definitions import DefinitionError
 from cairn.schemas.interfaces import interface
 from cairn.schemas.message import InvalidMessage, Service
@@ -46,6 +46,7 @@ from cairn.schemas.type_description_interfaces.msg import (
     TypeDescription,
 )
 from cairn.schemas.type_description_interfaces.srv import GetTypeDescription
+from cairn.system.clock import Clock
 
 PARAMETER_EVENTS: Final = "/parameter_events"
 """The topic on which every ROS 2 node publishes the changes of its parameters."""

@@ -29,8 +29,8 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from cairn.deployment.model import LogLevel
 from cairn.errors import CairnError
+from cairn.runtime.child_spec import LogLevel
 
 C = TypeVar("C", bound="Config")
 M = TypeVar("M")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from cairn.clock import Clock
+from cairn.system.clock import Clock
 
 
 class PortOwner(Protocol):

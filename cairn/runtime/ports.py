@@ -19,13 +19,13 @@ from cairn.bus.actions import (
 from cairn.bus.bus import ServiceError
 from cairn.bus.message_limits import LONGEST_MAX_BYTES
 from cairn.bus.qos import LATCHED, RELIABLE, Qos
-from cairn.clock import SECOND
 from cairn.errors import CairnError
 from cairn.schemas.action_msgs.msg import GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.definitions import DefinitionError
 from cairn.schemas.interfaces import interface
 from cairn.schemas.message import Action, Service, type_name
+from cairn.system.clock import SECOND
 
 T = TypeVar("T")
 Goal = TypeVar("Goal")

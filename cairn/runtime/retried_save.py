@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from cairn.clock import SECOND
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
 from cairn.runtime.component import Component
 from cairn.runtime.rate_limited_log import RateLimitedLog
+from cairn.system.clock import SECOND
+from cairn.system.files import explain_os_error
 
 _LONGEST_WAIT_S: Final = 10.0
 """The time between two attempts grows from 1 s to this [s]."""

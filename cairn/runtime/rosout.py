@@ -6,8 +6,9 @@ from datetime import UTC, datetime
 
 from cairn.bus.bus import Node
 from cairn.bus.qos import Qos
-from cairn.clock import SECOND, from_ns
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.rcl_interfaces import Log
+from cairn.system.clock import SECOND
 
 ROSOUT = "/rosout"
 ROSOUT_QOS = Qos("reliable", "transient_local", 1000)

@@ -15,9 +15,7 @@ import numpy as np
 
 from cairn.bus.bus import Bus, Node, full_name
 from cairn.bus.qos import LATCHED, RELIABLE
-from cairn.clock import Clock, SimulatedClock, SystemClock, from_ns
 from cairn.errors import CairnError, Escalate
-from cairn.process_exit import ExitReport
 from cairn.runtime.call_log import (
     CallLog,
     LoggedClock,
@@ -60,11 +58,14 @@ from cairn.runtime.parameters import (
 from cairn.runtime.port_table import PortTable
 from cairn.runtime.rosout import wire_safe_text
 from cairn.runtime.timers import CLOCK_TOPIC, ClockInput, ComponentTimers
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.lifecycle_msgs.msg import TransitionEvent
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.type_description_interfaces.srv import GetTypeDescription
+from cairn.system.clock import Clock, SimulatedClock, SystemClock
+from cairn.system.process_exit import ExitReport
 
 DISCOVERY_TIMEOUT_S = 2.0
 """Limit for the discovery barrier at activation; processes not reached are logged then."""
@@ -94,7 +95,7 @@ class Runtime:
             system_clock: the system's clock, or lockstep time.
             on_end: called once, when the component has ended.
             handler_clock: time [s] in which the duration of handlers is measured, without pauses
-                of the machine (`cairn.placement`).
+                of the machine (`cairn.processes`).
             clock_problem: why stamps of the robot's machine of that name cannot be used, "" if they
                 can.
 

@@ -11,10 +11,11 @@ import numpy as np
 
 from cairn.bus.bus import Node, Publisher
 from cairn.bus.qos import RELIABLE
-from cairn.clock import Clock, from_ns
 from cairn.runtime.parameters import ServiceIntrospection
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.message import Service
 from cairn.schemas.service_msgs.msg import ServiceEventInfo
+from cairn.system.clock import Clock
 
 SERVICE_EVENT_TOPIC = "_service_event"
 """Name of the topic below that of the service."""

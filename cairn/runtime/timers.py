@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterable
 
 from cairn.bus.bus import Node, Subscription
 from cairn.bus.qos import Qos
-from cairn.clock import Clock, SimulatedClock, to_ns
 from cairn.runtime.loop import Scheduler
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
+from cairn.system.clock import Clock, SimulatedClock
 
 CLOCK_TOPIC = "clock"
 _NEWEST = Qos("reliable", "volatile", 1)

@@ -9,7 +9,6 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
 from cairn.security import certificates
 from cairn.security.enrollment import MachinesKey, read_url, write_url
 from cairn.security.folder import (
@@ -36,6 +35,7 @@ from cairn.security.roster import (
     read_roster,
 )
 from cairn.security.tokens import ServiceUrl
+from cairn.system.files import explain_os_error
 
 _BUNDLE_BYTES: Final = 2 * ROSTER_BYTES + 4 * PEM_BYTES
 

@@ -12,11 +12,11 @@ from typing import Annotated, Final, Literal
 import platformdirs
 from pydantic import Field, TypeAdapter, ValidationError
 
-from cairn.bounded_files import read_bounded
 from cairn.bus.credentials import check_secret
 from cairn.errors import CairnError
-from cairn.files import explain_os_error, replacing
-from cairn.runtime_folder import check_private, locked, private_folder
+from cairn.limits.files import read_bounded
+from cairn.system.files import explain_os_error, replacing
+from cairn.system.runtime_folder import check_private, locked, private_folder
 
 VARIABLE: Final = "CAIRN_SECURITY_DIR"
 """The environment variable that names the security folder."""

@@ -11,10 +11,10 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
 from cairn.security import certificates
 from cairn.security.folder import PEM_BYTES, RobotFolder, check_name, read_secret, write_secret
 from cairn.security.roster import Entry, Roster, read_ca, read_roster
+from cairn.system.files import explain_os_error
 
 _NEXT: Final = ".next"
 _KEY_BEGINS: Final = b"-----BEGIN PRIVATE KEY-----"

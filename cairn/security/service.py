@@ -30,7 +30,6 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from cairn.errors import CairnError
-from cairn.http_server import Http, Server
 from cairn.security import certificates
 from cairn.security.authority import (
     GRACE_S,
@@ -44,6 +43,7 @@ from cairn.security.folder import Name, write_secret
 from cairn.security.identity import entry_of
 from cairn.security.roster import Entry
 from cairn.security.tokens import Digest, TokenRefused
+from cairn.system.http_server import Http, Server
 
 DEFAULT_PORT: Final = 7449
 

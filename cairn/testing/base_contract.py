@@ -13,9 +13,9 @@ from typing import ClassVar
 
 import pytest
 
-from cairn.clock import SECOND
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.nav_msgs import Odometry
+from cairn.system.clock import SECOND
 from cairn.testing import odometry_contract as odometry
 from cairn.testing import timing as timed
 from cairn.testing.device import Wheeled

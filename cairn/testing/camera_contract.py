@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cairn.clock import to_ns
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.testing import timing as timed
 from cairn.testing.driver_contract import (

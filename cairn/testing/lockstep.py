@@ -35,17 +35,18 @@ from cairn.bus.lockstep_bus import (
     LockstepSubscription,
 )
 from cairn.bus.qos import RELIABLE, Qos
-from cairn.clock import SECOND
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import ChildSpec, Deployment
-from cairn.placement.lockstep import LockstepExecutor, LockstepRun
-from cairn.process_exit import ExitReport
+from cairn.deployment.model import Deployment
+from cairn.processes.lockstep import LockstepExecutor, LockstepRun
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.runtime.ports import ports_of
 from cairn.runtime.runtime import Runtime
 from cairn.schemas.message import Action, Service
+from cairn.system.clock import SECOND
+from cairn.system.process_exit import ExitReport
 
 C = TypeVar("C", bound=Component)
 Request = TypeVar("Request")

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from cairn.clock import to_ns
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.geometry_msgs import Quaternion
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage

@@ -19,7 +19,7 @@ from cairn.testing.launching import Launching, Run, launching
 from cairn.testing.robot import Bench, RunningDeployment, settings
 
 if TYPE_CHECKING:
-    from cairn.campaign.report import CampaignReport
+    from cairn_lab.campaign.report import CampaignReport
 
 _SHOWN_LINES = 25
 _LAUNCHING = pytest.StashKey[dict[str, Bench | Launching]]()
@@ -97,7 +97,9 @@ def campaign(tmp_path: Path) -> Callable[..., CampaignReport]:
     arguments are keys of a campaign file. By default 10 faults are injected, one a second, and the
     last 60 s before each violation are recorded.
     """
-    from cairn.campaign.fixture import CampaignRuns  # takes a second: only for tests that use it
+    from cairn_lab.campaign.fixture import (
+        CampaignRuns,  # takes a second: only for tests that use it
+    )
 
     return CampaignRuns(tmp_path)
 

@@ -23,8 +23,8 @@ from cairn.bus.graph import read_graph
 from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.clock import to_ns
 from cairn.runtime.lifecycle import STATE_AFTER
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rosgraph_msgs import Clock

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import pytest
 
-from cairn.clock import to_ns
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.testing.robot import Arrival, Reading
 
 _SECOND = 1_000_000_000

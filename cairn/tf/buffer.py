@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-from cairn.clock import SECOND, to_ns
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.geometry_msgs import TransformStamped
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.system.clock import SECOND
 from cairn.tf import rigid_motion
 from cairn.tf.errors import (
     BufferFullError,

@@ -13,7 +13,7 @@ from typing import Final
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from cairn.bounded_files import RefusedFileError, read_text_bounded
+from cairn.limits.files import RefusedFileError, read_text_bounded
 from cairn.schemas.geometry_msgs import TransformStamped
 from cairn.schemas.std_msgs import Header
 from cairn.tf.errors import InvalidArgumentError, RobotDescriptionError

@@ -15,12 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, RobotName
-from cairn.cli.output import line, note
 from cairn.client import NoMessageError, Robot, Subscription
 from cairn.client import connect as connect_to
 from cairn.errors import CairnError
-from cairn.planar.braille import BrailleCanvas
 from cairn.planar.grid import Grid, OccupancyCells, grid_of
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose
@@ -41,6 +38,9 @@ from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.nav_msgs import OccupancyGrid, Path
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.terminal.braille import BrailleCanvas
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, RobotName
+from cairn.terminal.output import line, note
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -289,7 +289,7 @@ def view(connect: Connect = DEFAULT_CONNECT, domain: Domain = 0, robot: RobotNam
 def _show(
     client: Robot, sources: dict[str, Subscription[Any]], scene: Scene, camera: Camera
 ) -> None:
-    from cairn.cli.screen import QUIT_KEYS, screen
+    from cairn.terminal.screen import QUIT_KEYS, screen
 
     name = client.name
     with suppress(KeyboardInterrupt), screen() as shown:

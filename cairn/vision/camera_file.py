@@ -18,11 +18,11 @@ from pydantic import (
     model_validator,
 )
 
-from cairn.bounded_yaml import no_boolean, read_yaml, yaml_fault
 from cairn.errors import CairnError
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.yaml import no_boolean, read_yaml, yaml_fault
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
+from cairn.system.files import explain_os_error, replace_file
 from cairn.vision.rectification import CameraModel
 
 Finite = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(no_boolean)]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
+from cairn.system.files import explain_os_error
 
 Side = Literal["left", "right"]
 

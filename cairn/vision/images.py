@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.bounded_files import open_regular
-from cairn.bounded_images import check_pixels, decode_image, read_header, read_image_file
 from cairn.errors import CairnError
-from cairn.files import explain_os_error
+from cairn.limits.files import open_regular
+from cairn.limits.images import check_pixels, decode_image, read_header, read_image_file
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header
+from cairn.system.files import explain_os_error
 
 Gray = NDArray[np.uint8]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cairn.files import replacing
+from cairn.system.files import replacing
 from cairn.vision.object_model import ObjectModel
 from cairn.visual_map.landmark_store import create_landmarks
 from cairn.visual_map.landmarks import ChangeKind, LandmarkChange, LandmarkRecord

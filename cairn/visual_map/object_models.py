@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.bounded_images import decode_image
 from cairn.errors import CairnError
+from cairn.limits.images import decode_image
 from cairn.vision.features import DESCRIPTOR, Features
 from cairn.vision.object_model import ModelView, ObjectModel
 from cairn.visual_map.sqlite_file import (

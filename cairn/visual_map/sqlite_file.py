@@ -18,10 +18,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from cairn.bounded_files import too_large
-from cairn.bounded_sqlite import bound_connection
 from cairn.errors import CairnError
-from cairn.files import TAKES_NO_DATA, explain_os_error, replacing
+from cairn.limits.files import too_large
+from cairn.limits.sqlite import bound_connection
+from cairn.system.files import TAKES_NO_DATA, explain_os_error, replacing
 from cairn.visual_map.shared_record import MOST_ROBOTS
 
 APPLICATION: Final = 0x4361_726E

@@ -24,6 +24,7 @@ from cairn.components.automove.motion_mission import MotionMission
 from cairn.components.automove.recovery_selection import MissionLimits
 from cairn.components.automove.state_machine import CommandIds, MissionStateMachine
 from cairn.planar.messages import planar_pose, planar_poses, pose_message
+from cairn.processes.child import ChildStatus
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
     MotionStatus,
@@ -35,7 +36,6 @@ from cairn.schemas.cairn_nav_msgs import (
     ReasonCode,
 )
 from cairn.schemas.std_msgs import Header
-from cairn.supervision.child import ChildStatus
 
 # The command is repeated so often, so that its readers know that AutoMove is alive [ns].
 _REPEAT_S = 0.5

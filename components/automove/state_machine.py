@@ -30,7 +30,7 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from cairn.schemas.unique_identifier_msgs.msg import UUID
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 # The robot makes progress when it is nearer to its goal than ever before by this [m]: more than a

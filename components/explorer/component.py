@@ -28,7 +28,6 @@ from cairn import (
     from_ns,
     on,
 )
-from cairn.bounded_files import read_bounded
 from cairn.components.explorer.choice import SAME_M, FrontierChoice
 from cairn.components.explorer.config import ExplorerConfig
 from cairn.components.explorer.frontiers import (
@@ -38,7 +37,7 @@ from cairn.components.explorer.frontiers import (
     Reach,
     free_area,
 )
-from cairn.files import replace_file
+from cairn.limits.files import read_bounded
 from cairn.planar.grid import Grid, OccupancyCells, grid_of
 from cairn.planar.messages import packed_poses, planar_pose, planar_poses
 from cairn.planar.poses import Pose, apart
@@ -56,6 +55,7 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid
 from cairn.schemas.std_msgs import Header
+from cairn.system.files import replace_file
 
 # The map is published every second. After so long [s] without a frontier the exploration is
 # finished; so long after the robot's arrival the map shows what it has seen from there.

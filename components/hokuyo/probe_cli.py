@@ -20,8 +20,6 @@ from rich.text import Text
 from serial.tools import list_ports
 
 from cairn import CairnError
-from cairn.cli.options import Json
-from cairn.cli.output import line, print_json, show
 from cairn.components.hokuyo.config import HokuyoConfig
 from cairn.components.hokuyo.health import health_values, nominal_hz
 from cairn.components.hokuyo.messages import ScanMessages
@@ -29,10 +27,12 @@ from cairn.components.hokuyo.sensor import Measurement, StampedScan
 from cairn.driver.device_names import TCP
 from cairn.driver.diagnostics import RateWindow
 from cairn.driver.errors import DeviceError
-from cairn.planar.braille import BrailleCanvas
 from cairn.runtime.parameters import error_reason
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
+from cairn.terminal.braille import BrailleCanvas
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, print_json, show
 
 _Scans = queue.Queue[StampedScan | Exception]
 """Scans as they arrive, or the error that ended them."""

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 _EDGE_M = 0.3
 # Share of the range in view that is not relied on at either end: there recognition fails first
 # (docs/benchmarks.md, share of the objects by distance). Chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 _RANGE_MARGIN = 0.1
 # Beams within this [rad] of an object's direction show whether anything stands in front of it: half
 # of the width of an object of 0.5 m at 4 m.
@@ -34,7 +34,7 @@ _BEFORE_M = 0.3
 # absence lowers the reliability little (`_LEAST_SIMILARITY` of the map builder).
 _WORKING_S = 3.0
 # It may be so long ago [s] if no other object was missed since: a robot that drives 0.4 m/s comes
-# to another object within 12 m. Chosen by hand; `benchmarks/constants.yaml` has the effect of half
+# to another object within 12 m. Chosen by hand; `lab/constants.yaml` has the effect of half
 # and double.
 _WORKING_BUT_FOR_ONE_S = 30.0
 

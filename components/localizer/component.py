@@ -61,7 +61,7 @@ from cairn.visual_map.observations import observations_of
 # observations may be late [s]: 95 % arrive within 0.15 s (docs/benchmarks.md, `vision`).
 STEP_S, BEHIND_S = 0.5, 0.5
 # Observations later than this behind the particles are dropped [s]: twice what is expected. Chosen
-# by hand; `benchmarks/constants.yaml` has the effect of half and double.
+# by hand; `lab/constants.yaml` has the effect of half and double.
 LATE_S = 1.0
 # A gap in odometry that is logged [s]: 15 records of a slow base (10 Hz). Only the log depends on
 # it.
@@ -72,7 +72,7 @@ POSE_EVERY_S = 0.0999
 # at 10 Hz: a lost scan does not switch between both.
 SCANS_S = 0.5
 # How far [m], [rad] the robot may have moved while odometry jumped: a robot at 0.6 m/s for the 0.25
-# s between two records. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
+# s between two records. Chosen by hand; `lab/constants.yaml` has the effect of half and
 # double.
 JUMP_M, JUMP_RAD = 0.15, 0.15
 # A pose is saved only from this health on: of a lost robot it would mislead the next localizer.

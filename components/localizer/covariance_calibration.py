@@ -13,7 +13,7 @@ from cairn.planar.poses import wrap
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double. Benchmark `localization_logs` measures how often the truth lies
 # within the covariance that results (docs/benchmarks.md).
 

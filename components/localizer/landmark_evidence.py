@@ -39,14 +39,14 @@ from cairn.visual_map.observations import Observation
 Array = NDArray[np.float64]
 
 # Where no other reason is given, the constants of this module were chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 
 # An implied position this near another live object [m] may be that object. In simulation this veto
 # removed all false removals at 1 % and at 5 % of false matches.
 VETO = 0.35
 # Implied positions this near each other [m] support one position: the errors of two observations.
 # Half and double change nothing in four runs of MRCLAM with two landmarks displaced, nor do two
-# instead of three below (`python -m benchmarks.localization_mrclam`).
+# instead of three below (`python -m cairn_lab.benchmarks.localization_mrclam`).
 SAME_POSITION = 0.6
 # So many contradictions from different poses corroborate each other; so many near another object,
 # which may be what was observed.

@@ -49,7 +49,7 @@ _SEARCH_SHARE = 0.4
 # grow further, as it is about 1 there.
 _SHARED_BEAMS, _LEAST_BEAMS = 60.0, 20
 # A landmark whose position changes by more than this [m] was moved; improvements are smaller.
-# Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
+# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
 _MOVED_M = 0.3
 # The starts and ends of no rays.
 NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))

@@ -152,7 +152,7 @@ def implied_position(pose: PoseEstimate, observation: Observation) -> tuple[floa
 # recognizes an object at this distance.
 _LEAST_RANGE_M = 0.05
 # The bearing's variance by the map's uncertainty does not grow for objects nearer than this [m]:
-# the linearization holds only for small angles. Chosen by hand; `benchmarks/constants.yaml` has the
+# the linearization holds only for small angles. Chosen by hand; `lab/constants.yaml` has the
 # effect of half and double.
 _NEAR_M = 0.3
 # One object must explain an observation better than another that looks alike by this NIS: a

@@ -38,16 +38,16 @@ _LEAST_EFFECTIVE = 0.05
 # Kernel width of resampling as a share of the particles' deviation, and of resampling in stages.
 # Liu and West 2001 recommend discounts of 0.95 to 0.99, which are widths of 0.23 to 0.10.
 _BANDWIDTH, _STAGED_BANDWIDTH = 0.2, 0.25
-# A likelihood is fused in at most so many stages. Chosen by hand; `benchmarks/constants.yaml` has
+# A likelihood is fused in at most so many stages. Chosen by hand; `lab/constants.yaml` has
 # the effect of half and double.
 _STAGES = 8
 # A Gaussian wider than this [m] is drawn with the most particles. Chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 _WIDE_M = 0.5
 # Added to a covariance [m^2, rad^2] so that its root exists: 1 mm and 0.1 mrad.
 _REGULAR = np.diag([1e-6, 1e-6, 1e-8])
 # A stage of a tempered update leaves this share of the particles effective, and is found by at most
-# so many halvings: 1/64 of a log-likelihood. Chosen by hand; `benchmarks/constants.yaml` has the
+# so many halvings: 1/64 of a log-likelihood. Chosen by hand; `lab/constants.yaml` has the
 # effect of half and double.
 _STAGE_EFFECTIVE, _HALVINGS = 0.3, 6
 

@@ -18,7 +18,7 @@ from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 # Between these two values a measure goes from full health to none: the spread of the position [m],
 # the deviation of the heading [rad], the share of the scan's beams that the map explains [1]. Half
 # of the health is left at 0.38 m, nearly the robot's diameter (0.44 m), and at 0.3 rad: 0.9 m at 3
-# m. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
+# m. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
 _SPREAD_M, _HEADING_RAD, _SCAN_FIT = (0.15, 0.60), (0.10, 0.50), (0.60, 0.25)
 FITS = 0.5
 """From this share of explained beams on, a scan supports a pose."""
@@ -32,7 +32,7 @@ _MOST_UNCONFIRMED = 0.45
 SILENT_S = 1.0
 """Scans may be missing, or hit nothing, for so long [s]: ten scans at 10 Hz."""
 # Scans may be invalid for so long [s]: at 10 Hz six of them in a row. Chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 _INVALID_S = 0.6
 # The most health without scans that hit anything, and without valid scans: a robot that sees
 # nothing in reach may still drive, one whose scanner fails stands (AutoMove's `least_health`).

@@ -21,17 +21,17 @@ Array = NDArray[np.float64]
 # -2 ln 0.001.
 AGREES, CONTRADICTS = 9.2, 13.8
 # An object counts as two observations at most: further ones share their error. Chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 OBJECT_WORTH = 2.0
 # Objects no farther apart than this [m] are observed in one direction: at 3 m within 11 degrees.
 TOGETHER_M = 0.6
 # Observations from poses that differ by more than this [m], [rad] are independent: successive
 # images share the recognizer's errors. The experiments count viewpoints in the same way
-# (docs/how-to/experiments.md). Chosen by hand; `benchmarks/constants.yaml` has the effect of half
+# (docs/how-to/experiments.md). Chosen by hand; `lab/constants.yaml` has the effect of half
 # and double.
 ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
 # Observations nearer than this count as so far away [m], where the bearing is no longer linear in
-# the position. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
+# the position. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
 _NEAR_M = 0.3
 # An object that was recognized in less than this share of so many images from one pose was confused
 # with another one. A robot that stands never sees it from elsewhere, so it would count for ever.

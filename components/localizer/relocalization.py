@@ -21,7 +21,7 @@ from cairn.schemas.cairn_nav_msgs import Reason, ReasonCode
 Array = NDArray[np.float64]
 
 # Where no other reason is given, the constants of this module were chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double. docs/benchmarks.md has the results
+# `lab/constants.yaml` has the effect of half and double. docs/benchmarks.md has the results
 # for kidnapped robots.
 
 # After the robot was found, the map is searched again for so long [s]: it may have been found in a

@@ -30,7 +30,7 @@ _GOLDEN = 0.618
 _NEWEST = 0.2
 # Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
 # than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
-# Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
+# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
 _USUAL_NEWEST, _USUAL_NEWEST_OF_BAD, _USUAL_BAD = 0.02, 0.001, 0.8
 # About so many rays that hit nothing are traced through the map: as many as the parameter `beams`.
 _TRACED_RAYS = 60
@@ -38,7 +38,7 @@ _TRACED_RAYS = 60
 # several for all poses of a global search. No result depends on it.
 _BLOCK = 8192
 # So many scans, so far apart [m], [rad], are kept for the search: they cover 2.4 m of the way, or
-# nearly half a turn. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
+# nearly half a turn. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
 _KEPT, _APART_M, _TURNED_RAD = 8, 0.3, 0.35
 
 

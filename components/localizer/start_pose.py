@@ -10,30 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.localizer.config import LocalizerConfig
 from cairn.components.localizer.particle_set import PoseEstimate
-from cairn.files import replace_file
+from cairn.limits.files import STATE_BYTES, read_bounded
 from cairn.planar.messages import is_covariance, planar_covariance, planar_pose
 from cairn.planar.poses import Pose, compose, distance, relative
 from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.nav_msgs import Odometry
+from cairn.system.files import replace_file
 
 # A saved pose is used for so long [s]: a localizer is restarted within seconds; later the robot may
 # have been carried anywhere.
 _HOLDS_S = 60.0
 # What may have happened unnoticed: standard deviation of the position [m] and the heading [rad];
 # and the same if odometry restarted meanwhile: a robot at 0.6 m/s for half a second. Chosen by
-# hand; `benchmarks/constants.yaml` has the effect of half and double.
+# hand; `lab/constants.yaml` has the effect of half and double.
 _UNSEEN_M, _UNSEEN_RAD = 0.05, 0.05
 _RESTARTED_M, _RESTARTED_RAD = 0.3, 0.3
 # Odometry restarted if it moved faster than this [m/s], the highest speed that motion control
 # accepts, with this allowance for jitter of the stamps [m]; or if it is this near to its origin
-# [m], and was more than twice as far away before. Chosen by hand; `benchmarks/constants.yaml` has
+# [m], and was more than twice as far away before. Chosen by hand; `lab/constants.yaml` has
 # the effect of half and double.
 _FASTEST, _JITTER_M, _ORIGIN_M = 3.0, 0.1, 0.25
 # A known start holds as long as odometry has drifted less than this from its origin [m]. Chosen by
-# hand; `benchmarks/constants.yaml` has the effect of half and double.
+# hand; `lab/constants.yaml` has the effect of half and double.
 _START_HOLDS_M = 0.5
 # The deviations of an operator's pose without covariance [m], [rad]: those that RViz sends.
 _OPERATOR_M, _OPERATOR_RAD = 0.5, math.radians(15.0)

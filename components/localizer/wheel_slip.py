@@ -23,23 +23,23 @@ Array = NDArray[np.float64]
 _SLIP = np.array([[0.35], [0.35], [0.3]])
 # Poses drawn around the current one; a third of them is kept in each round of annealing, with the
 # share of the log-likelihood that counts and the noise added [m], [rad]. 500 poses remain, as many
-# as the localizer's particles. Chosen by hand; `benchmarks/constants.yaml` has the effect of half
+# as the localizer's particles. Chosen by hand; `lab/constants.yaml` has the effect of half
 # and double.
 _POSES = 1500
 _ANNEALING = ((0.25, 0.05), (0.5, 0.03), (1.0, 0.02))
 # A scan of which the map explains this share or more does not indicate a slip. Chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 _GOOD_FIT = 0.8
 # Another pose must explain this share of the beams more, and explain the scan better by this
 # log-likelihood [nats], as much as relocalization demands. The share was chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 _BETTER_FIT, _BETTER_NATS = 0.12, 6.0
 # It must fit at least this share as well as scans did before; otherwise the robot was carried away.
-# Chosen by hand; `benchmarks/constants.yaml` has the effect of half and double.
+# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
 _OF_USUAL_FIT = 0.9
 # The poses found by two scans are the same if they differ by less than this [m], [rad]; particles
 # spread wider than this [m] are not one pose. About one deviation of a slip (`_SLIP`). Chosen by
-# hand; `benchmarks/constants.yaml` has the effect of half and double.
+# hand; `lab/constants.yaml` has the effect of half and double.
 _SAME_M, _SAME_RAD, _WIDEST_M = 0.3, 0.2, 0.3
 
 

@@ -10,8 +10,6 @@ import numpy as np
 import typer
 
 from cairn import CairnError
-from cairn.cli.output import line, print_json
-from cairn.cli.output import show as show_rows
 from cairn.components.map_builder.importing import alter, import_grid, import_models, importer
 from cairn.components.map_builder.why import (
     describe_state,
@@ -23,11 +21,13 @@ from cairn.components.map_builder.why import (
     time_text,
 )
 from cairn.components.map_builder.zone_cli import ZONE_COLUMNS, zone_row
-from cairn.files import explain_os_error
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.zones import read_zones
+from cairn.system.files import explain_os_error
+from cairn.terminal.output import line, print_json
+from cairn.terminal.output import show as show_rows
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.new_map import write_map
 from cairn.visual_map.sqlite_file import side_files

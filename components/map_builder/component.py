@@ -83,7 +83,7 @@ from cairn.visual_map.shared_record import check_robot_name
 from cairn.visual_map.sqlite_file import digest_of
 
 # A full map follows its updates after this [s], for readers that start later, and the grid map is
-# saved after this [s]: what a power cut loses. Chosen by hand; `benchmarks/constants.yaml` has the
+# saved after this [s]: what a power cut loses. Chosen by hand; `lab/constants.yaml` has the
 # effect of half and double.
 _FULL_MAP_S = 5.0
 _SAVE_S = 10.0

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from cairn import SECOND, CairnError
-from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.map_builder.cell_record import TILE, Decision, Tiles, check_decision
 from cairn.components.map_builder.grid_sharing import CellSharing
 from cairn.components.map_builder.occupancy import Occupancy, known_cells
 from cairn.components.map_builder.undo import GridWindow
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.files import STATE_BYTES, read_bounded
 from cairn.planar.grid import FREE, OCCUPIED, OccupancyCells
 from cairn.planar.map_file import read_map, write_map
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
-from cairn.working_copy import is_reusable
+from cairn.system.files import explain_os_error, replace_file
+from cairn.system.working_copy import is_reusable
 
 _LOG = logging.getLogger("cairn.map_builder")
 

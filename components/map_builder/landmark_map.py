@@ -12,6 +12,7 @@ from cairn import SECOND, CairnError
 from cairn.components.map_builder.landmark_sharing import LandmarkSharing, SharedLandmark
 from cairn.components.map_builder.landmark_verdicts import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
+from cairn.system.working_copy import is_reusable
 from cairn.visual_map.evidence_history import EvidenceSummaries, Row
 from cairn.visual_map.landmark_store import (
     LandmarkStore,
@@ -32,7 +33,6 @@ from cairn.visual_map.landmarks import (
 from cairn.visual_map.object_models import check_name, read_model_name
 from cairn.visual_map.shared_record import Contribution
 from cairn.visual_map.sqlite_file import MapFileError, MapNotWritable, copy_map, digest_of
-from cairn.working_copy import is_reusable
 
 _LOG = logging.getLogger("cairn.map_builder")
 

@@ -35,7 +35,7 @@ from cairn.visual_map.landmarks import (
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 # A landmark has not moved if its candidate is within this distance of its position [m], and within

@@ -45,7 +45,7 @@ Rule = Callable[
 
 RuleName = Literal["reliability", "paper_rule", "persistence"]
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 # Absences from poses that differ by more than this [m], [rad] are independent: more than for

@@ -26,7 +26,7 @@ from cairn.planar.scans import SURE_SHARE, Rays
 
 # With the increments below, mapped glass that returns one beam in ten stays while it is observed
 # from up to 3 m (docs/concepts/architecture.md, limits). Where no other reason is given,
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 
 # Limits of the log-odds. Cells of the given map start at them, so that many contrary scans are
 # needed to change them: 21 to free an obstacle.

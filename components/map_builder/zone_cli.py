@@ -11,13 +11,13 @@ from typing import Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli import completion
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_json
-from cairn.cli.output import show as show_rows
 from cairn.client import connect as connect_to
 from cairn.planar.zones import feature_of, points_of, read_zones, zone_of
 from cairn.schemas.cairn_nav_msgs import ZONE_KINDS, Zone
+from cairn.terminal import completion
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, print_json
+from cairn.terminal.output import show as show_rows
 
 app = typer.Typer(help="Zones on the map of a running robot.", no_args_is_help=True)
 

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cairn import CairnError
-from cairn.bounded_files import read_bounded
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.files import read_bounded
 from cairn.planar.zones import (
     ZONE_FILE_BYTES,
     feature_of,
@@ -18,6 +17,7 @@ from cairn.planar.zones import (
     zones_of,
 )
 from cairn.schemas.cairn_nav_msgs import Zone
+from cairn.system.files import explain_os_error, replace_file
 
 CHANGES: Final = ("set_zones", "add_zone", "remove_zone")
 """The requests that change zones."""

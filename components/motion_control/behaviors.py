@@ -27,7 +27,7 @@ from cairn.schemas.cairn_nav_msgs import MotionStatus, ReasonCode
 SECOND_NS = 1_000_000_000
 
 # Where no other reason is given, the constants of the behaviors were chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 
 # Slower than this [m/s], [rad/s] the robot stands: wheels report noise of this size.
 _STANDING, _NOT_TURNING = 0.03, 0.06

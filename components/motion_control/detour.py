@@ -14,7 +14,7 @@ from cairn.planar.shortest_path import CLOSED, MARGIN, MIN_COST, PathSearch, ope
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 _CELL_M, _HALF = 0.05, 48  # size of a cell [m]; cells from the robot to the grid's edge

@@ -19,7 +19,7 @@ HORIZON_M = 3.0
 
 # The robot's position on the path is searched this far behind and ahead of the last one [m], and
 # everywhere if the robot is farther away than the third value [m]: so it stays on its branch where
-# the path crosses itself. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
+# the path crosses itself. Chosen by hand; `lab/constants.yaml` has the effect of half and
 # double.
 _BEHIND, _BEFORE = 0.3, 1.0
 _LOST = 0.8

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.clock import SECOND, has_passed
 from cairn.components.motion_control.collision_checks import (
     UNLIMITED_M,
     check_arcs,
@@ -29,13 +28,14 @@ from cairn.components.motion_control.velocity_limits import (
     VelocityTarget,
 )
 from cairn.planar.poses import Pose, compose
+from cairn.system.clock import SECOND, has_passed
 
 Array = NDArray[np.float64]
 
 OBSTACLE_RANGE_M = HORIZON_M + 0.3
 """Obstacles within this distance [m] of the robot are needed: the path and the robot's radius."""
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 # The pursued point is this far along the path [m]: nearer points make the robot oscillate, farther

@@ -17,7 +17,7 @@ from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double. docs/benchmarks.md has the results in the hall with ten walking
 # people.
 

@@ -20,7 +20,7 @@ from cairn.planar.scans import Rays
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 GROUND_REACH_M = 1.6

@@ -10,7 +10,7 @@ import numpy as np
 from cairn.components.motion_control.collision_checks import check_arcs
 from cairn.components.motion_control.scan_memory import NearbyObstacles
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 # In a curve the robot uses this share of its turn rate [1]; the rest corrects its heading.

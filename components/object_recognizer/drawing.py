@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cairn import CairnError
-from cairn.files import explain_os_error, replacing
+from cairn.system.files import explain_os_error, replacing
 from cairn.vision.object_model import ObjectModel
 from cairn.vision.recognition import Detection
 

@@ -10,19 +10,19 @@ import numpy as np
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import (
+from cairn.client import NoMessageError, Robot
+from cairn.client import connect as connect_to
+from cairn.components.object_recognizer.drawing import draw_views
+from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.sensor_msgs import Image
+from cairn.terminal.options import (
     DEFAULT_CONNECT,
     Connect,
     Domain,
     Json,
     RobotName,
 )
-from cairn.cli.output import line, note, print_json, show
-from cairn.client import NoMessageError, Robot
-from cairn.client import connect as connect_to
-from cairn.components.object_recognizer.drawing import draw_views
-from cairn.schemas.message import InvalidMessage, type_name
-from cairn.schemas.sensor_msgs import Image
+from cairn.terminal.output import line, note, print_json, show
 from cairn.vision.images import Gray, gray_of, read_image
 from cairn.vision.object_model import ModelView, ObjectModel
 from cairn.vision.teaching import (

@@ -11,12 +11,12 @@ import cv2
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_json, show
 from cairn.client import connect as connect_to
 from cairn.components.object_recognizer.object_cli import DEFAULT_MAP, MapFile, app
 from cairn.components.object_recognizer.proposals import Proposals, accept
-from cairn.files import replace_file
+from cairn.system.files import replace_file
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, print_json, show
 
 _FINDER = "object_finder"
 _LIMIT_S = 10.0

@@ -12,8 +12,6 @@ import numpy as np
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import Json
-from cairn.cli.output import line, note, print_json
 from cairn.components.object_recognizer.cameras import (
     Cameras,
     cameras_are_swapped,
@@ -30,6 +28,8 @@ from cairn.components.object_recognizer.observation import (
     reject_mixed_up_twins,
 )
 from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, note, print_json
 from cairn.vision.camera_file import read_camera
 from cairn.vision.features import extract
 from cairn.vision.images import Gray, read_image

@@ -68,7 +68,7 @@ from cairn.schemas.nav_msgs import OccupancyGrid, Odometry, Path
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
-# Where no other reason is given, these constants were chosen by hand; `benchmarks/constants.yaml`
+# Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
 # This near to the goal [m] a path is not replaced by a better one: it could save little.

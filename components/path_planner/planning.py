@@ -32,7 +32,7 @@ from cairn.planar.shortest_path import (
 Array = NDArray[np.float64]
 
 # A robot that seems to be inside an obstacle by no more than this [m] can leave it: localization
-# and scans are noisy. Chosen by hand; `benchmarks/constants.yaml` has the effect of half and
+# and scans are noisy. Chosen by hand; `lab/constants.yaml` has the effect of half and
 # double.
 ESCAPE_M = 0.4
 # Cells around the robot among which the way out of a keepout zone is sought at first, 3 m of the

@@ -16,7 +16,7 @@ from cairn.planar.scans import ScanBeams
 from cairn.schemas.cairn_nav_msgs import MotionStatus
 
 # A beam that continues this far [m] behind a cell shows that the cell is empty: two cells of 0.05
-# m, as scan and pose are noisy. Chosen by hand; `benchmarks/constants.yaml` has the effect of half
+# m, as scan and pose are noisy. Chosen by hand; `lab/constants.yaml` has the effect of half
 # and double.
 _BEHIND_M = 0.1
 
@@ -80,7 +80,7 @@ class RecentObstacles:
 # The robot is stuck when it has moved no further than this [m] for so long [ns]: while motion
 # control reports that it is blocked, or that it moves. The first time is less than AutoMove waits
 # until it recovers (`blocked_s`, 3 s), so that a new path comes first. Chosen by hand;
-# `benchmarks/constants.yaml` has the effect of half and double.
+# `lab/constants.yaml` has the effect of half and double.
 _STUCK_M = 0.2
 _STUCK_BLOCKED_NS, _STUCK_MOVING_NS = round(2.2 * SECOND), 6 * SECOND
 # Positions nearer to one another [m] are the same one: less than the radius around one (0.45 m,

@@ -21,16 +21,16 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import BinaryIO, Final
 
-from cairn.bounded_compression import RECORD_BYTES, unpack, unpack_message
-from cairn.bounded_files import open_regular
-from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
-from cairn.bounded_yaml import read_yaml
 from cairn.components.replay.bounded_streams import (
     most_unpacked,
     too_much_unpacked,
     unpack_file,
 )
 from cairn.errors import RecordingError
+from cairn.limits.compression import RECORD_BYTES, unpack, unpack_message
+from cairn.limits.files import open_regular
+from cairn.limits.sqlite import SchemaError, bound_connection, table_columns
+from cairn.limits.yaml import read_yaml
 from cairn.recording.mcap_file import MAGIC, McapFile, RecordedChannel
 from cairn.recording.reader import RepeatedMessages, mcap_files
 

@@ -15,10 +15,10 @@ from io import BufferedReader
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from cairn.bounded_files import megabytes, open_regular, too_large
 from cairn.components.replay.recording import damaged_line
 from cairn.errors import RecordingError
-from cairn.files import explain_os_error
+from cairn.limits.files import megabytes, open_regular, too_large
+from cairn.system.files import explain_os_error
 
 if sys.version_info >= (3, 14):
     from compression import zstd

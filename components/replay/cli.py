@@ -15,8 +15,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cairn import SECOND
-from cairn.cli.options import Json
-from cairn.cli.output import line, note, print_json, show
 from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.record_times import quality_text
 from cairn.components.replay.recorded_frames import read_frames
@@ -35,6 +33,8 @@ from cairn.recording import commands
 from cairn.recording.mcap_file import holds_mcap
 from cairn.recording.reader import McapRecording
 from cairn.schemas.sensor_msgs import LaserScan
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, note, print_json, show
 
 app = typer.Typer(help="Recordings: what they hold; cut, merge and export them.")
 

@@ -12,8 +12,6 @@ import cv2
 import numpy as np
 
 from cairn import SECOND, CairnError
-from cairn.bounded_files import open_regular
-from cairn.bounded_images import check_pixels
 from cairn.components.replay.bounded_streams import text_lines
 from cairn.components.replay.record_times import TimeQuality, time_quality
 from cairn.components.replay.recording import (
@@ -27,6 +25,8 @@ from cairn.components.replay.recording import (
     TimedPoses,
 )
 from cairn.errors import RecordingError
+from cairn.limits.files import open_regular
+from cairn.limits.images import check_pixels
 from cairn.schemas.cairn_msgs import VisualMap
 from cairn.vision.image_files import (
     SUFFIXES,

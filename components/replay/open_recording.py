@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
-from cairn.bounded_files import open_regular
 from cairn.components.replay.bounded_streams import first_lines
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.components.replay.carmen_lines import MESSAGES
@@ -15,8 +14,9 @@ from cairn.components.replay.mrclam import ROBOTS, MrclamRecording
 from cairn.components.replay.recording import Recording
 from cairn.components.replay.ros_bag import BagRecording
 from cairn.errors import RecordingError
-from cairn.files import explain_os_error
+from cairn.limits.files import open_regular
 from cairn.recording.mcap_file import holds_mcap
+from cairn.system.files import explain_os_error
 
 _FORMATS = (
     "an MRCLAM folder (Barcodes.dat and Robot<n>_*.dat), a CARMEN log, a ROS 1 bag, "

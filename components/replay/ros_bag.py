@@ -25,9 +25,6 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from cairn import SECOND, CairnError, from_ns
-from cairn.bounded_files import megabytes
-from cairn.bounded_sqlite import SchemaError
-from cairn.bounded_yaml import yaml_fault
 from cairn.bus.codec import Codec
 from cairn.components.replay.bag_files import BagFile, BagTopic
 from cairn.components.replay.record_times import TimeQuality, time_quality
@@ -53,6 +50,9 @@ from cairn.components.replay.scanner_mount import (
 )
 from cairn.components.replay.wheel_odometry import odometry_deviations, odometry_velocities
 from cairn.errors import RecordingError
+from cairn.limits.files import megabytes
+from cairn.limits.sqlite import SchemaError
+from cairn.limits.yaml import yaml_fault
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap

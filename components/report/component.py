@@ -24,7 +24,6 @@ from cairn.components.report.run_journal import RunJournal, Value
 from cairn.components.report.run_record import RunRecord
 from cairn.components.report.table import render_table
 from cairn.components.report.trajectory import TrajectoryFile
-from cairn.files import TAKES_NO_DATA
 from cairn.planar.messages import planar_pose, planar_poses
 from cairn.schemas.cairn_msgs import ComponentStatus, VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.cairn_nav_msgs import (
@@ -36,6 +35,7 @@ from cairn.schemas.cairn_nav_msgs import (
 )
 from cairn.schemas.geometry_msgs import Pose, PoseStamped
 from cairn.schemas.nav_msgs import OccupancyGrid
+from cairn.system.files import TAKES_NO_DATA
 
 _MANY = RELIABLE.with_depth(500)
 _STATES = {

@@ -13,9 +13,9 @@ from typing import Any, BinaryIO, Final
 from pydantic import TypeAdapter, validate_call
 
 from cairn import CairnError, RetriedSave
-from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.report.run_record import RunRecord
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.files import STATE_BYTES, read_bounded
+from cairn.system.files import explain_os_error, replace_file
 
 Value = int | float | str | None | Sequence["Value"]
 

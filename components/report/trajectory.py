@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from cairn import RetriedSave
-from cairn.files import TAKES_NO_DATA
 from cairn.recording.tum import TUM_HEADER, tum_line
 from cairn.schemas.geometry_msgs import Pose
+from cairn.system.files import TAKES_NO_DATA
 
 WAITING_BYTES: Final = 4_000_000
 """Lines kept in memory while the disk takes none: more than an hour of poses at 10 Hz [bytes]."""

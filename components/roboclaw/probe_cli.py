@@ -11,11 +11,11 @@ from typing import Annotated, Literal
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import Json
-from cairn.cli.output import line, note, print_json
 from cairn.components.roboclaw import protocol
 from cairn.components.roboclaw.client import PacketCounts, RoboclawClient, open_line
 from cairn.components.roboclaw.kinematics import MotorChannel, count_difference
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, note, print_json
 
 Wheel = Literal["left", "right", "none"]
 Direction = Literal["forward", "back"]

@@ -13,10 +13,10 @@ from typing import Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, show
 from cairn.client import connect as connect_to
 from cairn.deployment.shipped import world_file
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, show
 
 app = typer.Typer(
     help="Check and draw world files; change the world of a running simulation.",

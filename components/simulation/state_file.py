@@ -7,12 +7,12 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from cairn.bounded_files import STATE_BYTES, read_bounded
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.people import Walker
 from cairn.components.simulation.world import World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
-from cairn.files import replace_file
+from cairn.limits.files import STATE_BYTES, read_bounded
+from cairn.system.files import replace_file
 
 # The file is rewritten when it is longer than this [bytes].
 _MAX_BYTES = 200_000

@@ -14,10 +14,10 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from cairn import CairnError, Config
-from cairn.bounded_yaml import read_yaml, yaml_fault
 from cairn.deployment.problems import suggestion
-from cairn.files import explain_os_error
+from cairn.limits.yaml import read_yaml, yaml_fault
 from cairn.schemas.cairn_sim_msgs import MOST_OBJECTS
+from cairn.system.files import explain_os_error
 
 Meters = Annotated[float, Field(ge=-10_000, le=10_000)]
 Length = Annotated[float, Field(gt=0, le=1000)]

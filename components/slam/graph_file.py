@@ -19,16 +19,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.bounded_files import too_large
-from cairn.bounded_sqlite import SchemaError, bound_connection, table_columns
 from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap, scan_surfaces
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Sighting
 from cairn.errors import CairnError
-from cairn.files import explain_os_error, replacing
+from cairn.limits.files import too_large
+from cairn.limits.sqlite import SchemaError, bound_connection, table_columns
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
+from cairn.system.files import explain_os_error, replacing
 from cairn.visual_map.sqlite_file import at_rest, side_files
 
 Array = NDArray[np.float64]

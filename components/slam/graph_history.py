@@ -17,8 +17,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.bounded_files import too_large
-from cairn.bounded_sqlite import bound_connection
 from cairn.components.slam.graph_file import (
     DIFFERENCES,
     FILE_BYTES,
@@ -40,11 +38,13 @@ from cairn.components.slam.graph_file import (
 from cairn.components.slam.keyframes import Keyframe
 from cairn.components.slam.pose_graph import Edge, PoseGraph
 from cairn.errors import CairnError
-from cairn.files import replacing
+from cairn.limits.files import too_large
+from cairn.limits.sqlite import bound_connection
 from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
+from cairn.system.files import replacing
 from cairn.visual_map.sqlite_file import side_files
 
 _STEPS: Final = 400_000_000

@@ -40,7 +40,7 @@ from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.working_copy import is_reusable
+from cairn.system.working_copy import is_reusable
 
 
 class GraphKeeper(Component):

@@ -17,8 +17,6 @@ import typer
 from pydantic import ValidationError
 
 from cairn import SECOND, CairnError
-from cairn.cli.options import Json
-from cairn.cli.output import line, note, print_json
 from cairn.components.v4l2_camera.camera import VideoCamera
 from cairn.components.v4l2_camera.camera_names import CameraNode, video_nodes
 from cairn.components.v4l2_camera.config import CameraSettings, V4l2StereoCameraConfig
@@ -30,6 +28,8 @@ from cairn.components.v4l2_camera.pairing import StampedImage, StereoPairer
 from cairn.driver.device_thread import DeviceThread
 from cairn.driver.errors import DeviceError
 from cairn.runtime.parameters import error_reason
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, note, print_json
 
 _LINKS = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
 _USUAL_RATE = 25.0  # [1/s], of a camera that does not report it

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 from cairn import CairnError
-from cairn.bounded_files import read_bounded
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.files import read_bounded
+from cairn.system.files import explain_os_error, replace_file
 
 _MOST_REASON = 200  # characters of the reason that are kept
 _MOST_BYTES = 4096  # of the file

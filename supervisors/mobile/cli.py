@@ -13,9 +13,6 @@ from typing import Annotated
 import typer
 
 from cairn import CairnError
-from cairn.cli import completion
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import OutputLost, line, note, print_json
 from cairn.client import NavigationGoal, NoReplyError
 from cairn.client import connect as connect_to
 from cairn.client.navigation import MissionClient
@@ -24,6 +21,9 @@ from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES, NavigationStatus, zo
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
 from cairn.schemas.message import type_name
 from cairn.schemas.std_msgs import Header
+from cairn.terminal import completion
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import OutputLost, line, note, print_json
 
 _REPEAT_S = 5.0  # AutoMove publishes twice a second; an unchanged status is printed this often
 _POSE_TOPIC = "initialpose"

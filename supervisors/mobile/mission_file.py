@@ -11,9 +11,9 @@ from typing import Annotated, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cairn import CairnError
-from cairn.bounded_files import STATE_BYTES, read_bounded
-from cairn.files import explain_os_error, replace_file
+from cairn.limits.files import STATE_BYTES, read_bounded
 from cairn.schemas.cairn_nav_msgs import MAX_COORDINATE, MAX_GOALS, MAX_MOTION, MissionOutcome
+from cairn.system.files import explain_os_error, replace_file
 
 Goal = tuple[float, float, float]
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]

@@ -22,7 +22,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.keys import Attachment, EndpointEntity, NodeEntity
 from cairn.bus.qos import RELIABLE
 from cairn.bus.type_hash import type_hash
-from cairn.clock import from_ns
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.cairn_msgs import (
     ComponentStatus,
     MachineChild,

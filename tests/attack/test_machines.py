@@ -30,8 +30,8 @@ from cairn.deployment.machines import components_by_machine
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.shipped import FOLDER
-from cairn.placement.certified_router import machine_links
-from cairn.placement.machine_identity import machine_identity
+from cairn.processes.certified_router import machine_links
+from cairn.processes.machine_identity import machine_identity
 from cairn.runtime.ports import actions_of, ports_of
 from cairn.schemas.cairn_msgs import ComponentStatus, MachineStatus
 from cairn.schemas.message import type_name

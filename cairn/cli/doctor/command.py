@@ -18,11 +18,11 @@ from cairn.cli.doctor.computer import computer, software
 from cairn.cli.doctor.deployments import devices, files, loaded, running, who_may_connect
 from cairn.cli.doctor.devices import cameras, serial_ports
 from cairn.cli.doctor.machines import machines
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
-from cairn.cli.output import line, print_json
 from cairn.deployment.model import Deployment
 from cairn.deployment.shipped import deployment_file
-from cairn.placement.process_run import endpoints
+from cairn.processes.process_run import endpoints
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, Overlay, Set
+from cairn.terminal.output import line, print_json
 
 _COLORS = {"ok": "green", "warn": "yellow", "fail": "bold red"}
 _WIDE = 10_000  # columns, if the output is not a terminal but perhaps `grep`

@@ -22,7 +22,7 @@ import cairn
 from cairn.cli.doctor import Finding
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
-from cairn.runtime_folder import VARIABLE, check_private, runtime_folder
+from cairn.system.runtime_folder import VARIABLE, check_private, runtime_folder
 
 _SOFTWARE, _TOPIC = "software", "computer"
 _PACKAGE = "cairn-robotics"

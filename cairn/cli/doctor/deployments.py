@@ -25,9 +25,9 @@ from cairn.deployment.plugins import load_plugin
 from cairn.deployment.problems import DeploymentError
 from cairn.driver.device_names import TCP, devices_named
 from cairn.errors import CairnError
+from cairn.processes.orphan_cleanup import MARK
 from cairn.runtime.parameters import Config, ReadPathMark, marked_parameters
 from cairn.schemas.cairn_msgs import MachineStatus
-from cairn.supervision.orphan_cleanup import MARK
 
 _TOPIC = "deployments"
 _ROUTER_LIMIT_S = 1.0
@@ -225,7 +225,7 @@ def _without_zygote() -> list[psutil.Process]:
 def _is_zygote(process: psutil.Process) -> bool:
     with suppress(psutil.Error):
         title = " ".join(process.cmdline())
-        return title.startswith("cairn: zygote") or "cairn.supervision.zygote:main" in title
+        return title.startswith("cairn: zygote") or "cairn.processes.zygote:main" in title
     return False
 
 

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import Json
-from cairn.cli.output import line, note, print_json, show
-from cairn.files import explain_os_error
 from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.system.files import explain_os_error
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, note, print_json, show
 from cairn.tools.calibration.images import find_board, find_images
 from cairn.tools.calibration.result import (
     as_json,

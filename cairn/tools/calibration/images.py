@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import CairnError
-from cairn.files import explain_os_error
+from cairn.system.files import explain_os_error
 from cairn.vision.calibration import FEWEST
 from cairn.vision.chessboard import Board, find_corners, find_other_board
 from cairn.vision.image_files import assign_cameras, images_in, natural_order

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from cairn import CairnError
-from cairn.files import explain_os_error, replacing
 from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.system.files import explain_os_error, replacing
 from cairn.tools.calibration.images import BoardCorners
 from cairn.vision.calibration import (
     Calibration,

@@ -22,13 +22,13 @@ from cairn.components.slam.landmarks import LandmarkReport
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.quality import MapQuality, quality_of
-from cairn.files import explain_os_error, replace_file
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.mount_estimation import estimate_mount_yaw, seems_upside_down
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, between, compose, relative, wrap
 from cairn.planar.scans import rays_of
+from cairn.system.files import explain_os_error, replace_file
 from cairn.visual_map.observations import Observation, observations_of
 
 Array = NDArray[np.float64]

@@ -14,9 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import line, note, print_json
-from cairn.cli.output import show as show_rows
 from cairn.client import connect as connect_to
 from cairn.components.map_builder.cli import (
     CHANGE_COLUMNS,
@@ -28,6 +25,9 @@ from cairn.components.map_builder.why import time_text
 from cairn.components.replay.mrclam import MrclamRecording
 from cairn.components.replay.open_recording import open_recording
 from cairn.planar.map_file import read_map, write_map
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import line, note, print_json
+from cairn.terminal.output import show as show_rows
 from cairn.tools.mapping.target import map_files, replacing_map
 from cairn.visual_map.landmark_store import open_landmarks
 

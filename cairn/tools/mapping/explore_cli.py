@@ -12,12 +12,12 @@ from typing import Annotated
 import typer
 
 from cairn import CairnError
-from cairn.cli.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.cli.output import OutputLost, line, note, print_json
 from cairn.client import Robot
 from cairn.client import connect as connect_to
 from cairn.schemas.cairn_nav_msgs import EXPLORATION_STATES, ExplorationStatus
 from cairn.supervisors.mobile.cli import exit_on
+from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
+from cairn.terminal.output import OutputLost, line, note, print_json
 
 _REPEAT_S = 5.0  # an unchanged status is printed this often
 # The explorer publishes twice a second; a restarted one is back within this [s].

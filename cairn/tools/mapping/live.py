@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from cairn import CairnError
-from cairn.cli.output import line, print_json
 from cairn.client import Robot
 from cairn.components.slam.graph_file import read_graph, write_graph
 from cairn.components.slam.quality import MapQuality
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
+from cairn.terminal.output import line, print_json
 from cairn.tools.mapping.target import map_files, replacing_map
 from cairn.visual_map.sqlite_file import copy_map
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cairn import CairnError
 from cairn.components.map_builder.cli import prepare
-from cairn.files import explain_os_error
+from cairn.system.files import explain_os_error
 
 
 def map_files(out: Path, endings: Iterable[str], *, force: bool) -> dict[str, Path]:

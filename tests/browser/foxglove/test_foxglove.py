@@ -19,11 +19,11 @@ import pytest
 
 from cairn.bus.codec import Codec
 from cairn.bus.type_hash import definition
-from cairn.clock import from_ns
 from cairn.console.browser import Browser
 from cairn.console.hub import Hub
 from cairn.console.operations import Arguments, ConsoleMethod
 from cairn.console.source import Channel, ConnectionGraph, Message
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from tests.cairn.console.conftest import TOKEN, FakeSource, NoLease, Running, running

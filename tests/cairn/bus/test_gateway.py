@@ -25,7 +25,7 @@ from cairn.bus.type_hash import type_hash
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.client import Connection
 from cairn.deployment.model import Deployment
-from cairn.placement.run_plan import plan_run
+from cairn.processes.run_plan import plan_run
 from cairn.schemas.cairn_nav_msgs import TeleoperationCommand
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.message import type_name

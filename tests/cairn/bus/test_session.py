@@ -13,7 +13,7 @@ from cairn import CairnError
 from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import is_connected, open_client, open_peer, open_router, process_of
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.runtime_folder import private_folder
+from cairn.system.runtime_folder import private_folder
 from cairn.testing.launching import new_endpoint, new_socket
 from tests.cairn.bus.network import Network, eventually, router_at
 from tests.patience import LIMIT_S

@@ -21,11 +21,11 @@ from cairn.cli.doctor import Finding
 from cairn.cli.doctor.computer import computer
 from cairn.cli.doctor.devices import cameras
 from cairn.cli.doctor.machines import links
+from cairn.processes.orphan_cleanup import MARK
 from cairn.schemas.cairn_msgs import MachineLink, MachineStatus
 from cairn.schemas.std_msgs import Header
 from cairn.security.authority import Authority, Member
 from cairn.security.folder import VARIABLE, RobotFolder
-from cairn.supervision.orphan_cleanup import MARK
 from cairn.testing.launching import free_port, new_endpoint, new_socket
 from tests.cairn.cli.conftest import Command
 from tests.commands import Answer, cairn

@@ -17,13 +17,13 @@ from cairn.bus import keys
 from cairn.bus.discovery import QueryableWatcher
 from cairn.bus.session import open_client, open_peer
 from cairn.bus.type_hash import type_hash
-from cairn.cli import completion
 from cairn.client import Subscription, connect, connection
 from cairn.runtime.rosout import ROSOUT
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces import Log
+from cairn.terminal import completion
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.cairn.bus.network import eventually
 from tests.commands import Answer, await_status

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
+from cairn.runtime.child_spec import Storage
 
 from cairn.cli.run_folders import reduce_old, used_folder
-from cairn.deployment.model import Storage
 from cairn.errors import CairnError
 from tests.wording import assert_words
 

@@ -7,11 +7,10 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from cairn.deployment.message_types import find_message, messages_of_plugins
 
 from cairn import LATCHED
 from cairn.bus.type_hash import definition, type_description, type_hash
-from cairn.cli.schemas import find_message, messages_of_plugins
-from cairn.compilation import deferred_compilation
 from cairn.deployment.plugins import installed_plugins
 from cairn.errors import CairnError
 from cairn.recording.mcap_file import McapFile
@@ -20,6 +19,7 @@ from cairn.schemas.interfaces import find_message as find_defined_message
 from cairn.schemas.interfaces import interface
 from cairn.schemas.message import classes_in, type_name
 from cairn.schemas.package_files import import_packages
+from cairn.system.compilation import deferred_compilation
 from tests.cairn.bus.network import Network, node
 from tests.commands import cairn
 from tests.schemas.random_messages import HASHES

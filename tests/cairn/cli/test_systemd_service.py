@@ -10,7 +10,7 @@ import pytest
 from cairn.cli import systemd_service
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
-from cairn.placement.systemd_unit import RunCommand, drop_in_text, template_text
+from cairn.processes.systemd_unit import RunCommand, drop_in_text, template_text
 from tests.commands import Answer, cairn
 
 ROVER = """

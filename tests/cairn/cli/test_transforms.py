@@ -10,10 +10,10 @@ from collections.abc import Iterator
 import pytest
 
 from cairn import LATCHED
-from cairn.cli import completion
 from cairn.cli.transforms import _drawn
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.terminal import completion
 from cairn.testing.launching import CAIRN
 from cairn.tf import Buffer, Transform
 from tests.cairn.bus.network import Network

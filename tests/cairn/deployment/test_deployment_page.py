@@ -6,10 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from cairn.runtime.child_spec import ChildSpec, Fallback, Storage, Supervision
 
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import ChildSpec, Deployment, Fallback, Storage, Supervision
+from cairn.deployment.model import Deployment
 from cairn.deployment.problems import DeploymentError
 
 Write = Callable[..., Path]

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from cairn import CairnError, Component, In, Out, on
-from cairn.deployment.exclusive_topics import ExclusiveTopic, exclusive_topics
+from cairn.bus.exclusive import ExclusiveTopic
+from cairn.deployment.exclusive_topics import exclusive_topics
 from cairn.deployment.model import Deployment
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.schemas.geometry_msgs import Vector3
@@ -47,7 +48,7 @@ def deployment(components: Mapping[str, Any], external: tuple[str, ...] = ()) ->
     return Deployment.model_validate(page)
 
 
-SUPERVISOR = "cairn.supervision.supervisor:Supervisor"
+SUPERVISOR = "cairn.processes.supervisor:Supervisor"
 TREE = {
     "mobile": {
         "plugin": SUPERVISOR,

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cairn.runtime.child_spec import ChildSpec
 
 from cairn import CairnError
 from cairn.deployment.load import load_deployment
@@ -14,7 +15,7 @@ from cairn.deployment.machines import (
     parents_elsewhere,
     remote_inputs,
 )
-from cairn.deployment.model import ChildSpec, Deployment
+from cairn.deployment.model import Deployment
 from cairn.deployment.shipped import FOLDER
 
 SIM = FOLDER / "sim.yaml"

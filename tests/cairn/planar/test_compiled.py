@@ -123,7 +123,7 @@ def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> 
     package.create()
     prepare = (
         "import subprocess, sys\n"
-        "from cairn.compilation import before_compilation\n"
+        "from cairn.system.compilation import before_compilation\n"
         "other = [sys.executable, '-B', '-c', 'import edited_package.caller']\n"
         "before_compilation(lambda: subprocess.run(other, check=True))\n"
     )
@@ -135,7 +135,7 @@ def test_deferred_kernel_is_compiled_by_its_first_call(tmp_path: Path) -> None:
     package = Package(tmp_path)
     package.create()
     prepare = (
-        "from cairn.compilation import deferred_compilation\n"
+        "from cairn.system.compilation import deferred_compilation\n"
         "with deferred_compilation():\n"
         "    from edited_package.caller import caller\n"
         "assert not caller.signatures\n"

@@ -14,7 +14,6 @@ from cairn.bus.codec import Codec
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.bus.type_hash import type_hash
-from cairn.clock import SECOND
 from cairn.errors import CairnError
 from cairn.recording.recorder import Recorder, RecorderSettings
 from cairn.recording.tap import LockstepTap, PublisherInfo, Sample
@@ -24,6 +23,7 @@ from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.message import schema_messages, type_name
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header, String
+from cairn.system.clock import SECOND
 
 CODEC = Codec()
 

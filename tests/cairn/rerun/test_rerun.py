@@ -17,15 +17,16 @@ import numpy as np
 import psutil
 import pytest
 import yaml
+from cairn.runtime.child_spec import ChildSpec
 from typer.testing import CliRunner
 
 from cairn import to_ns
 from cairn.bus.bus import MessageId
 from cairn.cli.main import build
 from cairn.deployment.load import load_deployment
-from cairn.deployment.model import ChildSpec, Deployment
+from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
-from cairn.placement.run_plan import with_recorder
+from cairn.processes.run_plan import with_recorder
 from cairn.recording.reader import McapRecording
 from cairn.recording.rewrite import rewrite
 from cairn.rerun import cli

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from cairn import CairnError
-from cairn.process_exit import ExitReport
 from cairn.runtime.component import ComponentContext
+from cairn.system.process_exit import ExitReport
 from cairn.testing.lockstep import ComponentHarness
 from tests.cairn.runtime.recording_component import BOOM, STEPS, RecordingComponent, failing, word
 from tests.wording import assert_words

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from cairn.clock import SystemClock
 from cairn.runtime.loop import ThreadLoop
+from cairn.system.clock import SystemClock
 from tests.patience import LIMIT_S
 
 

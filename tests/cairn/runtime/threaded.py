@@ -8,14 +8,16 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from cairn.runtime.child_spec import ChildSpec
+
 from cairn import Component
 from cairn.bus.bus import Bus
-from cairn.clock import SystemClock
-from cairn.deployment.model import ChildSpec, Deployment
-from cairn.process_exit import ExitReport
+from cairn.deployment.model import Deployment
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.runtime import Runtime
+from cairn.system.clock import SystemClock
+from cairn.system.process_exit import ExitReport
 from tests.patience import LIMIT_S
 
 T = TypeVar("T")

@@ -9,7 +9,7 @@ from typing import Self, cast
 
 import pytest
 
-from cairn.clock import SECOND, from_ns
+from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.geometry_msgs import (
     Pose,
@@ -21,6 +21,7 @@ from cairn.schemas.geometry_msgs import (
 )
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
+from cairn.system.clock import SECOND
 from cairn.testing.base_contract import DriveContract
 from cairn.testing.odometry_contract import (
     OdometryContract,

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cairn import LATCHED, SECOND
-from cairn.clock import SimulatedClock
 from cairn.components.automove.component import AutoMove
 from cairn.planar.messages import packed_poses, planar_pose, pose_message
 from cairn.schemas.cairn_nav_msgs import (
@@ -19,6 +18,7 @@ from cairn.schemas.cairn_nav_msgs import (
     Plan,
 )
 from cairn.schemas.geometry_msgs import PoseWithCovariance
+from cairn.system.clock import SimulatedClock
 from cairn.testing.lockstep import DeploymentHarness
 from tests.wording import assert_words
 

@@ -156,7 +156,7 @@ def history(seed: int) -> None:
 
 
 def test_robots_have_equal_maps_after_random_histories() -> None:
-    for seed in range(400):  # `python -m benchmarks.sharing` runs 10,000
+    for seed in range(400):  # `python -m cairn_lab.benchmarks.sharing` runs 10,000
         history(seed)
 
 

@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cairn.runtime.child_spec import ChildSpec
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from cairn.deployment.model import ChildSpec, Deployment
+from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
-from cairn.placement.lockstep import LockstepRun
-from cairn.placement.run_plan import with_recorder
+from cairn.processes.lockstep import LockstepRun
+from cairn.processes.run_plan import with_recorder
 from cairn.testing.rerun import assert_rerun_equal
 
 TICKER = ChildSpec(

@@ -18,9 +18,9 @@ from cairn.components.replay.components import (
 from cairn.components.replay.open_recording import open_recording
 from cairn.components.replay.pacing import ReplayClock
 from cairn.errors import RecordingError
-from cairn.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock
+from cairn.system.process_exit import ExitReport
 from cairn.testing.lockstep import ComponentHarness, DeploymentHarness
 from tests.components.replay.conftest import FR079, FR101, LEGS, Write, flaser, odom, start
 from tests.wording import words_in_order

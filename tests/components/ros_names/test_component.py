@@ -13,8 +13,8 @@ from cairn.components.ros_names.component import RosNames
 from cairn.deployment.access_control import access_control
 from cairn.deployment.model import Deployment
 from cairn.deployment.ros_name_mapping import ros_services, ros_topics
-from cairn.placement.lockstep import LockstepRun
-from cairn.placement.run_plan import plan_run, with_recorder
+from cairn.processes.lockstep import LockstepRun
+from cairn.processes.run_plan import plan_run, with_recorder
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cairn.clock import SECOND
 from cairn.components.slam.graph_file import write_graph
 from cairn.components.slam.graph_history import GraphChange
 from cairn.components.slam.keyframes import Keyframe, Submap, scan_cloud, scan_rays, scan_surfaces
@@ -20,6 +19,7 @@ from cairn.planar.posed_scans import PosedScan
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scan_grid import ScanGrid
 from cairn.planar.scans import Rays
+from cairn.system.clock import SECOND
 from tests.components.localizer.room import RESOLUTION, Box, beam_ends, room
 
 REACH = 9.0

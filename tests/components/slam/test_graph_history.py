@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cairn.clock import SECOND
 from cairn.components.slam.graph_file import GraphFile, read_graph, write_graph
 from cairn.components.slam.graph_history import (
     Difference,
@@ -32,6 +31,7 @@ from cairn.errors import CairnError
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import Rays
+from cairn.system.clock import SECOND
 from tests.components.localizer.room import room
 from tests.components.slam.box_room import drive, scan
 from tests.components.slam.changing_room import REACH, ROUND, TABLE, scan_at, write_room_graph

@@ -13,7 +13,6 @@ from cairn import LATCHED, CairnError
 from cairn.bus.actions import STATUS_TEXT, SentGoal, uuid_of
 from cairn.client.connection import Connection
 from cairn.client.navigation import MissionClient
-from cairn.files import replace_file
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
 from cairn.schemas.action_msgs.srv import CancelGoal
@@ -36,6 +35,7 @@ from cairn.supervisors.mobile.mission_file import (
     MissionResult,
     check_goals,
 )
+from cairn.system.files import replace_file
 from cairn.testing.lockstep import DeploymentHarness
 from tests.navigation.driving import send_poses
 from tests.wording import assert_words, words_in_order

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from cairn import CairnError
-from cairn.clock import SECOND
 from cairn.components.slam.graph_history import (
     GraphHistory,
     HistoryBudget,
@@ -16,6 +15,7 @@ from cairn.components.slam.graph_history import (
 )
 from cairn.components.slam.lifelong import LifelongMap
 from cairn.planar.map_file import read_map
+from cairn.system.clock import SECOND
 from cairn.visual_map.new_map import write_map as write_visual_map
 from tests.commands import cairn
 from tests.components.localizer.room import RESOLUTION

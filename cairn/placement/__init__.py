@@ -1,1 +1,0 @@
-"""Where a component runs: a process of its own, its parent's process, or lockstep."""
