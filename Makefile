@@ -85,14 +85,14 @@ lock: $(VENV)/ready
 	$(LOCKED) requirements/dev.txt
 	$(BIN)/python -m tests.packaging.third_party
 
-$(VENV)/ready: pyproject.toml requirements/dev.txt requirements/pip.txt
+$(VENV)/ready: pyproject.toml lab/pyproject.toml requirements/dev.txt requirements/pip.txt
 	@test -n "$(PYTHON)" || { echo "Cairn needs Python 3.11 or later, and none was found. Install one \
 	(Ubuntu, Debian: apt-get install python3 python3-venv), or name it: make PYTHON=/path/to/python3" \
 	>&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(LOCKED) requirements/pip.txt
 	$(LOCKED) requirements/dev.txt
-	$(LOCAL) .
+	$(LOCAL) . --editable lab
 	# Importing all plugins compiles the kernels, so that no robot waits for it, nor each test worker.
 	$(BIN)/python -c "from cairn.deployment.plugins import installed_plugins as plugins; plugins()"
 	@touch $@

@@ -8,7 +8,7 @@ import sys
 import pytest
 from hypothesis import settings
 
-pytest_plugins = ["cairn.testing.plugin"]
+pytest_plugins = ["cairn.testing.plugin", "cairn_lab.testing"]
 
 
 def pytest_configure() -> None:

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from hashlib import blake2b
 from hmac import compare_digest
 
+from pydantic import BaseModel, ConfigDict
+
 from cairn.bus.message_limits import PublisherLog
 from cairn.errors import CairnError
 
@@ -55,6 +57,24 @@ class Exclusive:
     def clock_tolerance_ns(self) -> int:
         """How much a message may seem to be older than its subscription [ns]."""
         return _CLOCK_TOLERANCE_NS if self.several_machines else 0
+
+
+class ExclusiveTopic(BaseModel):
+    """A topic that at least one input reads exclusively.
+
+    `topic` is its full name. `writer` names the entitled component, "" if no component of the
+    deployment publishes there. `external`: the topic has no writer in the deployment and is listed
+    under `external_topics`, so messages of every publisher are accepted. `several_machines`: its
+    writer and readers do not all run on one machine.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    topic: str
+    writer: str
+    readers: tuple[str, ...]
+    external: bool = False
+    several_machines: bool = False
 
 
 class Refused(CairnError):

@@ -6,7 +6,7 @@ Typer imports all commands; Click's documentation shows lazy groups as a recipe,
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import Any
@@ -65,6 +65,7 @@ def lazy_group(
     *,
     entry_points: str,
     kind: str = "command",
+    packages: Mapping[str, str] | None = None,
     negative_numbers: bool = False,
 ) -> type[TyperGroup]:
     """Return the class of a group that has its own commands and those of installed packages.
@@ -73,6 +74,7 @@ def lazy_group(
         own: the group's own commands, in the order in which its help lists them.
         entry_points: group of entry points by which installed packages add commands.
         kind: what such an entry is called in error messages.
+        packages: which package has a command that is well known and may not be installed.
         negative_numbers: whether arguments of the added commands may begin with a minus.
     """
 
@@ -80,6 +82,7 @@ def lazy_group(
         _own = {command.name: command for command in own}
         _entry_points = entry_points
         _kind = kind
+        _packages = packages or {}
         _negative_numbers = negative_numbers
 
     return Group
@@ -99,6 +102,7 @@ class _LazyGroup(TyperGroup):
     _own: dict[str, LazyCommand]
     _entry_points: str
     _kind: str
+    _packages: Mapping[str, str]
     _negative_numbers: bool
 
     def __init__(self, **settings: Any) -> None:
@@ -117,6 +121,11 @@ class _LazyGroup(TyperGroup):
         """Import the command of this name; None if there is none, `CairnError` if it is broken."""
         command = self._own.get(cmd_name) or self._installed().get(cmd_name)
         if command is None:
+            if package := self._packages.get(cmd_name):
+                raise CairnError(
+                    f"the package {package} has the command {cmd_name}; `pip install {package}`, "
+                    "or `pip install ./lab` in a checkout"
+                )
             return None
         if self._only_names:
             return TyperCommand(cmd_name, help=command.summary)

@@ -21,8 +21,7 @@ _RUN = "Run a robot"
 _INSPECT = "Inspect a running robot"
 _CONTROL = "Control a running robot"
 _RECORD = "Record and replay"
-_MAPS = "Maps, objects and cameras"
-_STUDY = "Simulate and evaluate"
+_MAPS = "Maps, objects, cameras and simulated worlds"
 _DEVELOP = "Develop components and drivers"
 
 COMMANDS = (
@@ -97,13 +96,7 @@ COMMANDS = (
     LazyCommand("camera", "cairn.tools.calibration.cli:app",
                 "Calibrate a camera or a stereo pair.", _MAPS),
     LazyCommand("world", "cairn.components.simulation.cli:app",
-                "Check and draw simulated worlds; change the running one.", _STUDY),
-    LazyCommand("evaluate", "cairn_lab.evaluation.cli:app",
-                "Measure localization and navigation over many runs.", _STUDY),
-    LazyCommand("campaign", "cairn_lab.campaign.cli:campaign",
-                "Drive for long while faults are injected; check invariants.", _STUDY),
-    LazyCommand("experiment", "cairn_lab.experiments.cli:app",
-                "Run the experiments of the paper.", _STUDY),
+                "Check and draw simulated worlds; change the running one.", _MAPS),
     LazyCommand("init", "cairn.cli.init:init",
                 "Create a package for your own robot.", _DEVELOP),
     LazyCommand("plugins", "cairn.cli.plugins:plugins",
@@ -116,6 +109,8 @@ COMMANDS = (
                 "Emulate a device on a serial or TCP port.", _DEVELOP),
 )  # fmt: skip
 """All commands of this distribution. Their modules are imported when they are invoked."""
+
+_OF_THE_LAB = dict.fromkeys(("campaign", "evaluate", "experiment"), "cairn-lab")
 
 _HELP = ["-h", "--help"]
 _KERNELS_PER_NOTE = 10  # of about 45
@@ -160,7 +155,12 @@ def build() -> typer.Typer:
     """Return the command line."""
     app = typer.Typer(
         name="cairn",
-        cls=lazy_group(COMMANDS, entry_points=COMMANDS_GROUP, negative_numbers=True),
+        cls=lazy_group(
+            COMMANDS,
+            entry_points=COMMANDS_GROUP,
+            packages=_OF_THE_LAB,
+            negative_numbers=True,
+        ),
         help="Component-based robot middleware over Zenoh, and a navigation system built on it.",
         no_args_is_help=True,
         pretty_exceptions_enable=False,

@@ -1,4 +1,4 @@
-"""What commands that run robots share: report folder, log file, seeds, worker processes."""
+"""What commands that run robots share: report folder and log file."""
 
 from __future__ import annotations
 
@@ -102,16 +102,3 @@ class _Formatter(logging.Formatter):
 
     def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:  # noqa: ARG002, N802
         return f"{self._now() / SECOND:.6f}"
-
-
-def seeds_of(text: str) -> range:
-    """Return the seeds of `--seeds A..B`, or of one number; `CairnError` if it is invalid."""
-    first, dots, last = text.partition("..")
-    try:
-        begin = int(first)
-        end = int(last) if dots else begin
-    except ValueError:
-        raise CairnError(f"--seeds {text}: write it as A..B, such as 0..19") from None
-    if not 0 <= begin <= end:
-        raise CairnError(f"--seeds {text}: A must not be negative nor larger than B")
-    return range(begin, end + 1)

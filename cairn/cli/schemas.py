@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,10 +9,10 @@ import typer
 
 from cairn.bus.type_hash import own_definition, type_description, type_hash
 from cairn.cli.schema_export import export_definitions
-from cairn.deployment.plugins import installed_plugins
+from cairn.deployment.message_types import find_type, messages_of_plugins
 from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
-from cairn.schemas.definitions import KINDS, DefinitionError, full_type_name
+from cairn.schemas.definitions import KINDS, DefinitionError
 from cairn.schemas.interfaces import (
     ENTRY_POINTS,
     interface,
@@ -22,10 +21,8 @@ from cairn.schemas.interfaces import (
     module_name,
     packages,
 )
-from cairn.schemas.interfaces import find_message as find_defined_message
 from cairn.schemas.message import Action, Service, classes_in, type_name
 from cairn.schemas.package_files import Imported, import_packages
-from cairn.system.compilation import deferred_compilation
 from cairn.terminal.completion import interface_types
 from cairn.terminal.options import Json
 from cairn.terminal.output import line, note, print_json, show
@@ -140,62 +137,6 @@ def export_types(
     count = export_definitions(types, folder)
     line(f"wrote {len(types)} types of {count} packages; for tools that read them:")
     line(f"export AMENT_PREFIX_PATH={folder.resolve()}")
-
-
-def find_type(name: str) -> type[Any]:
-    """Return the class of a message, service or action; `CairnError` if there is none.
-
-    A name without its package will do if only one has it. The plugins, which take time, are
-    imported only for a type that is not known without them.
-    """
-    full = full_type_name(name) if "/" in name else _with_package(name)
-    try:
-        return interface(full)
-    except DefinitionError as error:
-        known = messages_of_plugins()
-        if full in known:
-            return known[full]
-        names = sorted({*interface_type_names(), *known})
-        if full in names:  # its file is wrong
-            raise
-        raise CairnError(
-            f"unknown type {name}; {suggestion(full, names)} (`cairn schema list` lists all: those "
-            "of ROS 2 and Cairn, of imported packages, and of the ports of installed plugins)"
-        ) from error
-
-
-def _with_package(name: str) -> str:
-    names = sorted({*interface_type_names(), *messages_of_plugins()})
-    found = [full for full in names if full.rpartition("/")[2] == name]
-    if len(found) > 1:
-        raise CairnError(f"{name}: several packages have it: {', '.join(found)}; give one of these")
-    if not found:
-        close = get_close_matches(name, dict.fromkeys(full.rpartition("/")[2] for full in names))
-        found = [full for full in names if full.rpartition("/")[2] in close]
-        guess = f"did you mean {' or '.join(found)}?" if found else "give it with its package"
-        raise CairnError(f"unknown type {name}; {guess} (`cairn schema list` lists all)")
-    return found[0]
-
-
-def find_message(name: str) -> type[Any]:
-    """Return the message class of a type name; `CairnError` with similar names if there is none."""
-    found = find_type(name)
-    if issubclass(found, Service | Action):
-        raise CairnError(f"{name} is not a message, but a service or action")
-    return found
-
-
-def messages_of_plugins() -> dict[str, type[Any]]:
-    """Return the messages of the ports of plugins that no definition or class of ours describes."""
-    with deferred_compilation():
-        found = installed_plugins(of_cairn=False)
-    messages = {
-        type_name(message): message
-        for plugin in found
-        for port in plugin.ports
-        for message in classes_in(port.message)
-    }
-    return {name: one for name, one in messages.items() if find_defined_message(name) is None}
 
 
 def _valid(name: str, of_plugins: dict[str, type[Any]]) -> type[Any] | None:

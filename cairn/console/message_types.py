@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from cairn.bus.message_limits import default_max_bytes, is_bulk
 from cairn.bus.type_hash import definition, type_hash
+from cairn.deployment.message_types import messages_of_plugins
 from cairn.schemas.interfaces import find_message
 from cairn.schemas.message import type_name
 
@@ -82,7 +83,5 @@ class MessageTypes:
 
 def print_types() -> None:
     """Print the message types of installed plugins as JSON, in one line."""
-    from cairn.deployment.message_types import messages_of_plugins
-
     found = [MessageType.of(one) for one in messages_of_plugins().values()]
     sys.stdout.write(f"{json.dumps([asdict(one) for one in found])}\n")

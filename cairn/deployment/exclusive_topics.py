@@ -2,33 +2,16 @@
 
 from collections import defaultdict
 from collections.abc import Iterable
-
-from pydantic import BaseModel, ConfigDict
+from typing import Any
 
 from cairn.bus.bus import full_name
+from cairn.bus.exclusive import ExclusiveTopic
 from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.errors import CairnError
-from cairn.runtime.ports import PortSpec, ports_of
-
-
-class ExclusiveTopic(BaseModel):
-    """A topic that at least one input reads exclusively.
-
-    `topic` is its full name. `writer` names the entitled component, "" if no component of the
-    deployment publishes there. `external`: the topic has no writer in the deployment and is listed
-    under `external_topics`, so messages of every publisher are accepted. `several_machines`: its
-    writer and readers do not all run on one machine.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    topic: str
-    writer: str
-    readers: tuple[str, ...]
-    external: bool = False
-    several_machines: bool = False
+from cairn.runtime.ports import ports_of
+from cairn.runtime.topic_ports import In, Out
 
 
 def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
@@ -88,7 +71,7 @@ def only_writer(topic: str, writers: Iterable[str], writer: str) -> str:
     )
 
 
-def ports_of_plugin(plugin: str) -> list[PortSpec]:
+def ports_of_plugin(plugin: str) -> list[In[Any] | Out[Any]]:
     """Return the ports of a plugin; none if it cannot be loaded."""
     try:
         return list(ports_of(load_plugin(plugin)).values())

@@ -38,7 +38,7 @@ def deployment_file(name: str) -> Path:
     Raises `CairnError` if `name` is not a path and nothing of that name is shipped.
     """
     known = [f"{one.name} (overlay)" if one.is_overlay else one.name for one in shipped()]
-    return _file_or_shipped(name, FOLDER, "deployment", known)
+    return file_or_shipped(name, FOLDER, "deployment", known)
 
 
 def world_file(name: str) -> Path:
@@ -46,24 +46,17 @@ def world_file(name: str) -> Path:
 
     Raises `CairnError` if `name` is not a path and nothing of that name is shipped.
     """
-    return _named_file(name, "world")
+    folder = FOLDER / "worlds"
+    return file_or_shipped(
+        name, folder, "world", sorted(file.stem for file in folder.glob("*.yaml"))
+    )
 
 
-def campaign_file(name: str) -> Path:
-    """Return the file of that path, or else the shipped campaign of that name.
+def file_or_shipped(name: str, folder: Path, kind: str, known: list[str]) -> Path:
+    """Return the file of that path, or else that of that name in a folder of shipped files.
 
-    Raises `CairnError` if `name` is not a path and nothing of that name is shipped.
+    Raises `CairnError`, with the `known` names, if `name` is neither.
     """
-    return _named_file(name, "campaign")
-
-
-def _named_file(name: str, kind: str) -> Path:
-    folder = FOLDER / f"{kind}s"
-    known = sorted(file.stem for file in folder.glob("*.yaml"))
-    return _file_or_shipped(name, folder, kind, known)
-
-
-def _file_or_shipped(name: str, folder: Path, kind: str, known: list[str]) -> Path:
     file, candidate = Path(name), folder / f"{name}.yaml"
     is_path = file.name != name or file.suffix
     if is_path or (file.exists() and not file.is_dir()):

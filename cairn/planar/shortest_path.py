@@ -1,7 +1,7 @@
 """The cheapest path over a grid of costs: A* in sixteen directions with a bucket queue.
 
-SciPy's `dijkstra` takes 10 to 16 times as long (`python -m cairn_lab.benchmarks planning`), and needs the
-grid as a graph.
+SciPy's `dijkstra` takes 10 to 16 times as long (`python -m cairn_lab.benchmarks planning`), and
+needs the grid as a graph.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Keeps components running: restart policy, processes and the engine that drives both."""
+"""Runs a deployment: supervisors, the zygote, where each component runs, the machines, lockstep."""

@@ -3,8 +3,6 @@
 import time
 from typing import Protocol
 
-from cairn.schemas.builtin_interfaces import Time
-
 SECOND = 1_000_000_000
 """One second in nanoseconds, the unit of all clocks."""
 
@@ -72,17 +70,3 @@ def has_passed(seconds: float, since: int, now: int) -> bool:
     what is to be done every few seconds must not wait until the clock is where it was.
     """
     return not 0 <= now - since < seconds * SECOND
-
-
-def to_ns(stamp: Time) -> int:
-    """Return a message's time stamp in nanoseconds."""
-    return stamp.sec * SECOND + stamp.nanosec
-
-
-def from_ns(nanoseconds: int) -> Time:
-    """Return nanoseconds as a message's time stamp.
-
-    Raises `InvalidMessage` if the seconds do not fit an int32 (years 1901 to 2038).
-    """
-    sec, nanosec = divmod(nanoseconds, SECOND)
-    return Time(sec=sec, nanosec=nanosec)

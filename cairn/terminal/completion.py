@@ -144,7 +144,6 @@ def _fields(ctx: typer.Context, incomplete: str, *, numeric: bool) -> list[str]:
 
     def read(robot: Robot) -> list[str]:
         from cairn.deployment.message_types import find_message
-
         from cairn.terminal.fields import field_paths
 
         paths = field_paths(find_message(robot.find_topic(topic).type_name))

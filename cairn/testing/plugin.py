@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -17,9 +17,6 @@ from cairn.testing.device import Located, Routed
 from cairn.testing.driver_contract import EndContract
 from cairn.testing.launching import Launching, Run, launching
 from cairn.testing.robot import Bench, RunningDeployment, settings
-
-if TYPE_CHECKING:
-    from cairn_lab.campaign.report import CampaignReport
 
 _SHOWN_LINES = 25
 _LAUNCHING = pytest.StashKey[dict[str, Bench | Launching]]()
@@ -86,22 +83,6 @@ def deploy(launch: Launching) -> Iterator[Callable[..., RunningDeployment]]:
     yield start
     for robot in robots:
         robot.close()
-
-
-@pytest.fixture
-def campaign(tmp_path: Path) -> Callable[..., CampaignReport]:
-    """Run campaigns: `campaign(deployment, faults, invariants, ...)` returns the report.
-
-    `deployment` is a file, the name of a shipped deployment, or a text with its keys. Faults and
-    invariants are given by name, or as in a campaign file; an invariant also as an object. Further
-    arguments are keys of a campaign file. By default 10 faults are injected, one a second, and the
-    last 60 s before each violation are recorded.
-    """
-    from cairn_lab.campaign.fixture import (
-        CampaignRuns,  # takes a second: only for tests that use it
-    )
-
-    return CampaignRuns(tmp_path)
 
 
 @pytest.fixture(scope="class")

@@ -1,1 +1,1 @@
-"""Commands that use components as a library: camera calibration, evaluation, experiments."""
+"""Commands on navigation and vision: build and show maps, explore, calibrate cameras."""

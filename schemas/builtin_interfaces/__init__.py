@@ -4,6 +4,7 @@ from typing import Annotated
 
 from cairn.schemas.field_types import Int32, Scalar
 from cairn.schemas.message import message
+from cairn.system.clock import SECOND
 
 Nanoseconds = Annotated[int, Scalar("uint32", at_most=999_999_999)]
 
@@ -22,3 +23,17 @@ class Duration:
 
     sec: Int32 = 0
     nanosec: Nanoseconds = 0
+
+
+def to_ns(stamp: Time) -> int:
+    """Return a message's time stamp in nanoseconds."""
+    return stamp.sec * SECOND + stamp.nanosec
+
+
+def from_ns(nanoseconds: int) -> Time:
+    """Return nanoseconds as a message's time stamp.
+
+    Raises `InvalidMessage` if the seconds do not fit an int32 (years 1901 to 2038).
+    """
+    sec, nanosec = divmod(nanoseconds, SECOND)
+    return Time(sec=sec, nanosec=nanosec)

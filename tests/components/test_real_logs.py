@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from cairn_lab.evaluation.results import SIGMA_LIMITS
 
 from cairn.planar.grid import OccupancyCells
+from cairn_lab.evaluation.results import SIGMA_LIMITS
 from tests.components.corrected_logs import (
     LOGS,
     CorrectedLog,

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from cairn_lab.benchmarks.explore import explore
-from cairn_lab.evaluation.map_comparison import WALL_M, compare_with_world
 
 from cairn.bus.session import open_peer
 from cairn.bus.zenoh_bus import ZenohBus
@@ -22,6 +20,8 @@ from cairn.schemas.action_msgs.msg import GoalStatus
 from cairn.schemas.cairn_nav_msgs import ExplorationStatus
 from cairn.testing.launching import CAIRN, LIMIT_S, Run, launching, new_endpoint
 from cairn.testing.lockstep import DeploymentHarness
+from cairn_lab.benchmarks.explore import explore
+from cairn_lab.evaluation.map_comparison import WALL_M, compare_with_world
 from tests.commands import cairn
 from tests.navigation.driving import DEPLOY, send_poses
 from tests.navigation.processes import ObservedRobot

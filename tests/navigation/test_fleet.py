@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cairn_lab.evaluation.runs import survey
 from numpy.typing import NDArray
 
 from cairn.planar.grid import OCCUPIED, Frame, grid_of
@@ -20,6 +19,7 @@ from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import DeploymentHarness, LockstepReading
+from cairn_lab.evaluation.runs import survey
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 

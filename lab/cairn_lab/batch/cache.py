@@ -9,13 +9,12 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Final
 
-from cairn_lab.batch.task import MOST_RESULT_BYTES, pack, unpack_result
-
 from cairn.errors import CairnError
 from cairn.limits.files import read_bounded
 from cairn.system.files import explain_os_error, private_files, replace_file
 from cairn.system.runtime_folder import locked
 from cairn.terminal.output import note
+from cairn_lab.batch.task import MOST_RESULT_BYTES, pack, unpack_result
 
 MOST_BYTES: Final = 4_000_000_000
 """Size of all entries [bytes]; beyond it, those that were not used for the longest are removed."""

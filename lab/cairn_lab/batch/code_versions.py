@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 PACKAGE, DISTRIBUTION = "cairn", "cairn-robotics"
+_LAB: Final = __name__.partition(".")[0]
 
 ABSENT: Final = "not installed"
 
@@ -36,13 +37,13 @@ _SOURCES = re.compile(r"\.(py|so|msg|srv|action)$")
 
 
 def code_versions(packages: Iterable[str]) -> dict[str, str]:
-    """Return the versions of Python, Cairn, these packages, and the libraries that compute.
+    """Return the versions of Python, Cairn, the lab, these packages, and libraries that compute.
 
     The version of a package has a digest of its source files, so that edited code is other code.
     """
     found = {"Python": f"{platform.python_version()} {platform.machine()}"}
     found[DISTRIBUTION] = f"{_version(DISTRIBUTION)} ({_source_digest(PACKAGE)})"
-    for package in sorted(set(packages) - {PACKAGE}):
+    for package in sorted({_LAB, *packages} - {PACKAGE}):
         found[f"{_NAMED}{package}"] = _source_digest(package)
     return found | {name: _version(name) for name in _COMPUTING}
 

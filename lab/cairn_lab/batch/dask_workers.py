@@ -10,13 +10,13 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
 
-from cairn_lab.batch.code_versions import DISTRIBUTION
-from cairn_lab.batch.worker import worker_name
-from cairn_lab.batch.workers import Answer, TaskFunction
 from distributed import Client
 
 from cairn.errors import CairnError
 from cairn.terminal.output import note
+from cairn_lab.batch.code_versions import DISTRIBUTION
+from cairn_lab.batch.worker import worker_name
+from cairn_lab.batch.workers import Answer, TaskFunction
 
 WAITING_TASKS: Final = 2
 """Tasks that are submitted at once for each worker: one runs, one waits."""

@@ -1,4 +1,4 @@
-"""The options of commands that run batches: where, and with which cache."""
+"""The options of commands that run batches: which seeds, where, and with which cache."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from urllib.parse import urlsplit
 
 import platformdirs
 import typer
-from cairn_lab.batch.cache import ResultCache
-from cairn_lab.batch.workers import LocalWorkers, Workers
 
 from cairn.errors import CairnError
+from cairn_lab.batch.cache import ResultCache
+from cairn_lab.batch.workers import LocalWorkers, Workers
 
 WorkerCount = Annotated[
     int, typer.Option(min=0, help="Number of parallel runs; 0: one per processor.")
@@ -66,7 +66,7 @@ class BatchOptions:
         if find_spec("distributed") is None:
             raise CairnError(
                 f"--on {self.on}: Dask is not installed; install it with this extra: pip install "
-                "'cairn-robotics[dask]'"
+                "'cairn-lab[dask]'"
             )
 
     def open_cache(self) -> ResultCache | None:
@@ -94,3 +94,16 @@ def _scheduler(on: str) -> str:
     if host is None or port is None or on != f"dask://{parts.netloc}":
         raise CairnError(f"--on {on}: write it as dask://HOST:PORT, such as dask://127.0.0.1:8786")
     return f"tcp://{parts.netloc}"
+
+
+def seeds_of(text: str) -> range:
+    """Return the seeds of `--seeds A..B`, or of one number; `CairnError` if it is invalid."""
+    first, dots, last = text.partition("..")
+    try:
+        begin = int(first)
+        end = int(last) if dots else begin
+    except ValueError:
+        raise CairnError(f"--seeds {text}: write it as A..B, such as 0..19") from None
+    if not 0 <= begin <= end:
+        raise CairnError(f"--seeds {text}: A must not be negative nor larger than B")
+    return range(begin, end + 1)

@@ -13,9 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cairn_lab.batch.code_versions import code_versions
-from cairn_lab.batch.task import MOST_INPUT_BYTES, ROOT, RUN, PackedDeployment
-
 from cairn.deployment.model import Deployment, Member
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -30,6 +27,8 @@ from cairn.runtime.input_files import (
 )
 from cairn.runtime.parameters import ReadPathMark, marked_parameters
 from cairn.system.files import explain_os_error
+from cairn_lab.batch.code_versions import code_versions
+from cairn_lab.batch.task import MOST_INPUT_BYTES, ROOT, RUN, PackedDeployment
 
 _FILES = "files"
 _NOT_OF_A_RUN = {"settings": {}, "bus": {}, "domain": 0}

@@ -13,14 +13,13 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from dataclasses import dataclass
 from typing import Any, Final, Generic, TypeVar
 
+from cairn.errors import CairnError
+from cairn.terminal.output import note
 from cairn_lab.batch.cache import ResultCache
 from cairn_lab.batch.code_versions import DISTRIBUTION
 from cairn_lab.batch.task import Task, TaskResult, digest, unpack_result
 from cairn_lab.batch.worker import run_task
 from cairn_lab.batch.workers import Answer, Workers
-
-from cairn.errors import CairnError
-from cairn.terminal.output import note
 
 T = TypeVar("T")
 

@@ -17,6 +17,12 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
+from cairn.cli.runs import log_file
+from cairn.deployment.model import Deployment
+from cairn.errors import CairnError
+from cairn.limits.files import megabytes, read_bounded
+from cairn.processes.lockstep import LockstepRun
+from cairn.runtime.input_files import content_digest
 from cairn_lab.batch.code_versions import PACKAGE, code_versions, differences, packages_in
 from cairn_lab.batch.packing import component_specs
 from cairn_lab.batch.task import (
@@ -29,13 +35,6 @@ from cairn_lab.batch.task import (
     digest,
     pack,
 )
-
-from cairn.cli.runs import log_file
-from cairn.deployment.model import Deployment
-from cairn.errors import CairnError
-from cairn.limits.files import megabytes, read_bounded
-from cairn.processes.lockstep import LockstepRun
-from cairn.runtime.input_files import content_digest
 
 _RUN: Final = RUN.removeprefix(f"{ROOT}/")
 

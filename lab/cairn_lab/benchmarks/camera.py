@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.components.simulation.camera import LightConfig, SensorConfig, photograph
 from cairn.components.simulation.camera_optics import ImageSensor, LensDistortion, PinholeCamera
@@ -16,8 +15,9 @@ from cairn.components.simulation.people import Walker, circles_of
 from cairn.components.simulation.rendering import CameraPose, surfaces_of
 from cairn.components.simulation.world_file import read_world
 from cairn.schemas.std_msgs import Header
+from cairn_lab.benchmarks.result import Metric
 
-_WORLDS = Path(__file__).parents[1] / "deploy" / "worlds"
+_WORLDS = Path(__file__).parents[3] / "deploy" / "worlds"
 _BASELINE_M, _HEIGHT_M = 0.09, 1.0
 _POSES = 24
 

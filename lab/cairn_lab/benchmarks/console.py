@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 import psutil
-from cairn_lab.benchmarks.result import Metric
 from websockets.client import ClientProtocol
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -37,6 +36,7 @@ from cairn.bus.zenoh_bus import ZenohBus
 from cairn.console.protocol import CONSOLE
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.testing.launching import CAIRN
+from cairn_lab.benchmarks.result import Metric
 
 SECONDS = 8.0
 """Length of each measurement."""

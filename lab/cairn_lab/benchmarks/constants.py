@@ -32,6 +32,9 @@ from typing import Any
 
 import numpy as np
 import yaml
+
+from cairn import CairnError
+from cairn.deployment.shipped import FOLDER, world_file
 from cairn_lab.batch.runner import run_task_here
 from cairn_lab.benchmarks.localization_logs import LOST_M, starts
 from cairn_lab.benchmarks.localization_mrclam import Case, solve
@@ -45,9 +48,6 @@ from cairn_lab.evaluation.runs import (
     survey,
     trial_tasks,
 )
-
-from cairn import CairnError
-from cairn.deployment.shipped import FOLDER, world_file
 from tests.components.corrected_logs import (
     LOGS,
     draw_map,
@@ -56,7 +56,7 @@ from tests.components.corrected_logs import (
     mapped_by_stretches,
 )
 
-FILE = ROOT / "benchmarks" / "constants.yaml"
+FILE = ROOT / "lab" / "constants.yaml"
 
 SCENARIOS = {
     "automove": ("hall", "office"),
@@ -122,7 +122,7 @@ LIMIT_S = 300.0
 """A process that takes longer fails: with present values it takes 10 to 20 s of a core."""
 
 _HEADER = """\
-# Effects of half and double of each tuned constant, written by `python -m cairn_lab.benchmarks.constants`.
+# Effects of half and double of each tuned constant, by `python -m cairn_lab.benchmarks.constants`.
 # `same`: not the least difference, so these runs say nothing about the constant.
 #   hall: two goals among ten walking people, kidnapped on the way to the second one; office: one
 #     goal, through doors. Goals reached, collisions, time [s], 95th percentile of the position

@@ -189,7 +189,7 @@ def write_log(path: Path, source: Path, lasers: list[LaserLine], poses: dict[int
     """
     mounts = {line.line: line for line in lasers}
     written = [
-        "# Poses corrected by lab/cairn_lab/benchmarks/corrected_poses.py: both of each FLASER line.\n"
+        "# Poses corrected by cairn_lab/benchmarks/corrected_poses.py: both of each FLASER line.\n"
     ]
     for number, text in text_lines(source):
         if number in poses:

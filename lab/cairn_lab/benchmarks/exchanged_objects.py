@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 import yaml
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.world import WORLDS
 from scipy.ndimage import label
 
 from cairn.components.simulation.survey import surveyed_grid
 from cairn.components.simulation.world_file import read_world
 from cairn.planar.grid import FREE, distance_field
 from cairn.planar.poses import Pose
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.world import WORLDS
 
 _LIMITS: dict[str, float | None] = {
     "room": 100.0,

@@ -8,6 +8,11 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from cairn.components.simulation.world_file import read_world
+from cairn.planar.map_file import read_map
+from cairn.schemas.cairn_nav_msgs import Collision, ExplorationStatus
+from cairn.schemas.geometry_msgs import PoseStamped
+from cairn.testing.lockstep import DeploymentHarness
 from cairn_lab.benchmarks.lockstep import ROOT
 from cairn_lab.benchmarks.result import Metric
 from cairn_lab.evaluation.map_comparison import (
@@ -16,12 +21,6 @@ from cairn_lab.evaluation.map_comparison import (
     MapComparison,
     compare_with_world,
 )
-
-from cairn.components.simulation.world_file import read_world
-from cairn.planar.map_file import read_map
-from cairn.schemas.cairn_nav_msgs import Collision, ExplorationStatus
-from cairn.schemas.geometry_msgs import PoseStamped
-from cairn.testing.lockstep import DeploymentHarness
 
 _MAPPING = ROOT / "deploy" / "mapping.yaml"
 _WORLDS = ROOT / "deploy" / "worlds"

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import psutil
 import zenoh
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.bus.session import open_peer
 from cairn.components.hokuyo.config import HokuyoConfig
@@ -22,6 +21,7 @@ from cairn.driver.emulator_lines import PtyEnd
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing.launching import launching
 from cairn.testing.robot import RunningDeployment
+from cairn_lab.benchmarks.result import Metric
 
 _SCANS = 400
 _PERIOD_S = 0.025

@@ -4,16 +4,15 @@ import json
 import time
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.running import results, run_deployment
 
-from cairn import Supervisor
+from cairn import In, Out, Supervisor, every, on
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.running import results, run_deployment
 
 _HERE = "cairn_lab.benchmarks.latency"
 _SECONDS = 10

@@ -7,11 +7,11 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.components.slam.graph_history import GraphHistory, draw_state, read_log
 from cairn.components.slam.lifelong import LifelongMap
 from cairn.components.slam.map_differences import MapDifferences
+from cairn_lab.benchmarks.result import Metric
 from tests.components.localizer.room import RESOLUTION
 from tests.components.slam.changing_room import (
     PERMANENT_S,

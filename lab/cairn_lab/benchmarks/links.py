@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import zenoh
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.bus.session import open_peer, open_router
+from cairn_lab.benchmarks.result import Metric
 
 PEERS = 8
 ROUNDS = 10

@@ -11,11 +11,11 @@ import math
 import sys
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.evaluation.results import SIGMA_LIMITS
 from numpy.typing import NDArray
 
 from cairn.planar.grid import OccupancyCells
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.evaluation.results import SIGMA_LIMITS
 from tests.components.corrected_logs import (
     LOGS,
     CorrectedLog,

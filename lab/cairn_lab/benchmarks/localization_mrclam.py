@@ -22,6 +22,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+
+from cairn.components.localizer.config import LocalizationSettings
+from cairn.components.replay.mrclam import MrclamDataset
+from cairn.visual_map.landmarks import ChangeKind, LandmarkRecord, LandmarkState, MapPosition
 from cairn_lab.benchmarks.localization_replay import (
     RobotRecording,
     errors,
@@ -30,10 +34,6 @@ from cairn_lab.benchmarks.localization_replay import (
     stressed,
     true_pose,
 )
-
-from cairn.components.localizer.config import LocalizationSettings
-from cairn.components.replay.mrclam import MrclamDataset
-from cairn.visual_map.landmarks import ChangeKind, LandmarkRecord, LandmarkState, MapPosition
 
 DISPLACED = {"one": 1, "two": 2, "removed": 2}
 Mode = Literal["lr", "paper"]

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.evaluation.results import SIGMA_LIMITS
 from numpy.typing import NDArray
 
 from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.particle_set import ParticleSet
 from cairn.planar.grid import OCCUPIED, distance_field
 from cairn.planar.motion_model import OdometryStep, move_pose
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.evaluation.results import SIGMA_LIMITS
 from tests.components.localizer.random_floor import (
     MODEL,
     START,

@@ -11,19 +11,19 @@ from typing import Any
 
 import psutil
 import yaml
-from cairn_lab.benchmarks.lockstep import ROOT
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.running import results
 
+from cairn import In, Out, on
 from cairn.bus.qos import SENSOR
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.scans import sweep_s
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, on
 from cairn.schemas.builtin_interfaces import from_ns, to_ns
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.system.clock import SECOND
+from cairn_lab.benchmarks.lockstep import ROOT
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.running import results
 
 _SIM = ROOT / "deploy" / "sim.yaml"
 _TOUR = ROOT / "deploy" / "demo_tour.yaml"

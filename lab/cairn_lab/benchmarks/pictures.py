@@ -14,7 +14,7 @@ Gray = NDArray[np.uint8]
 Homography = NDArray[np.float64]
 
 WIDTH, HEIGHT = 640, 480
-_DATA = Path(__file__).parents[1] / "tests" / "data"
+_DATA = Path(__file__).parents[3] / "tests" / "data"
 _CUT = ("images/box_in_scene.png", "images/board.jpg", "images/building.jpg", "images/graf1.jpg")
 _BEHIND = ("stereo/aloeL.jpg", "images/home.jpg", "images/tsukuba_l.png", "images/blox.jpg")
 _CELL = (100, 120)  # px, rows and columns of the cuts from photographs

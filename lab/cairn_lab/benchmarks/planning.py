@@ -7,7 +7,6 @@ from functools import partial
 
 import cv2
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -16,6 +15,7 @@ from cairn.components.path_planner.cost_map import CostMap, CostParameters
 from cairn.components.path_planner.planning import Planner
 from cairn.planar.grid import Frame, OccupancyCells
 from cairn.planar.shortest_path import CLOSED, MARGIN
+from cairn_lab.benchmarks.result import Metric
 
 RESOLUTION = 0.05
 COSTS = CostParameters(

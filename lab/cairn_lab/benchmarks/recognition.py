@@ -11,6 +11,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
+from cairn.vision.features import Features, extract
+from cairn.vision.object_model import ObjectModel
+from cairn.vision.recognition import Detection, Recognizer
+from cairn.vision.teaching import make_view
 from cairn_lab.benchmarks.pictures import (
     HEIGHT,
     WIDTH,
@@ -25,11 +30,6 @@ from cairn_lab.benchmarks.pictures import (
     seen,
 )
 from cairn_lab.benchmarks.result import Metric
-
-from cairn.vision.features import Features, extract
-from cairn.vision.object_model import ObjectModel
-from cairn.vision.recognition import Detection, Recognizer
-from cairn.vision.teaching import make_view
 
 _SHOWN = 10  # objects, known in each database, that scenes show one of
 _SCENES, _EMPTY, _SWEPT = 60, 150, 40

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 import zenoh
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.running import free_port, results, run_deployment
 from pydantic import Field
 
+from cairn import In, Out, on
 from cairn.bus.codec import Codec
 from cairn.runtime.component import Component
 from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out, on
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.schemas.std_msgs import Header, String
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.running import free_port, results, run_deployment
 
 ROUNDS = 5
 LIMIT = 1.5

@@ -8,9 +8,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import zenoh
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.roundtrip import raw_session, summary
-from cairn_lab.benchmarks.running import free_port, results, run_deployment
 
 from cairn import (
     ActionClient,
@@ -27,6 +24,9 @@ from cairn import (
 from cairn.bus.codec import Codec
 from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.roundtrip import raw_session, summary
+from cairn_lab.benchmarks.running import free_port, results, run_deployment
 
 ROUNDS = 5
 LIMIT = 1.5

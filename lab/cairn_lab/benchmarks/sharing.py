@@ -22,6 +22,7 @@ from cairn.planar.map_file import write_map
 from cairn.planar.scans import Rays
 from cairn.schemas.cairn_msgs import SharedCells
 from cairn.testing.lockstep import ComponentHarness, Lockstep
+from cairn_lab.benchmarks.result import Metric
 from tests.components.localizer.room import ROOM, room, scanned
 from tests.components.map_builder import test_grid_sharing, test_landmark_sharing
 from tests.navigation.test_fleet import Repair, repair_maps_of_five_robots

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import zenoh
-from cairn_lab.benchmarks.result import Metric
 
 import cairn.client
 from cairn.bus import keys, session
@@ -34,11 +33,13 @@ from cairn.schemas.cairn_nav_msgs import NavigateGoal, VelocityGateStatus
 from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces import Log
 from cairn.testing.launching import Launching, Run, launching, new_socket
+from cairn_lab.benchmarks.result import Metric
 
 PEERS = 40
 """Silent sessions, a fifth of them in processes that are stopped."""
 GHOSTS = 10_000
-"""Liveliness tokens of nodes and publishers that do not exist; see SECURITY.md for worse ones."""
+"""Liveliness tokens of nodes and publishers that do not exist; the worse ones are described in
+`docs/concepts/security.md`."""
 LIMIT_S = 1.0
 """Nothing may be delayed by more."""
 

@@ -1,6 +1,6 @@
 """Maps that SLAM builds: simulated drives in several worlds with four scanners, and real logs.
 
-    python -m cairn_lab.benchmarks.slam [--worlds office,ring] [--scanners UST-10LX] [LOG.clf.gz RELATIONS]
+    python -m cairn_lab.benchmarks.slam [--worlds W,W] [--scanners UST-10LX] [LOG.clf.gz RELATIONS]
 
 Without a log, all worlds are driven with all scanners. A log of the SLAM benchmark (Kuemmerle
 et al. 2009) is judged by its relations.
@@ -16,12 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.components.replay.carmen import CarmenRecording
 from cairn.components.slam.mapping import Mapper
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import rays_of
+from cairn_lab.benchmarks.result import Metric
 from tests.components.slam import courses
 from tests.components.slam.courses import Course
 from tests.components.slam.map_errors import map_errors

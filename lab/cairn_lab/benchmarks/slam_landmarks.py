@@ -4,8 +4,8 @@
 
 No landmark position is given. The map is aligned rigidly to the surveyed landmarks, and with it the
 trajectory, which is compared with the motion capture. The two halves of each recording are mapped,
-too, each without the other. `python -m cairn_lab.benchmarks.slam_landmarks DATASET_DIR 1 2 3 4 5` prints the
-results of other robots and data sets.
+too, each without the other. `python -m cairn_lab.benchmarks.slam_landmarks DATASET_DIR 1 2 3 4 5`
+prints the results of other robots and data sets.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ from heapq import merge
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.benchmarks.lockstep import DATASET
-from cairn_lab.benchmarks.result import Metric
 from numpy.typing import NDArray
 
 from cairn.components.replay.mrclam import MrclamRecording
@@ -28,6 +26,8 @@ from cairn.components.slam.odometry_calibration import CalibrationEstimate
 from cairn.planar.motion_model import COMMANDED
 from cairn.planar.poses import Pose
 from cairn.visual_map.observations import Observation
+from cairn_lab.benchmarks.lockstep import DATASET
+from cairn_lab.benchmarks.result import Metric
 
 Array = NDArray[np.float64]
 

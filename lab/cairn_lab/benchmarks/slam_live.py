@@ -24,7 +24,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import psutil
-from cairn_lab.benchmarks.result import Metric
 
 import cairn.client
 from cairn import from_ns
@@ -38,6 +37,7 @@ from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.testing.launching import Run, launching
 from cairn.testing.lockstep import ComponentHarness
+from cairn_lab.benchmarks.result import Metric
 from tests.components.slam import courses
 from tests.components.slam.courses import Course
 from tests.components.slam.recordings import Scanner, sweeps

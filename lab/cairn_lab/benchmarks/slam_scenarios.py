@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cairn_lab.benchmarks.lockstep import ROOT
-from cairn_lab.benchmarks.slam import FARTHEST_M, map_log, relation_errors
 
 from cairn import from_ns
 from cairn.components.slam.component import Slam
@@ -25,6 +23,8 @@ from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
+from cairn_lab.benchmarks.lockstep import ROOT
+from cairn_lab.benchmarks.slam import FARTHEST_M, map_log, relation_errors
 from tests.components.slam import courses
 from tests.components.slam.courses import Course
 from tests.components.slam.map_errors import alignment_to, position_errors

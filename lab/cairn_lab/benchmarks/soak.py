@@ -20,7 +20,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
-from cairn_lab.campaign.growth import anonymous_memory_mib, growth_percent
 from rich.console import Console
 from rich.table import Table
 
@@ -29,6 +28,7 @@ from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES
 from cairn.testing.launching import Run, launching
+from cairn_lab.campaign.growth import anonymous_memory_mib, growth_percent
 
 GOALS = ((7.5, 5.0, 0.0), (1.5, 1.2, 0.0))
 """Poses [m, m, rad] in the simulated room, far from each other."""

@@ -17,12 +17,12 @@ import numba
 import numpy as np
 import psutil
 import yaml
-from cairn_lab.benchmarks.result import Metric
 from scipy import ndimage
 
+from cairn import Out, every
 from cairn.runtime.component import Component
-from cairn.runtime.ports import Out, every
 from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn_lab.benchmarks.result import Metric
 
 COUNT = 10
 _HERE = "cairn_lab.benchmarks.startup"

@@ -19,10 +19,9 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import yaml
-from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.running import results, run_deployment
 from numpy.typing import NDArray
 
+from cairn import In, Out, every, on
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.lockstep_bus import LockstepSubscription
 from cairn.bus.qos import SENSOR
@@ -33,7 +32,6 @@ from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose, compose
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.builtin_interfaces import from_ns, to_ns
 from cairn.schemas.cairn_nav_msgs import Collision, TeleoperationCommand
 from cairn.schemas.cairn_sim_msgs import WorldState
@@ -43,6 +41,8 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.system.clock import SECOND
 from cairn.testing.lockstep import DeploymentHarness
+from cairn_lab.benchmarks.result import Metric
+from cairn_lab.benchmarks.running import results, run_deployment
 
 Kind = Literal["forged", "late", "contradictory"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

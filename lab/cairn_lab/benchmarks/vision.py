@@ -7,16 +7,16 @@ import tempfile
 from pathlib import Path
 
 import yaml
-from cairn_lab.benchmarks.lockstep import ROOT
-from cairn_lab.benchmarks.navigation import in_real_time
-from cairn_lab.benchmarks.result import Metric
 
+from cairn import In, on
 from cairn.bus.qos import RELIABLE
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, on
 from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.system.clock import SECOND
+from cairn_lab.benchmarks.lockstep import ROOT
+from cairn_lab.benchmarks.navigation import in_real_time
+from cairn_lab.benchmarks.result import Metric
 
 _PIXELS = ROOT / "deploy" / "pixels.yaml"
 _WORLD = ROOT / "deploy" / "worlds" / "room.yaml"

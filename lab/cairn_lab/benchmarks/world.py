@@ -5,8 +5,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from cairn.runtime.child_spec import ChildSpec
-from cairn_lab.benchmarks.result import Metric
 from numpy.typing import NDArray
 
 from cairn.bus.lockstep_bus import LockstepBus
@@ -19,6 +17,7 @@ from cairn.components.simulation.scanner import SimulatedScanner
 from cairn.components.simulation.world_component import SimulatedWorld
 from cairn.components.simulation.world_file import read_world
 from cairn.processes.lockstep import LockstepExecutor
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import Transition
@@ -26,9 +25,10 @@ from cairn.runtime.runtime import Runtime
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.system.clock import SECOND
 from cairn.system.process_exit import ExitReport
+from cairn_lab.benchmarks.result import Metric
 
 Array = NDArray[np.float64]
-WORLDS = Path(__file__).parent.parent / "deploy" / "worlds"
+WORLDS = Path(__file__).parents[3] / "deploy" / "worlds"
 RANGE_M = 10.0
 
 

@@ -10,13 +10,13 @@ from random import Random
 from typing import Literal
 
 import zenoh
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
-from cairn_lab.campaign.parameters import Duration, Patterns
-from cairn_lab.campaign.robot import CampaignRobot
 from pydantic import Field
 
 from cairn.bus.keys import Attachment
 from cairn.runtime.parameters import Config
+from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.parameters import Duration, Patterns
+from cairn_lab.campaign.robot import CampaignRobot
 
 _CAPTURE_S = 0.3
 _LONGEST_GARBAGE = 2000  # bytes

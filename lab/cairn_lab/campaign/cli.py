@@ -5,18 +5,30 @@ from __future__ import annotations
 import signal
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
+
+from cairn.deployment.shipped import file_or_shipped
+from cairn.errors import CairnError
+from cairn.system.signal_handlers import signal_handlers
+from cairn.terminal.output import line
 from cairn_lab.campaign.model import Campaign, read_campaign
 from cairn_lab.campaign.plan import planned_faults
 from cairn_lab.campaign.report import TEXT_NAME
 from cairn_lab.campaign.runner import run_campaign
 
-from cairn.deployment.shipped import campaign_file
-from cairn.errors import CairnError
-from cairn.system.signal_handlers import signal_handlers
-from cairn.terminal.output import line
+_FOLDER: Final = Path(__file__).parents[1] / "campaigns"
+
+
+def campaign_file(name: str) -> Path:
+    """Return the file of that path, or else the shipped campaign of that name.
+
+    Raises `CairnError` if `name` is not a path and nothing of that name is shipped.
+    """
+    return file_or_shipped(
+        name, _FOLDER, "campaign", sorted(f.stem for f in _FOLDER.glob("*.yaml"))
+    )
 
 
 def campaign(

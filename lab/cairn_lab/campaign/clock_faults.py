@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from random import Random
 from typing import Annotated
 
+from pydantic import Field
+
 from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
 from cairn_lab.campaign.parameters import Duration, Patterns, matching
 from cairn_lab.campaign.robot import CampaignRobot
-from pydantic import Field
 
 _LONGEST_S = 10 * 365 * 86_400.0
 

@@ -17,9 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from cairn_lab.campaign.faults import SkippedFault
-
 from cairn.system.clock import SECOND
+from cairn_lab.campaign.faults import SkippedFault
 
 _SOURCE: Final = Path(__file__).with_name("clock_offset.c")
 _COMPILER: Final = "cc"

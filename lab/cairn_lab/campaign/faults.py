@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from random import Random
 from typing import TYPE_CHECKING, ClassVar, Final
 
-from cairn_lab.campaign.kinds import KindGroup
-
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
+from cairn_lab.campaign.kinds import KindGroup
 
 if TYPE_CHECKING:
     from cairn_lab.campaign.robot import CampaignRobot

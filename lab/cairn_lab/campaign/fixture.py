@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from cairn.testing.launching import Launching
 from cairn_lab.campaign.invariants import Invariant
 from cairn_lab.campaign.model import parse_campaign
 from cairn_lab.campaign.report import CampaignReport
 from cairn_lab.campaign.runner import run_campaign
-
-from cairn.testing.launching import Launching
 
 _DEFAULTS: Final[Mapping[str, Any]] = {"count": 10, "interval_s": 1.0, "settle_s": 2.0}
 

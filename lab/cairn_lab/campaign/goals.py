@@ -8,14 +8,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from random import Random
 
-from cairn_lab.campaign.free_space import FreeSpace, free_space
-from cairn_lab.campaign.model import Goals
-from cairn_lab.campaign.observations import GoalEnded
-
 import cairn.client
 from cairn.client.robot import Robot
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES
+from cairn_lab.campaign.free_space import FreeSpace, free_space
+from cairn_lab.campaign.model import Goals
+from cairn_lab.campaign.observations import GoalEnded
 
 _PAUSE_S = 1.0
 _CLOSED = "the campaign has ended the deployment"

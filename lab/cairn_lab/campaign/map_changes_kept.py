@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from cairn_lab.campaign import DeploymentEnded, Injection, Invariant
 from pydantic import Field
 
 from cairn.runtime.parameters import Config
 from cairn.schemas.cairn_msgs import VisualMapChange
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.sqlite_file import MapFileError
+from cairn_lab.campaign import DeploymentEnded, Injection, Invariant
 
 _DISK_FULL = "disk_full"
 _UNSAVED_S = 15.0  # longer than the map builder takes to try again

@@ -11,14 +11,14 @@ from random import Random
 from typing import Annotated, Any
 
 import psutil
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
-from cairn_lab.campaign.parameters import Duration, Targets, TargetsForTime, matching
-from cairn_lab.campaign.robot import CampaignRobot
 from pydantic import Field
 
 from cairn.bus.control import ControlError, NoReplyError
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
+from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.parameters import Duration, Targets, TargetsForTime, matching
+from cairn_lab.campaign.robot import CampaignRobot
 
 _REQUEST_S = 5.0
 _UNDO_TRIES = 6

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from statistics import median
 
-from cairn_lab.campaign.growth import growth
-from cairn_lab.campaign.invariants import Invariant
-from cairn_lab.campaign.observations import DeploymentEnded, LogLine, Processes, ProcessSample
 from pydantic import Field
 
 from cairn.deployment.model import Deployment
 from cairn.runtime.parameters import Config
+from cairn_lab.campaign.growth import growth
+from cairn_lab.campaign.invariants import Invariant
+from cairn_lab.campaign.observations import DeploymentEnded, LogLine, Processes, ProcessSample
 
 _REASONS = frozenset({"failed", "hung", "stopped", "ended", "start failed", "stop failed"})
 """Events of children with which the log gives the reason for the end of a process."""
@@ -65,7 +65,7 @@ class NoOrphan(Invariant):
                 self._since[key] = float("inf")  # reported once
                 yield f"process {process.pid} ({process.name}) {key[2]}"
 
-    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
+    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:
         """Forget the launch before."""
         self._since.clear()
         return ()
@@ -119,7 +119,7 @@ class EndsHaveReasons(Invariant):
         self._reasons: dict[str, float] = {}
         self._supervisors: dict[str, str | None] = {}
 
-    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
+    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:
         """Forget the launch before."""
         self._supervisors = {member.name: member.parent for member in deployment.members()}
         self._running.clear()

@@ -11,6 +11,16 @@ from typing import Any
 
 import psutil
 import zenoh
+
+import cairn.client
+from cairn.bus import keys
+from cairn.bus.bus import full_name
+from cairn.bus.codec import Codec
+from cairn.deployment.model import root_name
+from cairn.errors import CairnError
+from cairn.processes.orphan_cleanup import set_parent_death_signal
+from cairn.schemas.message import InvalidMessage
+from cairn.testing.launching import Launching, Run, await_any_end, title_of
 from cairn_lab.campaign.clocks import Clocks
 from cairn_lab.campaign.faults import SkippedFault
 from cairn_lab.campaign.growth import anonymous_memory_mib
@@ -27,16 +37,6 @@ from cairn_lab.campaign.observations import (
 )
 from cairn_lab.campaign.parameters import Patterns, matching
 from cairn_lab.campaign.programs import Programs
-
-import cairn.client
-from cairn.bus import keys
-from cairn.bus.bus import full_name
-from cairn.bus.codec import Codec
-from cairn.deployment.model import root_name
-from cairn.errors import CairnError
-from cairn.processes.orphan_cleanup import set_parent_death_signal
-from cairn.schemas.message import InvalidMessage
-from cairn.testing.launching import Launching, Run, await_any_end, title_of
 
 _START_LIMIT_S = 180.0
 _POLL_S = 0.2

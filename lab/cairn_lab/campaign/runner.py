@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from random import Random
 
+from cairn.errors import CairnError
+from cairn.testing.launching import launching
 from cairn_lab.campaign.clocks import Clocks
 from cairn_lab.campaign.faults import FAULTS, Fault, Injection
 from cairn_lab.campaign.goals import GoalSender
@@ -27,9 +29,6 @@ from cairn_lab.campaign.recordings import LaunchRecording, attachments_of, rerun
 from cairn_lab.campaign.report import OUTPUT_NAME, CampaignReport, FaultRecord, Violation
 from cairn_lab.campaign.resources import Resources
 from cairn_lab.campaign.robot import CampaignRobot
-
-from cairn.errors import CairnError
-from cairn.testing.launching import launching
 
 _TICK_S = 0.1
 _LATE_S = 1.0

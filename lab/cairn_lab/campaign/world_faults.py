@@ -7,13 +7,13 @@ from contextlib import contextmanager
 from random import Random
 from typing import Any
 
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
-from cairn_lab.campaign.free_space import free_space
-from cairn_lab.campaign.robot import CampaignRobot
 from pydantic import Field
 
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
+from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.free_space import free_space
+from cairn_lab.campaign.robot import CampaignRobot
 
 _WORLD = "simulated_world"
 _REQUEST_S = 2.0

@@ -9,8 +9,15 @@ from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
+
+from cairn import CairnError
+from cairn.cli.runs import writing_report
+from cairn.deployment.shipped import FOLDER, deployment_file, world_file
+from cairn.planar.map_file import read_map
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, note, print_json
 from cairn_lab.batch.cache import ResultCache
-from cairn_lab.batch.options import BatchOptions, CacheFolder, NoCache, On, WorkerCount
+from cairn_lab.batch.options import BatchOptions, CacheFolder, NoCache, On, WorkerCount, seeds_of
 from cairn_lab.batch.runner import Batch, Outcome
 from cairn_lab.batch.task import LOG, Task
 from cairn_lab.batch.workers import Workers
@@ -26,13 +33,6 @@ from cairn_lab.evaluation.runs import (
     survey,
     trial_tasks,
 )
-
-from cairn import CairnError
-from cairn.cli.runs import seeds_of, writing_report
-from cairn.deployment.shipped import FOLDER, deployment_file, world_file
-from cairn.planar.map_file import read_map
-from cairn.terminal.options import Json
-from cairn.terminal.output import line, note, print_json
 
 app = typer.Typer(help="Evaluate the robot over many simulated runs.", no_args_is_help=True)
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.evaluation.results import GoalResult, LocalizationQuality, RunResult
-from cairn_lab.evaluation.shortest_paths import ShortestPaths
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -22,7 +20,6 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRejected,
     every,
     on,
     to_ns,
@@ -40,6 +37,8 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
+from cairn_lab.evaluation.results import GoalResult, LocalizationQuality, RunResult
+from cairn_lab.evaluation.shortest_paths import ShortestPaths
 
 # A kidnapped robot with turning wheels needs this much room to stop [m].
 _STOPPING_ROOM_M = 0.35
@@ -101,6 +100,8 @@ class NavigationExaminer(Component):
     The robot contributes only its own estimate and the status of its goals.
     """
 
+    # The rules hold for the whole run.
+    live_parameters = frozenset()
     config: ExaminerConfig
 
     world_geometry: In[WorldGeometry] = In(qos=LATCHED)
@@ -134,10 +135,6 @@ class NavigationExaminer(Component):
         self._attempt: Attempt | None = None
         self._started_ns: int | None = None
         self._kidnap_requested_ns: int | None = None
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - no parameter can be changed
-        """Reject changes: the rules hold for the whole run."""
-        raise ParameterRejected("the examiner's parameters cannot be changed while it runs")
 
     @on("world_geometry")
     def on_world_geometry(self, geometry: WorldGeometry) -> None:

@@ -8,12 +8,12 @@ from json import dumps
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.evaluation.results import GoalResult, RunResult, Summary
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cairn.planar.grid import FREE_TO, OCCUPIED_FROM, OccupancyCells
+from cairn_lab.evaluation.results import GoalResult, RunResult, Summary
 
 # Steps of the ground truth longer than this [m] were not driven: the robot was kidnapped.
 _KIDNAPPED_M = 0.5

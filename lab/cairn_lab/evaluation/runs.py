@@ -7,6 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from cairn.components.map_builder.importing import alter
+from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
+from cairn.components.simulation.world_file import Event, read_world
+from cairn.deployment.load import load_deployment
+from cairn.deployment.model import Deployment
+from cairn.planar.map_file import read_map as read_grid
+from cairn.planar.map_file import write_map as write_grid
+from cairn.planar.poses import Pose
+from cairn.visual_map.new_map import write_map
 from cairn_lab.batch.packing import pack_deployment
 from cairn_lab.batch.runner import Outcome
 from cairn_lab.batch.task import Task
@@ -17,16 +26,6 @@ from cairn_lab.evaluation.map_comparison import (
     placed_map,
 )
 from cairn_lab.evaluation.results import RunResult
-
-from cairn.components.map_builder.importing import alter
-from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
-from cairn.components.simulation.world_file import Event, read_world
-from cairn.deployment.load import load_deployment
-from cairn.deployment.model import Deployment
-from cairn.planar.map_file import read_map as read_grid
-from cairn.planar.map_file import write_map as write_grid
-from cairn.planar.poses import Pose
-from cairn.visual_map.new_map import write_map
 
 _POSE = ("x", "y", "theta")
 _RESULT = "result.json"

@@ -9,6 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from pydantic import BaseModel, ConfigDict, Field
+
+from cairn import CairnError
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.experiments.methods import (
     ABLATION,
@@ -47,11 +52,6 @@ from cairn_lab.experiments.statistics import (
     percentiles,
     wilson_rate,
 )
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from pydantic import BaseModel, ConfigDict, Field
-
-from cairn import CairnError
 
 # Range [m], model and `skip` of the paper's scanner, and of scanners with a longer range.
 _SCANNERS = ((3.0, "PBS-03JN", 1), (10.0, "UST-10LX", 3), (30.0, "UTM-30LX", 3))

@@ -8,17 +8,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from cairn_lab.batch.options import BatchOptions, CacheFolder, NoCache, On, WorkerCount
+
+from cairn import CairnError
+from cairn.deployment.shipped import FOLDER, deployment_file
+from cairn.terminal.options import Json
+from cairn.terminal.output import line, print_json
+from cairn_lab.batch.options import BatchOptions, CacheFolder, NoCache, On, WorkerCount, seeds_of
 from cairn_lab.experiments.ablation import AblationOptions, run_ablation
 from cairn_lab.experiments.map_update import run_map_update
 from cairn_lab.experiments.methods import ABLATION, OURS, PAPER, ExperimentSetup, Method
 from cairn_lab.experiments.uncertainty import UNCERTAINTY, run_uncertainty
-
-from cairn import CairnError
-from cairn.cli.runs import seeds_of
-from cairn.deployment.shipped import FOLDER, deployment_file
-from cairn.terminal.options import Json
-from cairn.terminal.output import line, print_json
 
 _DEPLOYMENT, _OVERLAY = FOLDER / "sim.yaml", FOLDER / "experiment.yaml"
 

@@ -9,14 +9,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from cairn_lab.experiments.series import (
-    MethodSeries,
-    RecordedChange,
-    RecordedEvidence,
-    RecordedLandmark,
-    TrueMove,
-    WorldSeries,
-)
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -27,6 +19,14 @@ from cairn.planar.grid import FREE_TO, OCCUPIED_FROM, OccupancyCells
 from cairn.planar.map_file import read_map
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import ObjectEvidence, VisualMapChange
+from cairn_lab.experiments.series import (
+    MethodSeries,
+    RecordedChange,
+    RecordedEvidence,
+    RecordedLandmark,
+    TrueMove,
+    WorldSeries,
+)
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

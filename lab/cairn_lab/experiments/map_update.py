@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.experiments.map_sequence import draw_map_panels, map_panels
 from cairn_lab.experiments.methods import (
@@ -44,9 +48,6 @@ from cairn_lab.experiments.statistics import (
     too_few_note,
     wilson_rate,
 )
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 METHODS = (OURS, PAPER)
 _PANELS, _RELIABILITY = "maps_a_h.png", "reliability.png"

@@ -5,6 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from cairn.planar.poses import Pose, apart, compose
+from cairn.schemas.cairn_msgs import VisualMapChange
 from cairn_lab.experiments.series import (
     MethodSeries,
     ObservedObject,
@@ -15,10 +19,6 @@ from cairn_lab.experiments.series import (
     error_curve,
     relocalization_time,
 )
-from pydantic import BaseModel, ConfigDict, Field
-
-from cairn.planar.poses import Pose, apart, compose
-from cairn.schemas.cairn_msgs import VisualMapChange
 
 # A landmark within this distance [m] of the object's true position is correct.
 CORRECT_M = 0.3

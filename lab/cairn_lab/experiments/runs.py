@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from cairn.cli.runs import writing_report
+from cairn.terminal.output import note
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.batch.packing import pack_deployment
 from cairn_lab.batch.runner import Batch, Outcome
@@ -20,9 +22,6 @@ from cairn_lab.experiments.methods import (
 from cairn_lab.experiments.report_folder import ReportFolder
 from cairn_lab.experiments.results import ExperimentRunResult, judge_method, judge_run
 from cairn_lab.experiments.series import MethodSeries, WorldSeries, read_method, read_world
-
-from cairn.cli.runs import writing_report
-from cairn.terminal.output import note
 
 _SERIES = "series"  # apart from the files of the deployment, such as the state of its world
 

@@ -12,6 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.experiments.methods import (
     NO_UPDATE,
@@ -41,10 +46,6 @@ from cairn_lab.experiments.statistics import (
     rate_within,
     too_few_note,
 )
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 Array = NDArray[np.float64]
 

@@ -24,6 +24,9 @@ from queue import Queue
 from uuid import uuid4
 
 import psutil
+from rich.console import Console
+from rich.table import Column, Table
+
 from cairn_lab.mutation.faults import (
     NO_TEST,
     ROOT,
@@ -33,14 +36,12 @@ from cairn_lab.mutation.faults import (
     read_faults,
     write_faults,
 )
-from rich.console import Console
-from rich.table import Column, Table
 
 _MARK = "CAIRN_MUTATION"
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.*?)(?:\[.*| - .*)?$", re.MULTILINE)
 # `cairn` contains components, schemas, supervisors and deploy by symbolic links to folders next to
 # it; the copy keeps these links.
-_PACKAGES = ("cairn", "tests", "cairn_test_plugins")
+_PACKAGES = ("cairn", "cairn_lab", "tests", "cairn_test_plugins")
 # Prints the files from which a child process imports the packages and the entry points.
 _PRINT_ORIGINS = f"""
 import importlib.metadata, importlib.util
@@ -142,13 +143,13 @@ class Scratch:
     def _run(self, command: Sequence[str], folder: str, cache: Path) -> str:
         """Run a command and return its output; kill all processes that it leaves behind."""
         mark = uuid4().hex
-        import_path = f"{self.root}{os.pathsep}{self.root / 'tests' / 'plugin_package'}"
+        folders = (self.root, self.root / "lab", self.root / "tests" / "plugin_package")
         process = subprocess.Popen(
             command,
             cwd=folder,
             env={
                 **os.environ,
-                "PYTHONPATH": import_path,
+                "PYTHONPATH": os.pathsep.join(map(str, folders)),
                 "NUMBA_CACHE_DIR": str(cache),
                 _MARK: mark,
             },

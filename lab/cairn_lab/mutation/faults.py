@@ -8,15 +8,15 @@ from typing import Any
 import yaml
 from pydantic import BaseModel, ConfigDict, Field
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 FILE = Path(__file__).with_name("faults.yaml")
 NO_TEST = "none"
 
 _HEADER = """\
-# Deliberate faults. `python -m cairn_lab.mutation` applies each of them to a copy of the code and runs
-# its tests; see lab/cairn_lab/mutation/__main__.py. `find` occurs exactly once in `file`. `caught_by` is
-# the first test that failed when the fault was last recorded, or none. With `--record` the runner
-# rewrites this file; comments other than this one are lost.
+# Deliberate faults. `python -m cairn_lab.mutation` applies each of them to a copy of the code and
+# runs its tests; see cairn_lab/mutation/__main__.py. `find` occurs exactly once in `file`.
+# `caught_by` is the first test that failed when the fault was last recorded, or none. With
+# `--record` the runner rewrites this file; comments other than this one are lost.
 """
 
 
@@ -82,6 +82,7 @@ class _Dumper(yaml.SafeDumper):
 
     def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         """Indent lists within an entry."""
+        del indentless  # PyYAML sets it for lists, which then stand as far left as their key
         return super().increase_indent(flow, False)
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from cairn.deployment.load import load_deployment
 from cairn_lab.batch.packing import pack_deployment
 from cairn_lab.batch.task import Task
-
-from cairn.deployment.load import load_deployment
 
 OUTPUT = "numbers.txt"
 _DEPLOYMENT = """\

@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 
 import pytest
-from cairn_lab.batch.cache import ResultCache
-from cairn_lab.batch.task import TaskResult
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn import CairnError
+from cairn_lab.batch.cache import ResultCache
+from cairn_lab.batch.task import TaskResult
 
 KEY, OTHER = "ab" * 20, "cd" * 20
 RESULT = TaskResult(True, True, "", {"log.txt": b"a line\n" * 50, "numbers": bytes(range(256))})

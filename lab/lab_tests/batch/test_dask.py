@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from cairn import CairnError
 from cairn_lab.batch.dask_workers import DaskWorkers
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.batch.runner import Batch, Outcome
 from lab_tests.batch.clerks import OUTPUT, clerk_tasks
 from lab_tests.batch.fake_workers import FakeWorkers, run_here
-
-from cairn import CairnError
 from tests.commands import cairn
 
 pytestmark = pytest.mark.processes
@@ -158,5 +158,5 @@ def test_invalid_options_are_rejected(options: dict[str, object], message: str) 
 def test_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cairn_lab.batch.options.find_spec", lambda _: None)
 
-    with pytest.raises(CairnError, match=r"pip install 'cairn-robotics\[dask\]'"):
+    with pytest.raises(CairnError, match=r"pip install 'cairn-lab\[dask\]'"):
         BatchOptions(on="dask://127.0.0.1:8786")

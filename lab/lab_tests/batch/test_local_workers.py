@@ -11,15 +11,15 @@ from pathlib import Path
 
 import psutil
 import pytest
+
 from cairn_lab.batch.runner import Batch, Outcome
 from cairn_lab.batch.workers import LocalWorkers
 from lab_tests.batch.clerks import clerk_tasks
-
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 
 
 def test_batch_continues_when_a_worker_is_killed(tmp_path: Path) -> None:

@@ -9,6 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from cairn import CairnError
+from cairn.deployment.load import load_deployment
 from cairn_lab.batch import packing
 from cairn_lab.batch.packing import pack_deployment
 from cairn_lab.batch.runner import run_task_here
@@ -16,10 +19,7 @@ from cairn_lab.batch.task import Task, TaskResult
 from cairn_lab.evaluation.runs import Trial, examination, robot_start, survey, trial_tasks
 from lab_tests.batch.clerks import OUTPUT, clerk_tasks
 
-from cairn import CairnError
-from cairn.deployment.load import load_deployment
-
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 TEXTURES = ROOT / "deploy" / "worlds" / "textures"
 
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+
+from cairn import CairnError
 from cairn_lab.batch import code_versions
 from cairn_lab.batch.cache import ResultCache
 from cairn_lab.batch.runner import Batch, Outcome
@@ -14,8 +16,6 @@ from cairn_lab.batch.worker import worker_name
 from cairn_lab.batch.workers import Answer
 from lab_tests.batch.clerks import OUTPUT, clerk_tasks
 from lab_tests.batch.fake_workers import FakeWorkers, Payload, answer, run_here
-
-from cairn import CairnError
 
 
 def numbers(task: Payload, _contents: object = None, _name: str = "") -> Answer:

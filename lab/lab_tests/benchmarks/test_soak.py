@@ -1,6 +1,7 @@
 """The soak distinguishes growth from a warm-up and from noise."""
 
 import pytest
+
 from cairn_lab.benchmarks.soak import LIMIT_PERCENT
 from cairn_lab.campaign.growth import growth_percent
 

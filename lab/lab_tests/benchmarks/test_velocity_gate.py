@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from cairn_lab.benchmarks.velocity_gate import KINDS, Kind, hostile_run, stop_times
 
 LIMIT_MS = 120.0  # one scan period and 20 ms

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
-from cairn_lab.campaign import CampaignReport, Injection, Invariant, LogLine
 
 from cairn import Config
 from cairn.testing.launching import CAIRN
+from cairn_lab.campaign import CampaignReport, Injection, Invariant, LogLine
 
 pytestmark = pytest.mark.processes
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from cairn_lab.campaign import CampaignReport, SkippedFault
 from cairn_lab.campaign.clocks import Clocks
 

@@ -5,6 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from cairn.deployment.model import Deployment
+from cairn.schemas.cairn_msgs import VisualMapChange
+from cairn.schemas.cairn_nav_msgs import Collision, NavigationStatus, VelocityGateStatus
+from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
+from cairn.schemas.nav_msgs import Odometry
+from cairn.visual_map.landmark_store import create_landmarks
 from cairn_lab.campaign import (
     DeploymentEnded,
     GoalEnded,
@@ -16,13 +23,6 @@ from cairn_lab.campaign import (
 from cairn_lab.campaign.invariants import INVARIANTS
 from cairn_lab.campaign.kinds import instance_of
 from cairn_lab.campaign.observations import Role
-
-from cairn.deployment.model import Deployment
-from cairn.schemas.cairn_msgs import VisualMapChange
-from cairn.schemas.cairn_nav_msgs import Collision, NavigationStatus, VelocityGateStatus
-from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
-from cairn.schemas.nav_msgs import Odometry
-from cairn.visual_map.landmark_store import create_landmarks
 
 DEPLOYMENT = Deployment.model_validate(
     {

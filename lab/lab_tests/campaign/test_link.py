@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import closing
 
 import pytest
-from cairn_lab.campaign.link import HOST, Link, LinkConditions
 
 from cairn.errors import CairnError
 from cairn.testing.launching import free_port
+from cairn_lab.campaign.link import HOST, Link, LinkConditions
 
 DATA = bytes(range(256)) * 200
 

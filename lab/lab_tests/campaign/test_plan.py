@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from cairn import CairnError
 from cairn_lab.campaign import Campaign, read_campaign
+from cairn_lab.campaign.cli import campaign_file
 from cairn_lab.campaign.model import parse_campaign
 from cairn_lab.campaign.plan import planned_faults
 from cairn_lab.campaign.report import FaultRecord
-
-from cairn import CairnError
-from cairn.deployment.shipped import campaign_file
 
 KEYS: dict[str, Any] = {
     "cairn_campaign": 1,

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.evaluation.examiner import NavigationExaminer
-from cairn_lab.evaluation.results import RunResult
 
 from cairn import SECOND, from_ns
 from cairn.planar.messages import packed_poses, planar_pose, pose_message, with_covariance
@@ -22,6 +20,8 @@ from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.packed import Packed
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
+from cairn_lab.evaluation.examiner import NavigationExaminer
+from cairn_lab.evaluation.results import RunResult
 
 Box = tuple[float, float, float, float]  # left, bottom, right, top [m]
 HALL: Box = (0.0, 0.0, 12.0, 10.0)

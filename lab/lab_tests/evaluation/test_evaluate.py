@@ -5,19 +5,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.batch.task import LOG, TaskResult
 from cairn_lab.evaluation.results import GoalResult, RunResult
 from cairn_lab.evaluation.runs import Trial, examination
 from lab_tests.batch.fake_workers import FakeWorkers, Payload, answer
-
 from tests.commands import Answer, cairn
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
 
 
-ROOT = Path(__file__).parents[4]
+ROOT = Path(__file__).parents[3]
 
 
 def test_kidnapped_robot_reaches_its_goals(tmp_path: Path) -> None:

@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from lab_tests.evaluation.examiner_harness import Examination
 
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
+from lab_tests.evaluation.examiner_harness import Examination
 from tests.wording import assert_words
 
 StartExamination = Callable[..., Examination]

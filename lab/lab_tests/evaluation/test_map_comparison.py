@@ -6,15 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cairn_lab.evaluation.map_comparison import WALL_M, compare_with_world, placed_map
-from cairn_lab.evaluation.runs import align
 
 from cairn.components.simulation.survey import surveyed_grid
 from cairn.planar.grid import OCCUPIED, UNKNOWN, Grid, OccupancyCells
 from cairn.planar.map_file import read_map, write_map
 from cairn.planar.poses import Pose, compose, inverse
+from cairn_lab.evaluation.map_comparison import WALL_M, compare_with_world, placed_map
+from cairn_lab.evaluation.runs import align
 
-WORLD = Path(__file__).parents[4] / "deploy" / "worlds" / "room.yaml"
+WORLD = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 FRAME: Pose = (1.0, 1.0, 0.3)
 SLIPPED = compose(FRAME, (0.04, -0.03, 0.01))
 

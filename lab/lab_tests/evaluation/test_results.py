@@ -5,6 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+
+from cairn import CairnError
+from cairn.planar.grid import Frame, Grid
+from cairn_lab.batch.options import seeds_of
 from cairn_lab.evaluation.report import draw_paths, draw_tracks, report_lines
 from cairn_lab.evaluation.results import (
     GoalResult,
@@ -12,11 +17,6 @@ from cairn_lab.evaluation.results import (
     RunResult,
     summarize,
 )
-from matplotlib.figure import Figure
-
-from cairn import CairnError
-from cairn.cli.runs import seeds_of
-from cairn.planar.grid import Frame, Grid
 
 
 def goal(reached: bool, shortest: float, driven: float, kidnapped: bool = False) -> GoalResult:

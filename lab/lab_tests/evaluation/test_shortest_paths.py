@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+
 from cairn_lab.evaluation.examiner import random_goal
 from cairn_lab.evaluation.shortest_paths import ShortestPaths
 from lab_tests.evaluation.examiner_harness import HALL, Box, segments_of

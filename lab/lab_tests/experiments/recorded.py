@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+
+from cairn.planar.poses import Pose
 from cairn_lab.experiments.series import (
     MethodSeries,
     ObservedObject,
@@ -14,8 +16,6 @@ from cairn_lab.experiments.series import (
     RecordedLandmark,
     WorldSeries,
 )
-
-from cairn.planar.poses import Pose
 
 ORIGIN: Pose = (0.0, 0.0, 0.0)
 END_S = 20.0

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
+
 from cairn_lab.experiments.ablation import MethodSummary, compare_with_ours, summarize_method
 from cairn_lab.experiments.methods import CHI_SQUARE, NO_UPDATE, OURS, Method
 from cairn_lab.experiments.results import ExperimentRunResult, MethodResult, MoveResult
-
 from tests.wording import assert_words
 
 

@@ -8,19 +8,19 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.experiments import ablation
 from cairn_lab.experiments.random_changes import RandomChanges
 from cairn_lab.experiments.series import read_method, read_world
 from lab_tests.batch.fake_workers import FakeWorkers, run_here
-
 from tests.commands import Answer, cairn
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
 
 
-DEPLOY = Path(__file__).parents[4] / "deploy"
+DEPLOY = Path(__file__).parents[3] / "deploy"
 # Near objects 8 and 9.
 TOUR = "settings.mission=[[4.6, 1.6, -1.0]]"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from cairn_lab.experiments.map_sequence import map_panels, ring_of_particles
 from cairn_lab.experiments.series import Position, RecordedEvidence, RecordedLandmark
 from lab_tests.experiments.recorded import (
@@ -12,7 +13,6 @@ from lab_tests.experiments.recorded import (
     removal,
     world_series,
 )
-
 from tests.wording import assert_words
 
 OLD, NEW = (2.0, 0.0), (0.0, 3.0)

@@ -6,7 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from cairn import CairnError
+from cairn.deployment.model import Deployment
+from cairn.deployment.plugins import load_plugin
 from cairn.runtime.child_spec import ChildSpec
+from cairn.runtime.ports import ports_of
 from cairn_lab.experiments.methods import (
     ABLATION,
     NO_UPDATE,
@@ -16,14 +21,9 @@ from cairn_lab.experiments.methods import (
     experiment_deployment,
     first_event_s,
 )
-
-from cairn import CairnError
-from cairn.deployment.model import Deployment
-from cairn.deployment.plugins import load_plugin
-from cairn.runtime.ports import ports_of
 from tests.wording import words_in_order
 
-DEPLOY = Path(__file__).parents[4] / "deploy"
+DEPLOY = Path(__file__).parents[3] / "deploy"
 SETUP = ExperimentSetup(DEPLOY / "sim.yaml", (DEPLOY / "experiment.yaml",), (), OURS, ABLATION[1:])
 
 

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cairn_lab.experiments.random_changes import RandomChanges
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cairn import CairnError
 from cairn.components.simulation.world_checks import world_problems
 from cairn.components.simulation.world_file import Event, read_world
+from cairn_lab.experiments.random_changes import RandomChanges
 
-ROOM = Path(__file__).parents[4] / "deploy" / "worlds" / "room.yaml"
+ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from cairn_lab.experiments.report_folder import ReportFolder, open_report, write_report
 
 from cairn import CairnError
+from cairn_lab.experiments.report_folder import ReportFolder, open_report, write_report
 from tests.wording import words_in_order
 
 

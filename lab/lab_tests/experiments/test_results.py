@@ -3,6 +3,7 @@
 import math
 
 import pytest
+
 from cairn_lab.experiments.results import (
     MethodResult,
     judge_method,

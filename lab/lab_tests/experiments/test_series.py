@@ -7,15 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cairn_lab.experiments.observer import MethodObserver, WorldObserver
-from cairn_lab.experiments.series import (
-    ObservedObject,
-    TrueMove,
-    error_curve,
-    read_method,
-    read_world,
-)
-from lab_tests.experiments.recorded import method_series, world_series
 
 from cairn import SECOND, CairnError, from_ns
 from cairn.planar.messages import packed_poses, pose_message, with_covariance
@@ -32,6 +23,15 @@ from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.geometry_msgs import PoseArray, PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
+from cairn_lab.experiments.observer import MethodObserver, WorldObserver
+from cairn_lab.experiments.series import (
+    ObservedObject,
+    TrueMove,
+    error_curve,
+    read_method,
+    read_world,
+)
+from lab_tests.experiments.recorded import method_series, world_series
 
 SURVEY = (0.0, {1: (2.0, 0.0)})
 

@@ -6,6 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from cairn_lab.experiments.statistics import (
     LEAST_CASES,
     bootstrap_mean,
@@ -24,9 +27,6 @@ from cairn_lab.experiments.statistics import (
     too_few_note,
     wilson_rate,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-
 from tests.wording import assert_words
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from cairn_lab.experiments.series import ErrorCurve
 from cairn_lab.experiments.statistics import bootstrap_mean, bootstrap_ratio, rate_within
 from cairn_lab.experiments.uncertainty import (
@@ -23,7 +24,6 @@ from cairn_lab.experiments.uncertainty import (
     describe_repair,
     summarize_conditions,
 )
-
 from tests.wording import assert_words
 
 SIMILAR = [1.0, 1.01, 0.99, 1.0, 1.0]

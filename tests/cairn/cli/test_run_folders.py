@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from cairn.runtime.child_spec import Storage
 
 from cairn.cli.run_folders import reduce_old, used_folder
 from cairn.errors import CairnError
+from cairn.runtime.child_spec import Storage
 from tests.wording import assert_words
 
 

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec
 
 from cairn.cli.main import COMMANDS
+from cairn.runtime.child_spec import ChildSpec
 from cairn.testing.launching import CAIRN, new_endpoint
 from tests.commands import cairn
 from tests.patience import LIMIT_S

@@ -16,10 +16,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from cairn import CairnError, http_server
+from cairn import CairnError
 from cairn.console import hub, server
 from cairn.console.protocol import CONSOLE, LONGEST_FRAME
 from cairn.console.server import Address, token_in
+from cairn.system import http_server
 from tests.cairn.console.conftest import TOKEN, FakeSource, Page, Running, running
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order

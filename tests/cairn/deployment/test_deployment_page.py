@@ -6,12 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec, Fallback, Storage, Supervision
 
 from cairn.deployment.bus_settings import BusSettings
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.deployment.problems import DeploymentError
+from cairn.runtime.child_spec import ChildSpec, Fallback, Storage, Supervision
 
 Write = Callable[..., Path]
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "deployment.md").read_text(

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec
 
 from cairn import CairnError
 from cairn.deployment.load import load_deployment
@@ -17,6 +16,7 @@ from cairn.deployment.machines import (
 )
 from cairn.deployment.model import Deployment
 from cairn.deployment.shipped import FOLDER
+from cairn.runtime.child_spec import ChildSpec
 
 SIM = FOLDER / "sim.yaml"
 MACHINES = "machines: {base: {address: 10.9.0.1}, brain: {address: brain.local, port: 7500}}\n"

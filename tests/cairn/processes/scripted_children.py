@@ -6,13 +6,12 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from cairn.runtime.child_spec import ChildSpec, Supervision
-
 from cairn import CairnError
 from cairn.processes.child import ChildUnavailable, complete, completed
 from cairn.processes.child_channel import Heartbeat, Verb
 from cairn.processes.remote_child import Machines
 from cairn.processes.supervisor import ChildGroup
+from cairn.runtime.child_spec import ChildSpec, Supervision
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.system.process_exit import ExitReport

@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 
 import pytest
 import zenoh
-from cairn.runtime.child_spec import ChildSpec
 
 from cairn import CairnError, Component, every
 from cairn.bus.control import ControlError, ControlRequest, request
@@ -18,6 +17,7 @@ from cairn.bus.keys import control_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.processes.child import ChildUnavailable
 from cairn.processes.component_host import ComponentHost
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.testing.launching import LIMIT_S, new_endpoint
 from tests.cairn.bus.network import router_at

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec
 
 from cairn.errors import Escalate
 from cairn.processes.child import ChildHandle
@@ -21,6 +20,7 @@ from cairn.processes.launcher import TRACEBACK_SIGNAL, ProcessHandle
 from cairn.processes.supervisor import ChildGroup
 from cairn.processes.zygote import Exited, Signal
 from cairn.processes.zygote_client import ChildProcess
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from tests.cairn.processes.scripted_children import World

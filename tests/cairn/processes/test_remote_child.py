@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec, Fallback, OnLoss
 
 from cairn import CairnError
 from cairn.errors import Escalate
 from cairn.processes.child import ChildUnavailable
 from cairn.processes.supervisor import ChildGroup, StartFailed
+from cairn.runtime.child_spec import ChildSpec, Fallback, OnLoss
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.schemas.cairn_msgs import MachineChild

@@ -3,12 +3,12 @@
 import math
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec, Supervision
 
 from cairn import CairnError
 from cairn.errors import Escalate
 from cairn.processes.child import ZygoteLost, stop_share
 from cairn.processes.supervisor import ChildGroup, StartFailed, UnknownChild
+from cairn.runtime.child_spec import ChildSpec, Supervision
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.system.process_exit import ExitReport

@@ -17,7 +17,6 @@ import numpy as np
 import psutil
 import pytest
 import yaml
-from cairn.runtime.child_spec import ChildSpec
 from typer.testing import CliRunner
 
 from cairn import to_ns
@@ -37,6 +36,7 @@ from cairn.rerun.files import with_files
 from cairn.rerun.run import CALL_BATCH, chosen_starts, prepared_rerun, starts_in
 from cairn.runtime.call_records import RecordEncoder, StartInfo
 from cairn.runtime.call_records import RecordKind as Kind
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.input_files import content_digest
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import CallBatch

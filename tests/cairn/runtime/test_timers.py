@@ -4,10 +4,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec
 
 from cairn import SECOND, CairnError, Component, In, every, from_ns, on
 from cairn.bus.lockstep_bus import LockstepBus
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.component import ComponentContext
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.runtime import Runtime

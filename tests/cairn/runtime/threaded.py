@@ -8,11 +8,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from cairn.runtime.child_spec import ChildSpec
-
 from cairn import Component
 from cairn.bus.bus import Bus
 from cairn.deployment.model import Deployment
+from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.loop import ThreadLoop
 from cairn.runtime.runtime import Runtime

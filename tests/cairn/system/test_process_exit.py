@@ -88,7 +88,10 @@ def test_reason_logged_by_a_process_is_reported(file: Path) -> None:
 @pytest.mark.processes
 def test_process_logs_its_reason_in_one_line(file: Path) -> None:
     log = ExitLog(file)
-    program = "from cairn.system.process_exit import log_reason; log_reason('tick: ValueError:\\nno device')"
+    program = (
+        "from cairn.system.process_exit import log_reason; "
+        "log_reason('tick: ValueError:\\nno device')"
+    )
     with (
         file.open("w") as stderr,
         subprocess.Popen([sys.executable, "-c", program], stderr=stderr) as process,

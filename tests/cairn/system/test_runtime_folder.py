@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cairn import CairnError, runtime_folder
+from cairn import CairnError
+from cairn.system import runtime_folder
 from cairn.system.runtime_folder import check_length, private_folder, run_folder
 
 NOBODY = 65534

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from cairn_lab.evaluation.results import SIGMA_LIMITS
 
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
 from cairn.components.localizer.particle_set import PoseEstimate
+from cairn_lab.evaluation.results import SIGMA_LIMITS
 from tests.components.localizer.random_floor import START, floor, new_robot, wander
 
 CELL_M = 0.05

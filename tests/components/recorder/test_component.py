@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cairn.runtime.child_spec import ChildSpec
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
@@ -13,6 +12,7 @@ from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
 from cairn.processes.lockstep import LockstepRun
 from cairn.processes.run_plan import with_recorder
+from cairn.runtime.child_spec import ChildSpec
 from cairn.testing.rerun import assert_rerun_equal
 
 TICKER = ChildSpec(

@@ -1,0 +1,1 @@
+"""Readers with limits: files of users and data of other processes, refused when too large."""

@@ -1,0 +1,1 @@
+"""The computer under Cairn: clock, processes, signals, heap, files, the runtime folder."""

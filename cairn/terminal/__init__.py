@@ -1,0 +1,1 @@
+"""What commands share on a terminal: options, their completion, output, plots of characters."""

@@ -1,0 +1,1 @@
+"""What judges Cairn: campaigns, evaluations, experiments, batches, benchmarks, mutation tests."""
