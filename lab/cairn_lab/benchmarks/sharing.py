@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
-from cairn_lab.benchmarks.result import Metric
 
 from cairn.bus.codec import Codec
 from cairn.components.map_builder.cell_messages import decision_message
