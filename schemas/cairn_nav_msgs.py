@@ -99,6 +99,10 @@ class ReasonCode(IntEnum):
     CANCELED = 83
     TIMED_OUT = 84
     """The time that a mission was allowed is over."""
+    PREEMPTED = 85
+    """Another mission has taken its place."""
+    NOT_CONTINUED = 86
+    """The supervisor was restarted, and does not continue the mission."""
 
 
 class Reason(NamedTuple):
@@ -130,8 +134,8 @@ MAX_MOTION: Final = 1e6
 class NavigateGoal:
     """The mission that AutoMove carries out: drive to `goals` in frame map, from index `first` on.
 
-    `mission_id` increases with each mission; 0 means that there was none. `action_goal_id` is that
-    of the action's goal for which the mission is. There are at most `MAX_GOALS` goals. Instead of
+    `mission_id` increases with each mission; 0 means that there was none. `goal_id` is that of the
+    action's goal for which the mission is. There are at most `MAX_GOALS` goals. Instead of
     goals a mission may have a `motion`, which needs no map: TURN by `amount` [rad] on the spot, or
     REVERSE by |`amount`| [m] straight back, at most at `speed` ([rad/s], [m/s]; 0: as usual) and in
     `time_allowance` [s] (0: any time). Without both there is nothing to do: the mission is
@@ -144,7 +148,7 @@ class NavigateGoal:
 
     header: Header = Header()
     mission_id: UInt32 = 0
-    action_goal_id: UUID = UUID()
+    goal_id: UUID = UUID()
     first: UInt32 = 0
     goals: Packed[Pose] = Packed(Pose)
     motion: Annotated[int, Scalar("uint8", at_most=2)] = 0
@@ -163,11 +167,11 @@ class NavigateGoal:
 class NavCommand:
     """AutoMove's current command to the path planner and motion control; repeated periodically.
 
-    `goal_id` identifies the command: a plan and a motion status carry the goal_id that they belong
-    to. STAND: stand still. FOLLOW: plan to `goal` and follow the plan. BACK_OFF, LOOK_AROUND,
-    EXPLORE: without a plan, back off a little, turn around once, or drive `distance` [m] to where
-    there is free space. TURN, REVERSE: turn by `angle` [rad] on the spot, or drive `distance` [m]
-    straight back, at most at `speed` ([rad/s], [m/s]; 0: as usual).
+    `command_id` identifies the command: a plan and a motion status have that of the command to
+    which they belong. STAND: stand still. FOLLOW: plan to `goal` and follow the plan. BACK_OFF,
+    LOOK_AROUND, EXPLORE: without a plan, back off a little, turn around once, or drive `distance`
+    [m] to where there is free space. TURN, REVERSE: turn by `angle` [rad] on the spot, or drive
+    `distance` [m] straight back, at most at `speed` ([rad/s], [m/s]; 0: as usual).
     """
 
     STAND: ClassVar[UInt8] = 0
@@ -179,7 +183,7 @@ class NavCommand:
     REVERSE: ClassVar[UInt8] = 6
 
     header: Header = Header()
-    goal_id: UInt32 = 0
+    command_id: UInt32 = 0
     behavior: Annotated[int, Scalar("uint8", at_most=6)] = 0
     goal: Pose = Pose()
     distance: NotNegative = 0.0
@@ -191,7 +195,7 @@ class NavCommand:
 
 @message("cairn_nav_msgs/msg/Plan")
 class Plan:
-    """The path planner's answer to a goal_id: poses to follow in frame map, or why there are none.
+    """The path planner's answer to a command: poses to follow in frame map, or why there are none.
 
     `length` [m] is the length of the path along `poses`; `nearest_x`, `nearest_y` [m] is the
     reachable position nearest to the goal if no path leads to the goal, NaN if there is none.
@@ -214,7 +218,7 @@ class Plan:
     START_IN_KEEPOUT: ClassVar[UInt8] = 8
 
     header: Header = Header()
-    goal_id: UInt32 = 0
+    command_id: UInt32 = 0
     outcome: Annotated[int, Scalar("uint8", at_most=8)] = 0
     reason: String = ""
     length: NotNegative = 0.0
@@ -245,7 +249,7 @@ PLAN_REASON_CODES: Final = {
 
 @message("cairn_nav_msgs/msg/MotionStatus")
 class MotionStatus:
-    """The state of motion control for a goal_id, and the reason for that state.
+    """The state of motion control for a command, and the reason for that state.
 
     STANDING: the robot is commanded to stand. MOVING: it drives. BLOCKED: an obstacle is in its
     path, or there is no plan. DONE: the goal is reached, or the behavior is finished. STOPPED: an
@@ -260,7 +264,7 @@ class MotionStatus:
     STOPPED: ClassVar[UInt8] = 4
 
     header: Header = Header()
-    goal_id: UInt32 = 0
+    command_id: UInt32 = 0
     state: Annotated[int, Scalar("uint8", at_most=4)] = 0
     reason: String = ""
     reason_code: ReasonNumber = 0
@@ -273,7 +277,7 @@ class MotionStatus:
 class NavigationStatus:
     """The progress of a mission: AutoMove's feedback, and at the end its result.
 
-    `action_goal_id` is that of the action's goal for which the mission is. `goal` is the index of
+    `goal_id` is that of the action's goal for which the mission is. `goal` is the index of
     the current goal, of `goals`; `distance_left` [m] and `time_left` [s] are to that goal;
     `elapsed` [s] and `recoveries` count from the start of the mission to its end.
     """
@@ -289,7 +293,7 @@ class NavigationStatus:
 
     header: Header = Header()
     mission_id: UInt32 = 0
-    action_goal_id: UUID = UUID()
+    goal_id: UUID = UUID()
     state: Annotated[int, Scalar("uint8", at_most=7)] = 0
     goal: UInt32 = 0
     goals: UInt32 = 0
@@ -312,9 +316,17 @@ NAVIGATION_STATES: Final = {
     NavigationStatus.CANCELED: "canceled",
 }
 """The names of the states of a `NavigationStatus`."""
-NAVIGATION_END_STATES: Final = frozenset(
-    {NavigationStatus.SUCCEEDED, NavigationStatus.FAILED, NavigationStatus.CANCELED}
-)
+
+
+class MissionOutcome(IntEnum):
+    """How a mission ended: the last states of a `NavigationStatus`."""
+
+    SUCCEEDED = NavigationStatus.SUCCEEDED
+    FAILED = NavigationStatus.FAILED
+    CANCELED = NavigationStatus.CANCELED
+
+
+NAVIGATION_END_STATES: Final[frozenset[int]] = frozenset(MissionOutcome)
 """The states that are the result of a mission."""
 
 

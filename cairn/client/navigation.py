@@ -70,8 +70,8 @@ def find_place(zones: Sequence[Zone], name: str) -> PlanarPose:
     return x, y, 0.0 if math.isnan(place.heading) else place.heading
 
 
-class Navigator:
-    """A supervisor that accepts goals."""
+class MissionClient:
+    """Sends goals to a supervisor that carries out missions, and cancels them."""
 
     def __init__(self, connection: Connection, supervisor: str, notify: Callable[[str], None]):
         """`supervisor` is its full name (`/robot/mobile_supervisor`)."""
@@ -82,7 +82,9 @@ class Navigator:
         self._codec = Codec()
 
     @classmethod
-    def find(cls, connection: Connection, robot: str, notify: Callable[[str], None]) -> Navigator:
+    def find(
+        cls, connection: Connection, robot: str, notify: Callable[[str], None]
+    ) -> MissionClient:
         """Return the supervisor of a robot that accepts goals, once it answers.
 
         Raises `CairnError` if there is none, or if it does not answer within the limit.
@@ -96,10 +98,10 @@ class Navigator:
                 f"`cairn up sim`{connection.elsewhere()}"
             )
         name = resolve(found, found[0].rpartition("/")[2], robot)
-        navigator = cls(connection, name, notify)
+        missions = cls(connection, name, notify)
         if name not in heard or statuses[name].state != _ACTIVE:
-            navigator.await_active()
-        return navigator
+            missions.await_active()
+        return missions
 
     def goal(self, poses: Sequence[Sequence[float] | str]) -> NavigationGoal:
         """Return a goal of poses [x, y, theta] in frame map or names of places, not sent yet.
@@ -219,12 +221,12 @@ class Navigator:
 class NavigationGoal:
     """A goal: iterate over its progress, await its result, cancel it. A context manager."""
 
-    def __init__(self, navigator: Navigator, poses: Sequence[PlanarPose]) -> None:
+    def __init__(self, missions: MissionClient, poses: Sequence[PlanarPose]) -> None:
         self.poses = poses
         """x, y [m], heading [rad] in frame map."""
-        self._navigator = navigator
+        self._missions = missions
         self._identity = secrets.token_bytes(16)
-        self._listening = navigator.listen()
+        self._listening = missions.listen()
         self._samples: _Samples | None = None
         self._running: RunningGoal[Any, Any, Any] | None = None
         self._last = NavigationStatus(goals=len(poses))
@@ -252,7 +254,7 @@ class NavigationGoal:
         """
         self._samples = self._listening.__enter__()  # first, so that no status is missed
         try:
-            self._running = self._navigator.send(self.poses, self._identity)
+            self._running = self._missions.send(self.poses, self._identity)
             self._running.await_acceptance()
         except CairnError:
             self.close()
@@ -271,7 +273,7 @@ class NavigationGoal:
         """Cancel this goal; the robot stops. `CairnError` if it is not under way."""
         if self._running is not None:  # the supervisor must not get its cancellation first
             self._running.await_acceptance()
-        self._navigator.cancel(self._identity)
+        self._missions.cancel(self._identity)
 
     def result(self, timeout_s: float) -> NavigationStatus:
         """Wait for the end of the goal and return its last status; `.state` says how it ended.
@@ -322,8 +324,8 @@ class NavigationGoal:
         """Return the next status of this goal, None if there is none in time."""
         deadline = time.monotonic() + wait_s
         while (left_s := deadline - time.monotonic()) > 0:
-            status = self._navigator.next_status(samples, left_s)
-            if status is not None and status.action_goal_id.uuid.tobytes() == self._identity:
+            status = self._missions.next_status(samples, left_s)
+            if status is not None and status.goal_id.uuid.tobytes() == self._identity:
                 return status
         return None
 
@@ -353,7 +355,7 @@ class NavigationGoal:
         self._last = NavigationStatus(
             header=last.header,
             mission_id=last.mission_id,
-            action_goal_id=uuid_of(self._identity),
+            goal_id=uuid_of(self._identity),
             state=_STATES.get(outcome, NavigationStatus.FAILED),
             goal=last.goal,
             goals=last.goals,
@@ -366,9 +368,9 @@ class NavigationGoal:
     def _continue(self, running: RunningGoal[Any, Any, Any]) -> None:
         """Wait until the supervisor, which has ended, is restarted, and await the result again."""
         try:
-            self._navigator.await_active()
+            self._missions.await_active()
         except CairnError:
-            if self._navigator.is_alive():
+            if self._missions.is_alive():
                 raise
             raise CairnError("the deployment has ended, and with it the goal") from None
         running.resume()

@@ -33,7 +33,7 @@ from cairn.client.graph import (
     problems_of,
     read_nodes,
 )
-from cairn.client.navigation import NavigationGoal, Navigator
+from cairn.client.navigation import MissionClient, NavigationGoal
 from cairn.client.services import RunningGoal, ServiceInfo, call_service, find_services
 from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation, find_gate, set_emergency_stop
@@ -515,7 +515,7 @@ class Robot:
 
     def go_through(self, poses: Sequence[tuple[float, float, float] | str]) -> NavigationGoal:
         """Send the robot to several poses in frame map or places, at most 1,000, one by one."""
-        goal = self.navigator().goal(poses)
+        goal = self.missions().goal(poses)
         try:
             goal.send()
         except (KeyboardInterrupt, SystemExit):  # it may have been accepted
@@ -526,11 +526,11 @@ class Robot:
 
     def cancel(self) -> str:
         """Cancel the current goal of any client; return its id in hexadecimal digits."""
-        return self.navigator().cancel()
+        return self.missions().cancel()
 
-    def navigator(self) -> Navigator:
+    def missions(self) -> MissionClient:
         """Return the robot's supervisor that accepts goals, once it answers."""
-        return Navigator.find(self.connection, self._robot, self._notify)
+        return MissionClient.find(self.connection, self._robot, self._notify)
 
     def stop(self, reason: str = "requested by a client") -> VelocityGateStatus:
         """Engage the emergency stop at the velocity gate; return the gate's confirmation.

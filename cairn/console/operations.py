@@ -25,10 +25,10 @@ from cairn.bus.codec import to_plain
 from cairn.client import Connection, ControlError, NoReplyError, Robot
 from cairn.client.velocity_gate import find_gate
 from cairn.console.browser import Browser
-from cairn.console.driving import STILL, Driver
-from cairn.console.lease import Operator, OperatorLeases
 from cairn.console.monitoring import ProcessMonitor, StateEvents
 from cairn.console.protocol import WARNING
+from cairn.console.steering import Operator, OperatorLeases
+from cairn.console.teleoperation import STILL, Driver
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_ZONE_NAME
 from cairn.schemas.geometry_msgs import (

@@ -14,7 +14,7 @@ from cairn.bus.bus import full_name
 from cairn.bus.roles import Role
 from cairn.deployment.model import ROOT, Deployment, root_name
 from cairn.deployment.plugins import load_plugin
-from cairn.deployment.ros_names import ros_services, ros_topics
+from cairn.deployment.ros_name_mapping import ros_services, ros_topics
 from cairn.runtime.call_log import call_log_topic
 from cairn.runtime.ports import actions_of, ports_of
 from cairn.runtime.service_events import SERVICE_EVENT_TOPIC

@@ -30,7 +30,7 @@ from cairn.deployment.access_control import (
 from cairn.deployment.machines import components_by_machine, parents_elsewhere
 from cairn.deployment.model import Deployment, Member, root_name, view_name
 from cairn.deployment.plugins import load_plugin
-from cairn.deployment.ros_names import ros_services, ros_topics
+from cairn.deployment.ros_name_mapping import ros_services, ros_topics
 from cairn.runtime.ports import actions_of, ports_of, services_of
 from cairn.runtime.rosout import ROSOUT
 from cairn.runtime.runtime import STATUS_TOPIC

@@ -48,6 +48,11 @@ class ScanBeams:
         y = self.start[1] + ranges * np.sin(angles)
         return np.column_stack((x, y))
 
+    def rays(self, base: Pose) -> Rays:
+        """Return the beams in the frame in which the base stood at `base` during the sweep."""
+        starts = np.tile(np.array(self.start[:2]), (self.ranges.size, 1))
+        return Rays(starts, self.angles, self.ranges, self.reach).placed(base)
+
 
 @dataclass(frozen=True)
 class Rays:
@@ -68,9 +73,9 @@ class Rays:
         known = int(np.count_nonzero(~np.isnan(self.ranges)))
         return known > 0 and known >= _LEAST_INFORMATIVE * self.ranges.size
 
-    def points(self) -> Array:
-        """Return x, y (m, 2) [m] of the hits."""
-        hit = np.isfinite(self.ranges)
+    def points(self, within: float = math.inf) -> Array:
+        """Return x, y (m, 2) [m] of the hits up to this range [m]."""
+        hit = self.ranges < within
         ranges, angles = self.ranges[hit], self.angles[hit]
         points: Array = self.starts[hit].copy()
         points[:, 0] += ranges * np.cos(angles)

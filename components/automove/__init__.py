@@ -1,1 +1,1 @@
-"""AutoMove: executes missions with the plugins that it loads: the navigator state machine."""
+"""AutoMove: executes missions with the plugins that it loads: the mission state machine."""

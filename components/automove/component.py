@@ -19,10 +19,10 @@ from cairn import (
     on,
     to_ns,
 )
-from cairn.components.automove.inputs import NavigatorInputs
+from cairn.components.automove.inputs import MissionInputs
 from cairn.components.automove.motion_mission import MotionMission
-from cairn.components.automove.recovery_selection import NavigatorLimits
-from cairn.components.automove.state_machine import GoalIds, NavigatorStateMachine
+from cairn.components.automove.recovery_selection import MissionLimits
+from cairn.components.automove.state_machine import CommandIds, MissionStateMachine
 from cairn.planar.messages import planar_pose, planar_poses, pose_message
 from cairn.processes.child import ChildStatus
 from cairn.schemas.cairn_nav_msgs import (
@@ -104,7 +104,7 @@ class AutoMove(Supervisor):
     nav_command: Out[NavCommand] = Out(qos=LATCHED)
     navigation_status: Out[NavigationStatus] = Out(qos=LATCHED)
 
-    _navigator: NavigatorStateMachine | MotionMission | None = None
+    _mission: MissionStateMachine | MotionMission | None = None
     _activated_ns = 0
     _published: tuple[int, ...] | None = None
     _published_at = 0
@@ -112,8 +112,8 @@ class AutoMove(Supervisor):
 
     def on_configure(self) -> None:
         """Start without inputs."""
-        self._inputs = NavigatorInputs()
-        self._goal_ids = GoalIds()
+        self._inputs = MissionInputs()
+        self._command_ids = CommandIds()
         self._steady = SteadyClock(self.clock, _LONGEST_STEP_S)
 
     def on_activate(self) -> None:
@@ -125,24 +125,24 @@ class AutoMove(Supervisor):
                 self._load(child.name)
 
     @on("navigate_goal")
-    def on_navigate_goal(self, mission: NavigateGoal) -> None:
+    def on_navigate_goal(self, request: NavigateGoal) -> None:
         """Start a mission, which preempts the current one; without goals, cancel it."""
-        current = self._navigator
-        if not len(mission.goals) and not mission.motion:
-            same = current is not None and current.mission_id == mission.mission_id
+        current = self._mission
+        if not len(request.goals) and not request.motion:
+            same = current is not None and current.mission_id == request.mission_id
             if current is not None and same and not current.finished:
                 current.cancel()
                 self._log_and_publish(current)
             return
-        if current is not None and current.mission_id == mission.mission_id:
+        if current is not None and current.mission_id == request.mission_id:
             return  # the current mission, published again
-        if not mission.motion and mission.first >= len(mission.goals):
+        if not request.motion and request.first >= len(request.goals):
             return
         if current is not None and not current.finished:
             self.log.info(
-                "mission %d preempted by mission %d", current.mission_id, mission.mission_id
+                "mission %d preempted by mission %d", current.mission_id, request.mission_id
             )
-        self._start(mission)
+        self._start(request)
 
     @on("plan")
     def on_plan(self, plan: Plan) -> None:
@@ -167,64 +167,64 @@ class AutoMove(Supervisor):
     @every(hz=10)
     def step(self) -> None:
         """Advance the mission, and publish command and status."""
-        now_s, navigator = self._now_s(), self._navigator
-        if navigator is None:
+        now_s, mission = self._now_s(), self._mission
+        if mission is None:
             return
-        before = navigator.state, navigator.goal_id
-        navigator.step(now_s, self._inputs)
-        if (navigator.state, navigator.goal_id) != before:
-            self._log_and_publish(navigator)
+        before = mission.state, mission.command_id
+        mission.step(now_s, self._inputs)
+        if (mission.state, mission.command_id) != before:
+            self._log_and_publish(mission)
         else:
-            self._publish(navigator)
+            self._publish(mission)
 
-    def _start(self, mission: NavigateGoal) -> None:
-        now_s, requested = self._now_s(), to_ns(mission.header.stamp)
+    def _start(self, request: NavigateGoal) -> None:
+        now_s, requested = self._now_s(), to_ns(request.header.stamp)
         age_s = max(0, self.clock.now() - requested) / SECOND if requested else 0.0
-        navigator: NavigatorStateMachine | MotionMission
-        if mission.motion:
-            navigator = MotionMission(
-                mission_id=mission.mission_id,
-                action_goal_id=mission.action_goal_id,
-                request=mission,
-                next_goal_id=self._next_goal_id,
+        mission: MissionStateMachine | MotionMission
+        if request.motion:
+            mission = MotionMission(
+                mission_id=request.mission_id,
+                goal_id=request.goal_id,
+                request=request,
+                next_command_id=self._next_command_id,
                 started_s=now_s,
                 limits=self._limits(),
             )
         else:
-            navigator = NavigatorStateMachine(
-                mission_id=mission.mission_id,
-                action_goal_id=mission.action_goal_id,
-                goals=[(x, y, theta) for x, y, theta in planar_poses(mission.goals).tolist()],
-                goal_index=mission.first,
-                next_goal_id=self._next_goal_id,
+            mission = MissionStateMachine(
+                mission_id=request.mission_id,
+                goal_id=request.goal_id,
+                goals=[(x, y, theta) for x, y, theta in planar_poses(request.goals).tolist()],
+                goal_index=request.first,
+                next_command_id=self._next_command_id,
                 # A mission that an earlier process of AutoMove started continues.
                 started_s=now_s - age_s,
                 limits=self._limits(),
             )
-        self._navigator = navigator
-        if mission.motion and self.restarts and requested < self._activated_ns:
+        self._mission = mission
+        if request.motion and self.restarts and requested < self._activated_ns:
             why = "AutoMove was restarted, and does not know how far the robot has moved"
-            navigator.fail(Reason(ReasonCode.LOADING_FAILED, why))
-            self._log_and_publish(navigator)
+            mission.fail(Reason(ReasonCode.LOADING_FAILED, why))
+            self._log_and_publish(mission)
             return
         began = self.clock.now()
-        self._load_plugins(navigator)
+        self._load_plugins(mission)
         # Nothing arrives meanwhile, so the mission is not judged by it; but it does take the time.
         loading_s = (self.clock.now() - began) / SECOND - (self._now_s() - now_s)
-        navigator.started_s -= max(0.0, loading_s)
-        self._log_and_publish(navigator)
+        mission.started_s -= max(0.0, loading_s)
+        self._log_and_publish(mission)
         self.step()
 
     def _now_s(self) -> float:
         """Return the time [s] by which the mission is judged: without steps of the clock."""
         return self._steady.now() / SECOND
 
-    def _next_goal_id(self) -> int:
-        return self._goal_ids.next(self.clock.now())
+    def _next_command_id(self) -> int:
+        return self._command_ids.next(self.clock.now())
 
-    def _limits(self) -> NavigatorLimits:
+    def _limits(self) -> MissionLimits:
         config = self.config
-        return NavigatorLimits(
+        return MissionLimits(
             recoveries=config.recoveries,
             recoveries_per_goal=config.recoveries_per_goal,
             least_health=config.least_health,
@@ -232,20 +232,20 @@ class AutoMove(Supervisor):
             stopped_s=config.stopped,
         )
 
-    def _load_plugins(self, navigator: NavigatorStateMachine | MotionMission) -> None:
+    def _load_plugins(self, mission: MissionStateMachine | MotionMission) -> None:
         """Load the children that are not loaded yet, and publish which one is being loaded."""
         try:
             for child in self._plugins():
                 if child.state != "active":
-                    navigator.reason = Reason(ReasonCode.LOADING, child.name)
+                    mission.reason = Reason(ReasonCode.LOADING, child.name)
                     self._published = None
-                    self._publish(navigator)
+                    self._publish(mission)
                 self._load(child.name)
         except StartFailed as error:  # children that are loaded already keep running
             reason = f"not all plugins can be loaded: {error}"
-            navigator.fail(Reason(ReasonCode.LOADING_FAILED, reason))
+            mission.fail(Reason(ReasonCode.LOADING_FAILED, reason))
         else:
-            navigator.on_plugins_loaded(self._now_s())
+            mission.on_plugins_loaded(self._now_s())
 
     def _plugins(self) -> list[ChildStatus]:
         """Return the children that a mission needs."""
@@ -258,20 +258,20 @@ class AutoMove(Supervisor):
             if not self.children.stop_requested:  # while stopping, no plugins are needed any more
                 raise
 
-    def _log_and_publish(self, navigator: NavigatorStateMachine | MotionMission) -> None:
-        self._log(navigator)
-        self._publish(navigator)
+    def _log_and_publish(self, mission: MissionStateMachine | MotionMission) -> None:
+        self._log(mission)
+        self._publish(mission)
 
-    def _publish(self, navigator: NavigatorStateMachine | MotionMission) -> None:
+    def _publish(self, mission: MissionStateMachine | MotionMission) -> None:
         """Publish command and status when they change, and periodically."""
         now = self.clock.now()
-        if not navigator.finished:
+        if not mission.finished:
             self._under_way_s = self._now_s()
         version = (
-            navigator.goal_id,
-            navigator.state,
-            navigator.goal_index,
-            int(navigator.reason.code),
+            mission.command_id,
+            mission.state,
+            mission.goal_index,
+            int(mission.reason.code),
         )
         if version == self._published and not has_passed(_REPEAT_S, self._published_at, now):
             return
@@ -280,50 +280,50 @@ class AutoMove(Supervisor):
         self.nav_command.publish(
             NavCommand(
                 header=header,
-                goal_id=navigator.goal_id,
-                behavior=navigator.behavior,
-                goal=pose_message(navigator.target),
-                distance=navigator.distance,
-                angle=navigator.angle,
-                speed=navigator.speed,
+                command_id=mission.command_id,
+                behavior=mission.behavior,
+                goal=pose_message(mission.target),
+                distance=mission.distance,
+                angle=mission.angle,
+                speed=mission.speed,
                 position_tolerance=self.config.position_tolerance,
                 heading_tolerance=self.config.heading_tolerance,
             )
         )
-        left_m = 0.0 if navigator.finished else navigator.distance_left(self._inputs)
+        left_m = 0.0 if mission.finished else mission.distance_left(self._inputs)
         self.navigation_status.publish(
             NavigationStatus(
                 header=header,
-                mission_id=navigator.mission_id,
-                action_goal_id=navigator.action_goal_id,
-                state=navigator.state,
-                goal=navigator.goal_index,
-                goals=len(navigator.goals),
+                mission_id=mission.mission_id,
+                goal_id=mission.goal_id,
+                state=mission.state,
+                goal=mission.goal_index,
+                goals=len(mission.goals),
                 distance_left=left_m,
                 time_left=min(left_m / self.config.speed, _LONGEST_S),
-                elapsed=max(0.0, self._under_way_s - navigator.started_s),
-                recoveries=navigator.recoveries,
-                reason=navigator.reason.text,
-                reason_code=int(navigator.reason.code),
+                elapsed=max(0.0, self._under_way_s - mission.started_s),
+                recoveries=mission.recoveries,
+                reason=mission.reason.text,
+                reason_code=int(mission.reason.code),
             )
         )
 
-    def _log(self, navigator: NavigatorStateMachine | MotionMission) -> None:
-        reason = navigator.reason.text
-        match navigator.state:
+    def _log(self, mission: MissionStateMachine | MotionMission) -> None:
+        reason = mission.reason.text
+        match mission.state:
             case NavigationStatus.LOCALIZING if reason:
                 self.log.warning("waiting for the robot to be localized: %s", reason)
-            case NavigationStatus.DRIVING if isinstance(navigator, MotionMission):
-                what = "turning" if navigator.angle else "driving back"
-                self.log.info("mission %d: %s", navigator.mission_id, what)
+            case NavigationStatus.DRIVING if isinstance(mission, MotionMission):
+                what = "turning" if mission.angle else "driving back"
+                self.log.info("mission %d: %s", mission.mission_id, what)
             case NavigationStatus.DRIVING:
-                assert isinstance(navigator, NavigatorStateMachine)
-                x, y, _ = navigator.goal
+                assert isinstance(mission, MissionStateMachine)
+                x, y, _ = mission.goal
                 self.log.info(
                     "mission %d: driving to goal %d of %d at (%.2f, %.2f)",
-                    navigator.mission_id, navigator.goal_index + 1, len(navigator.goals), x, y,
+                    mission.mission_id, mission.goal_index + 1, len(mission.goals), x, y,
                 )  # fmt: skip
             case NavigationStatus.RECOVERING:
                 self.log.warning("recovering: %s", reason)
             case NavigationStatus.FAILED:
-                self.log.error("mission %d failed: %s", navigator.mission_id, reason)
+                self.log.error("mission %d failed: %s", mission.mission_id, reason)

@@ -51,7 +51,7 @@ class Trail:
 
 
 @dataclass
-class NavigatorInputs:
+class MissionInputs:
     """The last message of each input, and when it was received [s]; None before the first."""
 
     localization: LocalizationEstimate | None = None

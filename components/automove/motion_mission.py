@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from cairn.components.automove.inputs import NavigatorInputs
-from cairn.components.automove.recovery_selection import NavigatorLimits
+from cairn.components.automove.inputs import MissionInputs
+from cairn.components.automove.recovery_selection import MissionLimits
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import (
     NAVIGATION_END_STATES,
@@ -25,18 +25,18 @@ _PROGRESS = 0.02  # [m], [rad]: more than noise of odometry
 
 @dataclass
 class MotionMission:
-    """One motion; used as `NavigatorStateMachine` is. `distance_left` is the rest: [m] or [rad]."""
+    """One motion; used as `MissionStateMachine` is. `distance_left` is the rest: [m] or [rad]."""
 
     mission_id: int
     request: NavigateGoal
-    next_goal_id: Callable[[], int]
+    next_command_id: Callable[[], int]
     started_s: float
-    action_goal_id: UUID = field(default_factory=UUID)
-    limits: NavigatorLimits = field(default_factory=NavigatorLimits)
+    goal_id: UUID = field(default_factory=UUID)
+    limits: MissionLimits = field(default_factory=MissionLimits)
     state: int = NavigationStatus.LOADING
     reason: Reason = NO_REASON
     behavior: int = NavCommand.STAND
-    goal_id: int = field(init=False)
+    command_id: int = field(init=False)
     recoveries: int = 0
     goal_index: int = 0
     target: Pose = (0.0, 0.0, 0.0)
@@ -46,7 +46,7 @@ class MotionMission:
 
     def __post_init__(self) -> None:
         """Start with the robot standing."""
-        self.goal_id = self.next_goal_id()
+        self.command_id = self.next_command_id()
         self._moved_s = self.started_s
         self._least_left = abs(self.request.amount)
 
@@ -80,7 +80,7 @@ class MotionMission:
         is_turn = self.request.motion == NavigateGoal.TURN
         self.behavior = NavCommand.TURN if is_turn else NavCommand.REVERSE
         self.state = NavigationStatus.DRIVING
-        self.goal_id = self.next_goal_id()
+        self.command_id = self.next_command_id()
         self._moved_s = now_s
 
     def cancel(self) -> None:
@@ -91,14 +91,14 @@ class MotionMission:
         """End the mission as failed."""
         self._end(NavigationStatus.FAILED, reason)
 
-    def distance_left(self, inputs: NavigatorInputs) -> float:
+    def distance_left(self, inputs: MissionInputs) -> float:
         """Return what is left [m] or [rad], as motion control has published it last."""
         motion = inputs.motion
-        if motion is None or motion.goal_id != self.goal_id:
+        if motion is None or motion.command_id != self.command_id:
             return abs(self.request.amount)
         return motion.distance_left
 
-    def step(self, now_s: float, inputs: NavigatorInputs) -> None:
+    def step(self, now_s: float, inputs: MissionInputs) -> None:
         """Decide on the state at `now_s` [s]."""
         if self.finished or self.state == NavigationStatus.LOADING:
             return
@@ -107,7 +107,7 @@ class MotionMission:
             self.fail(Reason(ReasonCode.TIMED_OUT, f"not finished within {allowed_s:g} s"))
             return
         motion = inputs.motion
-        if motion is None or motion.goal_id != self.goal_id:
+        if motion is None or motion.command_id != self.command_id:
             self.reason = Reason(ReasonCode.NO_MOTION_STATUS, "motion control has not answered yet")
         elif motion.state == MotionStatus.DONE:
             self._end(NavigationStatus.SUCCEEDED, Reason(ReasonCode.ARRIVED, "finished"))
@@ -122,7 +122,7 @@ class MotionMission:
                 self.fail(self.reason)
                 return
         # What holds the robot may come and go: a gate that stops each attempt to move.
-        if motion is not None and motion.goal_id == self.goal_id and self.reason.text:
+        if motion is not None and motion.command_id == self.command_id and self.reason.text:
             self._cause = self.reason
         if now_s - self._moved_s > self.limits.blocked_s:
             words = (
@@ -134,4 +134,4 @@ class MotionMission:
 
     def _end(self, state: int, reason: Reason) -> None:
         self.state, self.behavior, self.reason = state, NavCommand.STAND, reason
-        self.goal_id = self.next_goal_id()
+        self.command_id = self.next_command_id()

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cairn.components.automove.inputs import NavigatorInputs
+from cairn.components.automove.inputs import MissionInputs
 from cairn.planar.poses import Pose, distance
 from cairn.schemas.cairn_nav_msgs import NavCommand
 
@@ -42,7 +42,7 @@ _SECONDS_PER_METER = 5.0
 
 
 @dataclass(frozen=True)
-class NavigatorLimits:
+class MissionLimits:
     """Limits of one mission: numbers of recoveries [1], healths of the pose [1], times [s].
 
     The first five are parameters of AutoMove. `unsure_s`: how long the health may be low before the
@@ -96,7 +96,7 @@ class RecoveryBehavior:
 
 
 def choose_recovery(
-    sequence: Sequence[str], tries: int, goal: Pose, inputs: NavigatorInputs, longest_s: float
+    sequence: Sequence[str], tries: int, goal: Pose, inputs: MissionInputs, longest_s: float
 ) -> RecoveryBehavior:
     """Return what to try after `tries` recoveries of a sequence have not helped.
 
@@ -121,13 +121,13 @@ def choose_recovery(
     return RecoveryBehavior(name, _COMMANDS[name], alternative)
 
 
-def _retreat(goal: Pose, inputs: NavigatorInputs, longest_s: float) -> AlternativeGoal | None:
+def _retreat(goal: Pose, inputs: MissionInputs, longest_s: float) -> AlternativeGoal | None:
     """Back to where the robot came from; None if it has not come from anywhere."""
     pose = inputs.trail.retreat(goal)
     return None if pose is None else AlternativeGoal(pose, _LONGEST_RETREAT_M, longest_s)
 
 
-def _approach(goal: Pose, inputs: NavigatorInputs, longest_s: float) -> AlternativeGoal | None:
+def _approach(goal: Pose, inputs: MissionInputs, longest_s: float) -> AlternativeGoal | None:
     """To the reachable position nearest to the goal; None if there is none, or it is near."""
     if inputs.pose is None or inputs.plan is None or math.isnan(inputs.plan.nearest_x):
         return None

@@ -1,4 +1,4 @@
-"""The navigator state machine: localize, plan and drive to each goal of a mission, and recover."""
+"""The mission state machine: localize, plan and drive to each goal of a mission, and recover."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from cairn.components.automove.inputs import NavigatorInputs
+from cairn.components.automove.inputs import MissionInputs
 from cairn.components.automove.recovery_selection import (
     WHEN_LOST,
     WHEN_NO_PATH,
     WHEN_STUCK,
     WHEN_UNSURE,
     AlternativeGoal,
-    NavigatorLimits,
+    MissionLimits,
     choose_recovery,
 )
 from cairn.planar.poses import Pose, distance
@@ -51,26 +51,26 @@ _WAITED_FOR = frozenset(
 
 
 @dataclass
-class NavigatorStateMachine:
+class MissionStateMachine:
     """One mission: its goals (waypoints in frame map), the index of the current one, and the state.
 
-    Call `step` periodically with the last inputs. Afterwards `goal_id`, `behavior` and `target` are
-    the command for the planner and motion control, and `state` and `reason` are the mission's
-    status. Each new command has a new `goal_id`, from `next_goal_id`.
+    Call `step` periodically with the last inputs. Afterwards `command_id`, `behavior` and `target`
+    are the command for the planner and motion control, and `state` and `reason` are the mission's
+    status. Each new command has a new `command_id`, from `next_command_id`.
     """
 
     mission_id: int
     goals: Sequence[Pose]
     goal_index: int
-    next_goal_id: Callable[[], int]
+    next_command_id: Callable[[], int]
     started_s: float
-    action_goal_id: UUID = field(default_factory=UUID)
-    limits: NavigatorLimits = field(default_factory=NavigatorLimits)
+    goal_id: UUID = field(default_factory=UUID)
+    limits: MissionLimits = field(default_factory=MissionLimits)
     state: int = NavigationStatus.LOADING
     reason: Reason = NO_REASON
     recoveries: int = 0
     behavior: int = NavCommand.STAND
-    goal_id: int = field(init=False)
+    command_id: int = field(init=False)
     alternative: AlternativeGoal | None = None
     """Where the robot drives to instead of its goal while it gives way or goes near."""
     explore_m: float = _EXPLORE_M
@@ -94,7 +94,7 @@ class NavigatorStateMachine:
 
     def __post_init__(self) -> None:
         """Start with the robot standing."""
-        self.goal_id = self.next_goal_id()
+        self.command_id = self.next_command_id()
         self._restart_timers(self.started_s)
 
     @property
@@ -140,20 +140,20 @@ class NavigatorStateMachine:
         """End the mission as failed."""
         self._end(NavigationStatus.FAILED, reason)
 
-    def distance_left(self, inputs: NavigatorInputs) -> float:
+    def distance_left(self, inputs: MissionInputs) -> float:
         """Return the distance to the goal [m]: along the path, or straight if none is followed."""
         motion = inputs.motion
         # Without a path, motion control states no distance.
         if (
             self.state == NavigationStatus.DRIVING
             and motion is not None
-            and motion.goal_id == self.goal_id
+            and motion.command_id == self.command_id
             and motion.distance_left > 0.0
         ):
             return motion.distance_left
         return distance(inputs.pose, self.goal) if inputs.pose is not None else 0.0
 
-    def step(self, now_s: float, inputs: NavigatorInputs) -> None:
+    def step(self, now_s: float, inputs: MissionInputs) -> None:
         """Decide on state and command at `now_s` [s]."""
         if self.finished or self.state == NavigationStatus.LOADING:
             return
@@ -172,7 +172,7 @@ class NavigatorStateMachine:
         else:
             self._drive(now_s, inputs)
 
-    def _localize(self, now_s: float, inputs: NavigatorInputs, doubt: Reason | None) -> None:
+    def _localize(self, now_s: float, inputs: MissionInputs, doubt: Reason | None) -> None:
         waited = now_s - self._entered_s
         if doubt is None:
             self._enter(now_s, NavigationStatus.PLANNING, NavCommand.FOLLOW)
@@ -185,7 +185,7 @@ class NavigatorStateMachine:
         elif waited > self.limits.unlocated_s:
             self._start_recovery(now_s, inputs, WHEN_LOST, doubt)
 
-    def _plan(self, now_s: float, inputs: NavigatorInputs) -> None:
+    def _plan(self, now_s: float, inputs: MissionInputs) -> None:
         waited = now_s - self._entered_s
         plan = self._current_plan(inputs)
         if plan is None or plan.outcome == Plan.NOT_READY:
@@ -209,7 +209,7 @@ class NavigatorStateMachine:
                 sequence = WHEN_STUCK if hemmed_in else WHEN_NO_PATH
                 self._start_recovery(now_s, inputs, sequence, self.reason)
 
-    def _drive(self, now_s: float, inputs: NavigatorInputs) -> None:
+    def _drive(self, now_s: float, inputs: MissionInputs) -> None:
         motion = self._running_motion(now_s, inputs)
         if motion is None:
             return
@@ -238,7 +238,7 @@ class NavigatorStateMachine:
         if now_s - self._moving_s > self.limits.blocked_s:
             self._start_recovery(now_s, inputs, WHEN_STUCK, self.reason)
 
-    def _arrive(self, now_s: float, inputs: NavigatorInputs) -> None:
+    def _arrive(self, now_s: float, inputs: MissionInputs) -> None:
         """Go on to the next goal, unless the pose is too uncertain for the goal to count."""
         if not self._sure(inputs):
             code, why = int(ReasonCode.UNCONFIRMED), ""
@@ -273,7 +273,7 @@ class NavigatorStateMachine:
                 self._tries = 0
             self._least_left_m, self._progress_s = left_m, now_s
 
-    def _running_motion(self, now_s: float, inputs: NavigatorInputs) -> MotionStatus | None:
+    def _running_motion(self, now_s: float, inputs: MissionInputs) -> MotionStatus | None:
         """Return the status of motion control, None if it cannot work; fail if that lasts."""
         motion = inputs.motion
         silent_s = now_s - inputs.motion_s
@@ -281,7 +281,7 @@ class NavigatorStateMachine:
             self.reason = Reason(
                 ReasonCode.NO_MOTION_STATUS, f"no status from motion control for {silent_s:.1f} s"
             )
-        elif motion is None or motion.goal_id != self.goal_id:
+        elif motion is None or motion.command_id != self.command_id:
             self.reason = Reason(ReasonCode.NO_MOTION_STATUS, "motion control has not answered yet")
         elif motion.state == MotionStatus.STOPPED:
             self.reason = Reason(motion.reason_code, motion.reason)
@@ -296,7 +296,7 @@ class NavigatorStateMachine:
             self.fail(self.reason)
         return None
 
-    def _recover(self, now_s: float, inputs: NavigatorInputs, doubt: Reason | None) -> None:
+    def _recover(self, now_s: float, inputs: MissionInputs, doubt: Reason | None) -> None:
         waited = now_s - self._entered_s
         if self.behavior == NavCommand.STAND:
             ended = waited > self.limits.waiting_s
@@ -319,7 +319,7 @@ class NavigatorStateMachine:
             self._enter(now_s, NavigationStatus.LOCALIZING, NavCommand.STAND, self._cause)
 
     def _alternative_ended(
-        self, now_s: float, inputs: NavigatorInputs, alternative: AlternativeGoal
+        self, now_s: float, inputs: MissionInputs, alternative: AlternativeGoal
     ) -> bool:
         """Whether the robot is at the alternative goal, or cannot get there soon."""
         plan = self._current_plan(inputs)
@@ -336,7 +336,7 @@ class NavigatorStateMachine:
         return motion.state == MotionStatus.DONE or blocked or too_long
 
     def _start_recovery(
-        self, now_s: float, inputs: NavigatorInputs, sequence: Sequence[str], cause: Reason
+        self, now_s: float, inputs: MissionInputs, sequence: Sequence[str], cause: Reason
     ) -> None:
         """Start the next recovery behavior of a sequence, or fail if there were too many."""
         most = self.limits.most_tries(sequence)
@@ -362,16 +362,16 @@ class NavigatorStateMachine:
         self._enter(now_s, NavigationStatus.RECOVERING, recovery.command, self._attempt)
         self.alternative = recovery.alternative
 
-    def _current_plan(self, inputs: NavigatorInputs) -> Plan | None:
+    def _current_plan(self, inputs: MissionInputs) -> Plan | None:
         plan = inputs.plan
-        return plan if plan is not None and plan.goal_id == self.goal_id else None
+        return plan if plan is not None and plan.command_id == self.command_id else None
 
-    def _sure(self, inputs: NavigatorInputs) -> bool:
+    def _sure(self, inputs: MissionInputs) -> bool:
         """Whether the pose is so reliable that a goal counts as reached."""
         estimate = inputs.localization
         return estimate is not None and estimate.health >= self.limits.sure_health
 
-    def _doubt(self, now_s: float, inputs: NavigatorInputs) -> Reason | None:
+    def _doubt(self, now_s: float, inputs: MissionInputs) -> Reason | None:
         """Return why the robot's pose cannot be relied on; None if it can."""
         estimate, silent_s = inputs.localization, now_s - inputs.localization_s
         if estimate is None:
@@ -389,7 +389,7 @@ class NavigatorStateMachine:
         """Enter a state with a new command."""
         self.state, self.behavior, self.reason = state, behavior, reason
         self.alternative = None
-        self.goal_id = self.next_goal_id()
+        self.command_id = self.next_command_id()
         self._restart_timers(now_s)
 
     def _restart_timers(self, now_s: float) -> None:
@@ -399,22 +399,22 @@ class NavigatorStateMachine:
     def _end(self, state: int, reason: Reason) -> None:
         self.state, self.behavior, self.reason = state, NavCommand.STAND, reason
         self.alternative = None
-        self.goal_id = self.next_goal_id()
+        self.command_id = self.next_command_id()
 
 
 def _no_path(plan: Plan) -> Reason:
     return Reason(PLAN_REASON_CODES[plan.outcome], f"no path: {plan.reason}")
 
 
-_GOAL_ID_MODULUS = 2**32
+_COMMAND_ID_MODULUS = 2**32
 _NS_PER_MS = 1_000_000
 
 
-class GoalIds:
-    """Creates goal ids that increase, and none that an earlier process of AutoMove has used.
+class CommandIds:
+    """Creates ids of commands that increase, and none that an earlier process of AutoMove has used.
 
     An id is the time in milliseconds [mod 2^32], or the last id plus one if that is larger; 0 means
-    that there is no goal. So the ids of an earlier process are all smaller, unless it used more
+    that there is no command. So the ids of an earlier process are all smaller, unless it used more
     than a thousand a second.
     """
 
@@ -423,10 +423,10 @@ class GoalIds:
 
     def next(self, now: int) -> int:
         """Return the id of a command that starts at `now` [ns]."""
-        goal_id = now // _NS_PER_MS % _GOAL_ID_MODULUS
+        command_id = now // _NS_PER_MS % _COMMAND_ID_MODULUS
         if self._last is not None:
-            following = (self._last + 1) % _GOAL_ID_MODULUS
-            if (goal_id - following) % _GOAL_ID_MODULUS >= _GOAL_ID_MODULUS // 2:
-                goal_id = following
-        self._last = goal_id or 1
+            following = (self._last + 1) % _COMMAND_ID_MODULUS
+            if (command_id - following) % _COMMAND_ID_MODULUS >= _COMMAND_ID_MODULUS // 2:
+                command_id = following
+        self._last = command_id or 1
         return self._last

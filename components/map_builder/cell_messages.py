@@ -9,7 +9,7 @@ from cairn.components.map_builder.cell_record import (
     from_bytes,
     to_bytes,
 )
-from cairn.components.map_builder.exchange import MOST_AHEAD_NS, Exchange
+from cairn.components.map_builder.record_exchange import MOST_AHEAD_NS, Exchange
 from cairn.schemas.cairn_msgs import MOST_DECISIONS, CellDecision
 
 CellExchange = Exchange[CellDecision, Decision]

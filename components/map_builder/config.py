@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from cairn import Config, Mount, ReadPath
 from cairn.components.map_builder.landmark_map import MOST_LEARNED
-from cairn.components.map_builder.landmark_rule import RuleName
+from cairn.components.map_builder.landmark_verdicts import RuleName
 
 
 class MapBuilderConfig(Config):

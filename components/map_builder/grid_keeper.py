@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from cairn import SECOND, CairnError
 from cairn.components.map_builder.cell_record import TILE, Decision, Tiles, check_decision
+from cairn.components.map_builder.grid_sharing import CellSharing
 from cairn.components.map_builder.occupancy import Occupancy, known_cells
-from cairn.components.map_builder.shared_cells import CellSharing
 from cairn.components.map_builder.undo import GridWindow
 from cairn.limits.files import STATE_BYTES, read_bounded
 from cairn.planar.grid import FREE, OCCUPIED, OccupancyCells

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cairn import SECOND, CairnError
-from cairn.components.map_builder.landmark_rule import Rule, judge
-from cairn.components.map_builder.shared_landmarks import LandmarkSharing, SharedLandmark
+from cairn.components.map_builder.landmark_sharing import LandmarkSharing, SharedLandmark
+from cairn.components.map_builder.landmark_verdicts import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
 from cairn.system.working_copy import is_reusable
 from cairn.visual_map.evidence_history import EvidenceSummaries, Row

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cairn.components.map_builder.exchange import MOST_AHEAD_NS, Exchange
+from cairn.components.map_builder.record_exchange import MOST_AHEAD_NS, Exchange
 from cairn.schemas.cairn_msgs import MOST_CONTRIBUTIONS, LandmarkContribution
 from cairn.visual_map.landmarks import MapPosition
 from cairn.visual_map.shared_record import (

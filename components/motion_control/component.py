@@ -176,7 +176,10 @@ class MotionControl(Component):
         now = self.clock.now()
         self._safety.note("nav_command", now, now)
         last, self._command = self._command, command
-        if last is None or (last.goal_id, last.behavior) != (command.goal_id, command.behavior):
+        if last is None or (last.command_id, last.behavior) != (
+            command.command_id,
+            command.behavior,
+        ):
             self._done = False
             self._start_behavior()
             self._drive()
@@ -273,7 +276,7 @@ class MotionControl(Component):
         self.motion_status.publish(
             MotionStatus(
                 header=Header(stamp=from_ns(self.clock.now()), frame_id="base_link"),
-                goal_id=self._goal_id,
+                command_id=self._command_id,
                 state=int(self._result.state),
                 reason=self._result.reason,
                 reason_code=int(self._result.code),
@@ -284,8 +287,8 @@ class MotionControl(Component):
         )
 
     @property
-    def _goal_id(self) -> int:
-        return self._command.goal_id if self._command is not None else 0
+    def _command_id(self) -> int:
+        return self._command.command_id if self._command is not None else 0
 
     def _apply(self, config: MotionControlConfig) -> None:
         self._limits = config.limits()
@@ -325,7 +328,7 @@ class MotionControl(Component):
         command, plan = self._command, self._plan
         if command is None or command.behavior != NavCommand.FOLLOW:
             return
-        if plan is None or plan.goal_id != command.goal_id:
+        if plan is None or plan.command_id != command.command_id:
             return
         if plan.outcome != Plan.FOUND:
             self._behavior = None
@@ -348,9 +351,9 @@ class MotionControl(Component):
         if command is STAND:
             self._limiter.stop(now)
         self.cmd_vel.publish(Twist(linear=Vector3(x=command[0]), angular=Vector3(z=command[1])))
-        if self._logged != (self._goal_id, self._result.state):
+        if self._logged != (self._command_id, self._result.state):
             before, state = self._logged, self._result.state
-            self._logged = (self._goal_id, state)
+            self._logged = (self._command_id, state)
             reason = f": {self._result.reason}" if self._result.reason else ""
             # A robot drives for weeks: what every goal repeats, AutoMove logs once.
             continues = state is MotionState.MOVING and before and before[1] in _OBSTRUCTED
@@ -493,7 +496,7 @@ class MotionControl(Component):
     def _without_plan(self) -> BehaviorResult:
         plan = self._plan
         code = int(ReasonCode.NO_PLAN)
-        if plan is None or plan.goal_id != self._goal_id:
+        if plan is None or plan.command_id != self._command_id:
             reason = f"no plan of this goal yet on {self.plan.topic}"
         else:
             code = PLAN_REASON_CODES[plan.outcome]

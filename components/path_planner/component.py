@@ -27,11 +27,6 @@ from cairn import (
 )
 from cairn.components.path_planner.config import PathPlannerConfig
 from cairn.components.path_planner.cost_map import CostMap
-from cairn.components.path_planner.obstacle_memory import (
-    AvoidedPositions,
-    RecentObstacles,
-    StuckDetector,
-)
 from cairn.components.path_planner.planning import (
     Planner,
     PlanOutcome,
@@ -39,6 +34,11 @@ from cairn.components.path_planner.planning import (
     first_blocked,
     nearest_pose,
     remaining_cost,
+)
+from cairn.components.path_planner.unmapped_obstacles import (
+    AvoidedPositions,
+    RecentObstacles,
+    StuckDetector,
 )
 from cairn.planar.grid import OccupancyCells, grid_of
 from cairn.planar.messages import (
@@ -267,7 +267,7 @@ class PathPlanner(Component):
     def on_motion_status(self, status: MotionStatus) -> None:
         """Look for another path when the robot is stuck."""
         pose, result, command = self._current_pose(), self._result, self._command
-        if command is None or status.goal_id != command.goal_id or pose is None:
+        if command is None or status.command_id != command.command_id or pose is None:
             return
         if result is None or result.route is None or self._costs is None:
             return
@@ -290,8 +290,8 @@ class PathPlanner(Component):
             self._command, self._result = None, None
             return
         command = self._command
-        if command is None or (command.goal_id, command.goal) != (
-            nav_command.goal_id,
+        if command is None or (command.command_id, command.goal) != (
+            nav_command.command_id,
             nav_command.goal,
         ):
             self._command, self._result = nav_command, None
@@ -479,26 +479,26 @@ class PathPlanner(Component):
     def _publish(self, result: PlanResult) -> None:
         """Publish a result, except for the same failure as last time."""
         assert self._command is not None
-        summary = (self._command.goal_id, int(result.outcome), result.reason)
+        summary = (self._command.command_id, int(result.outcome), result.reason)
         if result.route is None and summary == self._published:
             return
         if result.route is None:
             self.log.info("no path: %s", result.reason)
         self._published = summary
         header = Header(stamp=from_ns(self.clock.now()), frame_id="map")
-        self.plan.publish(plan_message(header, self._command.goal_id, result))
+        self.plan.publish(plan_message(header, self._command.command_id, result))
         self.path.publish(path_message(header, result))
 
 
 MAX_SHOWN_POSES = 500  # poses of a path for display
 
 
-def plan_message(header: Header, goal_id: int, result: PlanResult) -> Plan:
+def plan_message(header: Header, command_id: int, result: PlanResult) -> Plan:
     """Return the result for a goal as a message."""
     nearest = result.nearest or (float("nan"), float("nan"))
     summary = Plan(
         header=header,
-        goal_id=goal_id,
+        command_id=command_id,
         outcome=int(result.outcome),
         reason=result.reason,
         nearest_x=nearest[0],
@@ -508,7 +508,7 @@ def plan_message(header: Header, goal_id: int, result: PlanResult) -> Plan:
         return summary
     return Plan(
         header=header,
-        goal_id=goal_id,
+        command_id=command_id,
         outcome=int(result.outcome),
         length=result.route.length(),
         poses=packed_poses(result.route.poses),

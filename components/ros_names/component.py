@@ -12,7 +12,13 @@ from cairn.bus.keys import ROS_NAMES, EndpointEntity
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.components.ros_names.diagnostics import diagnostic_status
 from cairn.deployment.model import ROOT, Deployment
-from cairn.deployment.ros_names import RosService, RosTopic, ros_name, ros_services, ros_topics
+from cairn.deployment.ros_name_mapping import (
+    RosService,
+    RosTopic,
+    ros_name,
+    ros_services,
+    ros_topics,
+)
 from cairn.runtime.component import ComponentContext
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.diagnostic_msgs import DiagnosticArray

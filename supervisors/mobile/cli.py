@@ -15,7 +15,7 @@ import typer
 from cairn import CairnError
 from cairn.client import NavigationGoal, NoReplyError
 from cairn.client import connect as connect_to
-from cairn.client.navigation import Navigator
+from cairn.client.navigation import MissionClient
 from cairn.planar.messages import pose_message
 from cairn.schemas.cairn_nav_msgs import NAVIGATION_STATES, NavigationStatus, zone_name_problem
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped
@@ -63,14 +63,14 @@ def go(
         goals = [] if cancel else parse_goals(goal or [])
     with connect_to(connect, domain, robot, notify=note) as client:
         with _errors_as_json(as_json=json):
-            navigator = client.navigator()
+            missions = client.missions()
             if cancel:
-                _print_goal(navigator.cancel(), "canceled", as_json=json)
+                _print_goal(missions.cancel(), "canceled", as_json=json)
             elif not wait:
-                with navigator.goal(goals) as sent:
+                with missions.goal(goals) as sent:
                     _print_goal(sent.send(), "accepted", as_json=json)
         if wait and not cancel:
-            follow(navigator, goals, as_json=json)
+            follow(missions, goals, as_json=json)
 
 
 def locate(
@@ -107,14 +107,16 @@ def locate(
     line(f"published on {topic}; `cairn topic echo localization` shows the uncertainty")
 
 
-def follow(navigator: Navigator, goals: Sequence[Sequence[float] | str], *, as_json: bool) -> None:
+def follow(
+    missions: MissionClient, goals: Sequence[Sequence[float] | str], *, as_json: bool
+) -> None:
     """Send a goal and print its progress; Ctrl-C, SIGTERM and a closed terminal cancel it.
 
     Raises `CairnError` if the robot does not arrive, `SystemExit` after SIGTERM or SIGHUP.
     """
     with exit_on(signal.SIGTERM, signal.SIGHUP), ExitStack() as stack:
         with _errors_as_json(as_json=as_json):
-            goal = stack.enter_context(navigator.goal(goals))
+            goal = stack.enter_context(missions.goal(goals))
         try:
             with _errors_as_json(as_json=as_json):
                 goal.send()

@@ -31,10 +31,11 @@ from cairn.planar.messages import WrongFrame, packed_poses, planar_poses
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
     NAVIGATION_END_STATES,
-    NAVIGATION_STATES,
     LocalizationEstimate,
+    MissionOutcome,
     NavigateGoal,
     NavigationStatus,
+    ReasonCode,
 )
 from cairn.schemas.geometry_msgs import Point, PoseStamped
 from cairn.schemas.nav2_msgs.action import (
@@ -65,6 +66,7 @@ from cairn.supervisors.mobile.mission_file import (
     Goal,
     Mission,
     MissionFile,
+    MissionResult,
     MotionRecord,
     check_goals,
 )
@@ -72,7 +74,7 @@ from cairn.supervisors.mobile.mission_file import (
 # A mission is continued at most so often: one that is under way whenever this component dies may be
 # the reason why it dies.
 _MOST_RESUMED = 3
-_LONGEST_RESULT = 1000  # characters
+_LONGEST_REASON = 1000  # characters
 
 
 class MobileSupervisorConfig(Config):
@@ -258,7 +260,7 @@ class MobileSupervisor(Supervisor):
             goal = self._own_goal(planar_poses(request.goals).tolist())
             self._pursue(ThroughPoses(goal), explores=True)
         elif mission is not None and not mission.result:
-            self._close(mission, "canceled: the exploration has ended")
+            self._close(mission, _canceled("the exploration has ended"))
 
     @on("navigation_status")
     def on_navigation_status(self, status: NavigationStatus) -> None:
@@ -267,15 +269,15 @@ class MobileSupervisor(Supervisor):
         if mission is None or mission.result or status.mission_id != mission.mission_id:
             return
         if status.state in NAVIGATION_END_STATES:
-            result = f"{NAVIGATION_STATES[status.state]}: {status.reason[:_LONGEST_RESULT]}"
-            failed = status.state == NavigationStatus.FAILED
-            code = error_code(status.reason_code) if failed else 0
+            result = MissionResult(
+                outcome=MissionOutcome(status.state),
+                code=status.reason_code,
+                reason=status.reason[:_LONGEST_REASON],
+            )
             if isinstance(self._goal, MotionGoal):
                 self._goal.moved(status)
-            if status.state == NavigationStatus.CANCELED or not self._goes_on(
-                mission, status.goal if failed else None, code
-            ):
-                self._close(mission, result, code)
+            if not self._goes_on(mission, result, status.goal):
+                self._close(mission, result)
         elif mission.first < status.goal <= len(mission.goals):
             self._update(mission.model_copy(update={"first": status.goal}))
 
@@ -317,7 +319,7 @@ class MobileSupervisor(Supervisor):
         mission = self._mission
         if mission is None or self._goal is None or self._goal.goal is not goal:
             raise CairnError("its mission is not under way")
-        self._close(mission, "canceled: on request")
+        self._close(mission, _canceled("on request"))
 
     def _start(
         self,
@@ -346,7 +348,8 @@ class MobileSupervisor(Supervisor):
             motion=motion,
         )
         if self._goal is not action:
-            self._end_goal(f"aborted: preempted by mission {mission.mission_id}", UNKNOWN_ERROR)
+            by = f"preempted by mission {mission.mission_id}"
+            self._end_goal(_failed(ReasonCode.PREEMPTED, by))
         self._goal = action
         self.log.info("mission %d: %s", mission.mission_id, _described(mission))
         if mission.replaces_configured and self.config.finish:
@@ -379,26 +382,34 @@ class MobileSupervisor(Supervisor):
             return
         self._mission, self._goal = mission, self._restored_goal(mission)
         if mission.result:  # its client may not have got that
-            self._end_goal(mission.result, mission.code)
+            self._end_goal(mission.result)
         elif mission.resumed >= _MOST_RESUMED:
-            self._close(
-                mission, f"failed: given up after {mission.resumed} restarts of {self.name}"
-            )
+            self._give_up(mission, f"given up after {mission.resumed} restarts of {self.name}")
         elif mission.motion is not None:
-            self._close(mission, f"failed: {self.name} was restarted meanwhile")
+            self._give_up(mission, f"{self.name} was restarted meanwhile")
         else:
             try:
                 self._load_automove()
             except CairnError as error:
-                self._close(mission, f"failed: not continued after a restart: {error}")
+                self._give_up(mission, f"not continued after a restart: {error}")
                 return
             self.log.warning("mission %d continued", mission.mission_id)
             self._update(mission.model_copy(update={"resumed": mission.resumed + 1}))
 
-    def _goes_on(self, mission: Mission, failed: int | None, code: int) -> bool:
-        """Start the next mission for the same goal of an action, if it has a further one."""
+    def _give_up(self, mission: Mission, why: str) -> None:
+        """End a mission of an earlier process of this supervisor as failed."""
+        self._close(mission, _failed(ReasonCode.NOT_CONTINUED, why))
+
+    def _goes_on(self, mission: Mission, result: MissionResult, at: int) -> bool:
+        """Start the next mission for the same goal of an action, if it has a further one.
+
+        `at` is the index of the goal at which the mission has ended.
+        """
         goal = self._goal
-        if goal is None or not goal.goes_on(failed, code):
+        if goal is None or result.outcome is MissionOutcome.CANCELED:
+            return False
+        failed = at if result.outcome is MissionOutcome.FAILED else None
+        if not goal.goes_on(failed, error_code(result.code)):
             return False
         if failed is not None:
             self.log.warning("waypoint %d not reached; the robot drives on", failed + 1)
@@ -409,18 +420,18 @@ class MobileSupervisor(Supervisor):
             return False
         return True
 
-    def _end_goal(self, result: str, code: int) -> None:
+    def _end_goal(self, result: MissionResult) -> None:
         """End the goal of the mission that has ended with a result."""
         ended, self._goal = self._goal, None
         if ended is None or not ended.goal.is_active:
             return
-        outcome, _, reason = result.partition(": ")
-        if outcome == NAVIGATION_STATES[NavigationStatus.SUCCEEDED]:
-            ended.goal.succeed(ended.result(0, ""))
-        elif outcome == NAVIGATION_STATES[NavigationStatus.CANCELED]:
-            ended.goal.canceled(ended.result(0, reason))
-        else:
-            ended.goal.abort(ended.result(code, reason))
+        match result.outcome:
+            case MissionOutcome.SUCCEEDED:
+                ended.goal.succeed(ended.result(0, ""))
+            case MissionOutcome.CANCELED:
+                ended.goal.canceled(ended.result(0, result.reason))
+            case MissionOutcome.FAILED:
+                ended.goal.abort(ended.result(error_code(result.code), result.reason))
 
     def _restored_goal(self, mission: Mission) -> ActionGoal:
         """Return the goal of an action that an earlier process of this supervisor accepted."""
@@ -442,18 +453,15 @@ class MobileSupervisor(Supervisor):
         waypoints.missed = list(record.missed)
         return waypoints
 
-    def _close(self, mission: Mission, result: str, code: int | None = None) -> None:
-        """End a mission; `code` is Nav2's error code of one that has failed."""
-        outcome = result.partition(": ")[0]
-        if code is None:
-            code = 0 if outcome == NAVIGATION_STATES[NavigationStatus.CANCELED] else UNKNOWN_ERROR
+    def _close(self, mission: Mission, result: MissionResult) -> None:
+        """End a mission."""
         self.log.info("mission %d %s", mission.mission_id, result)
-        self._update(mission.model_copy(update={"result": result, "code": code}))
-        self._end_goal(result, code)
+        self._update(mission.model_copy(update={"result": result}))
+        self._end_goal(result)
         if not self.config.finish:
             return
         if mission.configured:
-            success = outcome == NAVIGATION_STATES[NavigationStatus.SUCCEEDED]
+            success = result.outcome is MissionOutcome.SUCCEEDED
             self.finish(f"the mission {result}", success=success)
         elif mission.replaces_configured:  # not earlier: the robot must not stop under its operator
             which = f"mission {mission.mission_id}"
@@ -490,14 +498,20 @@ class MobileSupervisor(Supervisor):
             NavigateGoal(
                 header=Header(stamp=from_ns(mission.requested_ns), frame_id="map"),
                 mission_id=mission.mission_id,
-                action_goal_id=UUID(
-                    uuid=np.frombuffer(bytes.fromhex(mission.action.goal_id), np.uint8)
-                ),
+                goal_id=UUID(uuid=np.frombuffer(bytes.fromhex(mission.action.goal_id), np.uint8)),
                 first=mission.first,
                 goals=packed_poses(np.array(goals, np.float64).reshape(-1, 3)),
                 **(mission.motion.model_dump() if mission.motion and not mission.result else {}),
             )
         )
+
+
+def _canceled(why: str) -> MissionResult:
+    return MissionResult(outcome=MissionOutcome.CANCELED, code=ReasonCode.CANCELED, reason=why)
+
+
+def _failed(code: ReasonCode, why: str) -> MissionResult:
+    return MissionResult(outcome=MissionOutcome.FAILED, code=code, reason=why)
 
 
 def _described(mission: Mission) -> str:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cairn import CairnError
 from cairn.limits.files import STATE_BYTES, read_bounded
-from cairn.schemas.cairn_nav_msgs import MAX_COORDINATE, MAX_GOALS, MAX_MOTION
+from cairn.schemas.cairn_nav_msgs import MAX_COORDINATE, MAX_GOALS, MAX_MOTION, MissionOutcome
 from cairn.system.files import explain_os_error, replace_file
 
 Goal = tuple[float, float, float]
@@ -67,17 +67,28 @@ class MissionRequest(_Stored):
     action: ActionRecord
 
 
+class MissionResult(_Stored):
+    """How a mission ended, and why: the number of a `ReasonCode`, and words."""
+
+    outcome: MissionOutcome
+    code: int = Field(ge=0, le=255)
+    reason: str
+
+    def __str__(self) -> str:
+        """Return the result in words."""
+        return f"{self.outcome.name.lower()}: {self.reason}"
+
+
 class MissionProgress(_Stored):
     """How far a mission is: the index `first` of its current goal, and its result.
 
-    `result` is empty while the mission is under way; `code` is Nav2's error code of a mission that
-    has failed. `resumed` counts how often a restarted supervisor continued it.
+    `result` is None while the mission is under way. `resumed` counts how often a restarted
+    supervisor continued it.
     """
 
     mission_id: int
     first: int = Field(0, ge=0, le=MAX_GOALS)
-    result: str = ""
-    code: int = Field(0, ge=0, le=65535)
+    result: MissionResult | None = None
     resumed: int = Field(0, ge=0)
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from cairn.bus.codec import Codec
 from cairn.components.map_builder.cell_messages import decision_message
 from cairn.components.map_builder.component import MapBuilder
-from cairn.components.map_builder.exchange import contributor_messages
 from cairn.components.map_builder.grid_keeper import GridKeeper
 from cairn.components.map_builder.other_robots import OtherRobots
+from cairn.components.map_builder.record_exchange import contributor_messages
 from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid
 from cairn.planar.map_file import write_map
 from cairn.planar.scans import Rays
@@ -23,7 +23,7 @@ from cairn.schemas.cairn_msgs import SharedCells
 from cairn.testing.lockstep import ComponentHarness, Lockstep
 from cairn_lab.benchmarks.result import Metric
 from tests.components.localizer.room import ROOM, room, scanned
-from tests.components.map_builder import test_shared_cells, test_shared_landmarks
+from tests.components.map_builder import test_grid_sharing, test_landmark_sharing
 from tests.navigation.test_fleet import Repair, repair_maps_of_five_robots
 
 HISTORIES = 10_000
@@ -38,8 +38,8 @@ def measure() -> list[Metric]:
         (Path(folder) / "five").mkdir()
         repair = repair_maps_of_five_robots(Path(folder) / "five")
         return [
-            _histories("landmarks", test_shared_landmarks.history),
-            _histories("cells", test_shared_cells.history),
+            _histories("landmarks", test_landmark_sharing.history),
+            _histories("cells", test_grid_sharing.history),
             *_repairs(repair),
             *_late_robot(Path(folder)),
             _cost(Path(folder)),

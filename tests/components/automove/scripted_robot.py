@@ -1,4 +1,4 @@
-"""A navigator with a scripted localizer, planner and motion control."""
+"""A mission with a scripted localizer, planner and motion control."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-from cairn.components.automove.inputs import NavigatorInputs
-from cairn.components.automove.recovery_selection import NavigatorLimits
-from cairn.components.automove.state_machine import NavigatorStateMachine
+from cairn.components.automove.inputs import MissionInputs
+from cairn.components.automove.recovery_selection import MissionLimits
+from cairn.components.automove.state_machine import MissionStateMachine
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
     MotionStatus,
@@ -21,27 +21,27 @@ LOCATED = LocalizationEstimate(located=True, health=0.9)
 
 
 class ScriptedRobot:
-    """A navigator and its inputs: `localization`, `plan` and `motion` are repeated until changed.
+    """A mission and its inputs: `localization`, `plan` and `motion` are repeated until changed.
 
     `reported` holds state, behavior and reason at each change of state or behavior.
     """
 
     def __init__(self, *goals: tuple[float, float, float], **limits: Any) -> None:
         self.now = 100.0
-        self.inputs = NavigatorInputs(pose=(0.0, 0.0, 0.0))
+        self.inputs = MissionInputs(pose=(0.0, 0.0, 0.0))
         self.localization: LocalizationEstimate | None = LOCATED
         self.plan: dict[str, Any] | None = {"outcome": Plan.FOUND}
         self.motion: dict[str, Any] | None = {"state": MotionStatus.MOVING}
-        self.navigator = NavigatorStateMachine(
+        self.mission = MissionStateMachine(
             mission_id=1,
             goals=goals or ((3.0, 4.0, 0.0),),
             goal_index=0,
-            next_goal_id=itertools.count(1).__next__,
+            next_command_id=itertools.count(1).__next__,
             started_s=self.now,
-            limits=NavigatorLimits(**limits),
+            limits=MissionLimits(**limits),
         )
         self.reported: list[tuple[int, int, str]] = []
-        self.navigator.on_plugins_loaded(self.now)
+        self.mission.on_plugins_loaded(self.now)
 
     def run(self, seconds: float) -> ScriptedRobot:
         """Let time pass in steps of 0.1 s."""
@@ -49,19 +49,19 @@ class ScriptedRobot:
             self.now += 0.1
             if self.localization is not None:
                 self.inputs.localization, self.inputs.localization_s = self.localization, self.now
-            goal_id = self.navigator.goal_id
-            behavior = self.navigator.behavior
+            command_id = self.mission.command_id
+            behavior = self.mission.behavior
             if self.plan is not None and behavior == NavCommand.FOLLOW:
-                self.inputs.plan = Plan(goal_id=goal_id, **self.plan)
+                self.inputs.plan = Plan(command_id=command_id, **self.plan)
             if self.motion is not None:
                 standing = {"state": MotionStatus.STANDING}
                 motion = standing if behavior == NavCommand.STAND else self.motion
                 self.inputs.motion, self.inputs.motion_s = (
-                    MotionStatus(goal_id=goal_id, **motion),
+                    MotionStatus(command_id=command_id, **motion),
                     self.now,
                 )
-            self.navigator.step(self.now, self.inputs)
-            row = (self.navigator.state, self.navigator.behavior, self.navigator.reason.text)
+            self.mission.step(self.now, self.inputs)
+            row = (self.mission.state, self.mission.behavior, self.mission.reason.text)
             if not self.reported or self.reported[-1][:2] != row[:2]:
                 self.reported.append(row)
         return self
@@ -97,15 +97,15 @@ class DrivingRobot(ScriptedRobot):
     ) -> DrivingRobot:
         """Drive for at most `limit_s`; `blocked` is called with the path left [m]."""
         until = self.now + limit_s
-        while self.now < until and not self.navigator.finished:
-            self.motion = self._moved(self.navigator.behavior, blocked)
+        while self.now < until and not self.mission.finished:
+            self.motion = self._moved(self.mission.behavior, blocked)
             self.run(0.1)
         return self
 
     def drive_until_blocked_at(self, left_m: float) -> None:
         """Drive until a recovery from an obstacle `left_m` before the end of the path."""
-        before = self.navigator.recoveries
-        while self.navigator.recoveries == before and not self.navigator.finished:
+        before = self.mission.recoveries
+        while self.mission.recoveries == before and not self.mission.finished:
             self.drive(0.1, lambda path_left_m: path_left_m <= left_m)
 
     def _moved(self, behavior: int, blocked: Callable[[float], bool]) -> dict[str, Any]:
@@ -113,12 +113,12 @@ class DrivingRobot(ScriptedRobot):
             self._back += 0.02
             self.path_left_m += 0.02
             return {"state": MotionStatus.MOVING}
-        if self.navigator.alternative is not None and self._back < self.GIVE_WAY:
+        if self.mission.alternative is not None and self._back < self.GIVE_WAY:
             self._back += 0.04
             self.path_left_m += 0.04
             return {"state": MotionStatus.MOVING, "distance_left": 0.5}
         self._back = 0.0
-        if self.navigator.alternative is not None:
+        if self.mission.alternative is not None:
             return {"state": MotionStatus.DONE}
         if behavior != NavCommand.FOLLOW or self.path_left_m <= 0.0:
             return {"state": MotionStatus.DONE}

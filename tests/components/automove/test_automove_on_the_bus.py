@@ -110,10 +110,10 @@ def test_command_is_published_on_change_and_twice_a_second(make_harness: MakeHar
     assert planar_pose(command.goal) == pytest.approx((3.0, 4.0, 0.0))
     assert (command.position_tolerance, command.heading_tolerance) == (0.1, 0.1)
 
-    robot.publish("plan", Plan(goal_id=command.goal_id), qos=LATCHED)
+    robot.publish("plan", Plan(command_id=command.command_id), qos=LATCHED)
     robot.publish(
         "motion_status",
-        MotionStatus(goal_id=command.goal_id, state=MotionStatus.MOVING, distance_left=2.0),
+        MotionStatus(command_id=command.command_id, state=MotionStatus.MOVING, distance_left=2.0),
     )
     robot.run_for(1.0)
     assert 2 <= len(nav_commands.take()) <= 4
@@ -122,7 +122,9 @@ def test_command_is_published_on_change_and_twice_a_second(make_harness: MakeHar
     assert (reported.distance_left, reported.time_left) == (2.0, 5.0)
     assert reported.elapsed == pytest.approx(1.1, abs=0.5)
 
-    robot.publish("motion_status", MotionStatus(goal_id=command.goal_id, state=MotionStatus.DONE))
+    robot.publish(
+        "motion_status", MotionStatus(command_id=command.command_id, state=MotionStatus.DONE)
+    )
     ended = statuses.take()[-1]
     assert ended.state == NavigationStatus.SUCCEEDED
     assert nav_commands.take()[-1].behavior == NavCommand.STAND
@@ -157,12 +159,16 @@ def test_motion_is_commanded_and_ends_with_motion_control(
     assert (command.angle, command.distance, command.speed) == (*commanded, 0.5)
 
     # The time that is left is infinite in floating point: AutoMove reports the longest one.
-    moving = MotionStatus(goal_id=command.goal_id, state=MotionStatus.MOVING, distance_left=1.7e308)
+    moving = MotionStatus(
+        command_id=command.command_id, state=MotionStatus.MOVING, distance_left=1.7e308
+    )
     robot.publish("motion_status", moving)
     robot.run_for(1.0)
     assert statuses.take()[-1].state == NavigationStatus.DRIVING
 
-    robot.publish("motion_status", MotionStatus(goal_id=command.goal_id, state=MotionStatus.DONE))
+    robot.publish(
+        "motion_status", MotionStatus(command_id=command.command_id, state=MotionStatus.DONE)
+    )
     assert statuses.take()[-1].state == NavigationStatus.SUCCEEDED
     assert nav_commands.take()[-1].behavior == NavCommand.STAND
 
@@ -188,13 +194,15 @@ def test_step_of_the_clock_fails_no_mission(
     clock.set(10_000 * SECOND)
     robot.publish("navigate_goal", mission(1, (1.0, 2.0, 0.5)), qos=LATCHED)
     pass_time(0.2)
-    goal_id = nav_commands.take()[-1].goal_id
-    robot.publish("plan", Plan(goal_id=goal_id), qos=LATCHED)
-    moving = MotionStatus(goal_id=goal_id, state=MotionStatus.MOVING, distance_left=2.0)
+    command_id = nav_commands.take()[-1].command_id
+    robot.publish("plan", Plan(command_id=command_id), qos=LATCHED)
+    moving = MotionStatus(command_id=command_id, state=MotionStatus.MOVING, distance_left=2.0)
     pass_time(1.0, moving)
     clock.set(clock.now() + step_s * SECOND)
     # To motion control the last command is an hour old until the next one comes.
-    stopped = MotionStatus(goal_id=goal_id, state=MotionStatus.STOPPED, reason="no nav_command")
+    stopped = MotionStatus(
+        command_id=command_id, state=MotionStatus.STOPPED, reason="no nav_command"
+    )
     pass_time(0.3, stopped)
     pass_time(1.0, moving)
 
@@ -237,7 +245,9 @@ def test_give_way_recovery_sends_a_goal_to_the_planner(make_harness: MakeHarness
             if command.behavior == NavCommand.FOLLOW:
                 goals.append(planar_pose(command.goal)[0])
                 robot.publish(
-                    "plan", Plan(goal_id=command.goal_id, outcome=Plan.GOAL_BLOCKED), qos=LATCHED
+                    "plan",
+                    Plan(command_id=command.command_id, outcome=Plan.GOAL_BLOCKED),
+                    qos=LATCHED,
                 )
         robot.run_for(0.1)
 
@@ -263,11 +273,11 @@ def test_sure_health_is_configurable(
     robot.publish("localization", LocalizationEstimate(located=True, health=0.7))
     robot.publish("navigate_goal", mission(1, (1.0, 2.0, 0.5)), qos=LATCHED)
     robot.run_for(0.1)
-    goal_id = nav_commands.take()[-1].goal_id
-    robot.publish("plan", Plan(goal_id=goal_id), qos=LATCHED)
+    command_id = nav_commands.take()[-1].command_id
+    robot.publish("plan", Plan(command_id=command_id), qos=LATCHED)
     robot.run_for(0.2)
 
-    robot.publish("motion_status", MotionStatus(goal_id=goal_id, state=MotionStatus.DONE))
+    robot.publish("motion_status", MotionStatus(command_id=command_id, state=MotionStatus.DONE))
 
     assert statuses.take()[-1].state == state
 
@@ -281,13 +291,13 @@ def test_changing_numbers_in_a_reason_are_not_published_at_once(make_harness: Ma
     robot.publish("localization", LocalizationEstimate(located=True, health=0.9))
     robot.publish("navigate_goal", mission(1, (1.0, 2.0, 0.5)), qos=LATCHED)
     robot.run_for(0.1)
-    goal_id = nav_commands.take()[-1].goal_id
-    robot.publish("plan", Plan(goal_id=goal_id), qos=LATCHED)
+    command_id = nav_commands.take()[-1].command_id
+    robot.publish("plan", Plan(command_id=command_id), qos=LATCHED)
     for tenths in range(6, 26):
         reason = f"no scan for {tenths / 10:.1f} s on /robot/scan"
         robot.publish(
             "motion_status",
-            MotionStatus(goal_id=goal_id, state=MotionStatus.STOPPED, reason=reason),
+            MotionStatus(command_id=command_id, state=MotionStatus.STOPPED, reason=reason),
         )
         robot.run_for(0.1)
     assert len(statuses.take()) < 12
@@ -304,7 +314,7 @@ def test_new_mission_preempts_and_empty_mission_cancels(make_harness: MakeHarnes
     robot.publish("navigate_goal", mission(2, (3.0, 4.0, 0.5)), qos=LATCHED)  # repeated
     robot.run_for(0.2)
     assert statuses.take()[-1].mission_id == 2
-    goal_ids = len({nav_command.goal_id for nav_command in nav_commands.take()})
+    command_ids = len({nav_command.command_id for nav_command in nav_commands.take()})
 
     robot.publish("navigate_goal", mission(1), qos=LATCHED)  # of a mission that has ended: ignored
     robot.run_for(0.2)
@@ -315,7 +325,7 @@ def test_new_mission_preempts_and_empty_mission_cancels(make_harness: MakeHarnes
     assert (last.mission_id, last.state) == (2, NavigationStatus.CANCELED)
     stand = nav_commands.take()[-1]
     assert stand.behavior == NavCommand.STAND
-    assert goal_ids == 2
+    assert command_ids == 2
 
 
 def test_finished_mission_is_ignored(make_harness: MakeHarness) -> None:

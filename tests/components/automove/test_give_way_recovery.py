@@ -34,7 +34,7 @@ def retreating_robot(**plan: object) -> ScriptedRobot:
     robot = ScriptedRobot()
     leave_trail(robot)
     robot.plan = NO_PATH
-    while robot.navigator.alternative is None:
+    while robot.mission.alternative is None:
         robot.run(0.1)
     robot.plan = {"outcome": Plan.FOUND, **plan}
     return robot
@@ -43,30 +43,30 @@ def retreating_robot(**plan: object) -> ScriptedRobot:
 def test_give_way_recovery_retreats_waits_and_replans() -> None:
     robot = retreating_robot()
     assert robot.recovery_behaviors == [NavCommand.STAND, NavCommand.FOLLOW]
-    assert robot.navigator.behavior == NavCommand.FOLLOW
-    x, y, theta = robot.navigator.target
+    assert robot.mission.behavior == NavCommand.FOLLOW
+    x, y, theta = robot.mission.target
     assert (x, y) == pytest.approx((8 * STEP, 0.0))
     assert theta == pytest.approx(math.atan2(4.0, 3.0 - x))  # the robot faces its goal
-    assert robot.navigator.goal == (3.0, 4.0, 0.0)
-    assert_words(robot.navigator.reason.text, "give way (2 of 4)", "no path", "a person is there")
+    assert robot.mission.goal == (3.0, 4.0, 0.0)
+    assert_words(robot.mission.reason.text, "give way (2 of 4)", "no path", "a person is there")
 
     robot.run(4.0)
-    assert robot.navigator.behavior == NavCommand.FOLLOW
+    assert robot.mission.behavior == NavCommand.FOLLOW
     robot.motion = {"state": MotionStatus.DONE}
     robot.run(0.1)
-    assert (robot.navigator.state, robot.navigator.behavior) == (
+    assert (robot.mission.state, robot.mission.behavior) == (
         NavigationStatus.RECOVERING,
         NavCommand.STAND,
     )
-    assert robot.navigator.target == robot.navigator.goal
+    assert robot.mission.target == robot.mission.goal
     robot.motion = {"state": MotionStatus.MOVING}
     robot.run(3.5)
-    assert robot.navigator.behavior == NavCommand.STAND
+    assert robot.mission.behavior == NavCommand.STAND
 
     robot.run(1.0)
 
-    assert (robot.navigator.state, robot.navigator.recoveries) == (NavigationStatus.DRIVING, 2)
-    assert robot.navigator.target == (3.0, 4.0, 0.0)
+    assert (robot.mission.state, robot.mission.recoveries) == (NavigationStatus.DRIVING, 2)
+    assert robot.mission.target == (3.0, 4.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -85,15 +85,15 @@ def test_robot_waits_if_it_cannot_retreat(changes: dict[str, object]) -> None:
 
     robot.run(1.5)
 
-    assert robot.navigator.state == NavigationStatus.RECOVERING
-    assert robot.navigator.behavior == NavCommand.STAND
-    assert robot.navigator.reason.text.startswith("give way (2 of 4)")
+    assert robot.mission.state == NavigationStatus.RECOVERING
+    assert robot.mission.behavior == NavCommand.STAND
+    assert robot.mission.reason.text.startswith("give way (2 of 4)")
 
 
 def test_endless_retreat_is_given_up() -> None:
     robot = retreating_robot()
     robot.run(31.0)
-    assert robot.navigator.behavior == NavCommand.STAND
+    assert robot.mission.behavior == NavCommand.STAND
 
 
 def test_robot_without_a_trail_waits_instead() -> None:
@@ -102,7 +102,7 @@ def test_robot_without_a_trail_waits_instead() -> None:
     robot.run(200.0)
     stand, look = NavCommand.STAND, NavCommand.LOOK_AROUND
     assert robot.recovery_behaviors == [stand, stand, look, look]
-    assert robot.navigator.state == NavigationStatus.FAILED
+    assert robot.mission.state == NavigationStatus.FAILED
 
 
 def test_driving_again_after_a_retreat_does_not_count_as_progress() -> None:
@@ -111,8 +111,8 @@ def test_driving_again_after_a_retreat_does_not_count_as_progress() -> None:
     robot.drive(3600.0, blocked=lambda left: left <= 9.0)
 
     assert NavCommand.FOLLOW in robot.recovery_behaviors
-    assert_words(robot.navigator.reason.text, "a wall", "6 recoveries")
-    assert robot.navigator.recoveries == 6
+    assert_words(robot.mission.reason.text, "a wall", "6 recoveries")
+    assert robot.mission.recoveries == 6
 
 
 def retreat_from_trail(*meters: float) -> Pose | None:

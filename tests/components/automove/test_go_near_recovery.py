@@ -23,7 +23,7 @@ def robot_with_blocked_goal(**nearest: float) -> ScriptedRobot:
 def approaching_robot() -> ScriptedRobot:
     """The same robot when it starts to drive to the nearest position."""
     robot = robot_with_blocked_goal(nearest_x=2.0, nearest_y=4.0)
-    while robot.navigator.alternative is None:
+    while robot.mission.alternative is None:
         robot.run(0.1)
     robot.plan = {"outcome": Plan.FOUND, "length": 7.0}
     return robot
@@ -32,28 +32,28 @@ def approaching_robot() -> ScriptedRobot:
 def test_go_near_recovery_drives_to_the_nearest_position_and_replans() -> None:
     robot = approaching_robot()
     assert robot.recovery_behaviors == [STAND, STAND, FOLLOW]
-    assert robot.navigator.target == pytest.approx((2.0, 4.0, 0.0))
-    assert_words(robot.navigator.reason.text, "go near (3 of 4)", "no path", "an obstacle")
+    assert robot.mission.target == pytest.approx((2.0, 4.0, 0.0))
+    assert_words(robot.mission.reason.text, "go near (3 of 4)", "no path", "an obstacle")
     robot.run(40.0)
-    assert robot.navigator.behavior == FOLLOW
+    assert robot.mission.behavior == FOLLOW
     robot.motion = {"state": MotionStatus.DONE}
     robot.run(0.1)
-    assert (robot.navigator.state, robot.navigator.behavior) == (
+    assert (robot.mission.state, robot.mission.behavior) == (
         NavigationStatus.RECOVERING,
         STAND,
     )
     robot.motion = {"state": MotionStatus.MOVING}
     robot.run(5.0)
 
-    assert robot.navigator.state == NavigationStatus.DRIVING
-    assert robot.navigator.target == (3.0, 4.0, 0.0)
+    assert robot.mission.state == NavigationStatus.DRIVING
+    assert robot.mission.target == (3.0, 4.0, 0.0)
 
 
 def test_endless_approach_is_given_up() -> None:
     robot = approaching_robot()
     robot.run(54.0)
-    assert robot.navigator.reason.text.startswith("go near")
-    assert robot.navigator.behavior == STAND
+    assert robot.mission.reason.text.startswith("go near")
+    assert robot.mission.behavior == STAND
 
 
 @pytest.mark.parametrize("nearest", [(0.6, 0.7), (math.nan, math.nan)])
@@ -64,5 +64,5 @@ def test_robot_near_the_goal_looks_around_instead(
     robot.run(200.0)
 
     assert robot.recovery_behaviors == [STAND, STAND, LOOK, LOOK]
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert_words(robot.navigator.reason.text, "no path", "an obstacle", "4 recoveries")
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert_words(robot.mission.reason.text, "no path", "an obstacle", "4 recoveries")

@@ -10,9 +10,9 @@ from tests.wording import assert_words
 def test_driving_again_after_a_recovery_does_not_count_as_progress() -> None:
     robot = DrivingRobot(10.0).drive(3600.0, blocked=lambda left: left <= 9.0)
 
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert_words(robot.navigator.reason.text, "a wall", "6 recoveries")
-    assert robot.navigator.recoveries == 6
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert_words(robot.mission.reason.text, "a wall", "6 recoveries")
+    assert robot.mission.recoveries == 6
 
 
 def test_endless_progress_fails_the_mission() -> None:
@@ -20,9 +20,9 @@ def test_endless_progress_fails_the_mission() -> None:
     for left in range(99, 0, -1):
         robot.drive_until_blocked_at(left)
 
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert_words(robot.navigator.reason.text, "a wall", "20 recoveries for this goal")
-    assert robot.navigator.recoveries == 20
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert_words(robot.mission.reason.text, "a wall", "20 recoveries for this goal")
+    assert robot.mission.recoveries == 20
 
 
 def test_each_goal_has_its_own_recoveries() -> None:
@@ -31,11 +31,11 @@ def test_each_goal_has_its_own_recoveries() -> None:
     for number in range(len(goals)):
         robot.path_left_m = 2.0
         robot.drive_until_blocked_at(1.0)
-        assert robot.navigator.recoveries == number + 1
-        while robot.navigator.goal_index == number:
+        assert robot.mission.recoveries == number + 1
+        while robot.mission.goal_index == number:
             robot.drive(0.1)
 
-    assert robot.navigator.state == NavigationStatus.SUCCEEDED
+    assert robot.mission.state == NavigationStatus.SUCCEEDED
 
 
 def test_detour_around_an_obstacle_counts_as_progress() -> None:
@@ -48,8 +48,8 @@ def test_detour_around_an_obstacle_counts_as_progress() -> None:
         robot.drive_until_blocked_at(left)
     robot.drive(60.0)
 
-    assert robot.navigator.state == NavigationStatus.SUCCEEDED
-    assert robot.navigator.recoveries == 5
+    assert robot.mission.state == NavigationStatus.SUCCEEDED
+    assert robot.mission.recoveries == 5
 
 
 def test_robot_on_a_detour_is_not_stuck() -> None:
@@ -59,8 +59,8 @@ def test_robot_on_a_detour_is_not_stuck() -> None:
     robot.path_left_m = 30.0  # a new path
     robot.drive(100.0)
 
-    assert robot.navigator.state == NavigationStatus.SUCCEEDED
-    assert robot.navigator.recoveries == 0
+    assert robot.mission.state == NavigationStatus.SUCCEEDED
+    assert robot.mission.recoveries == 0
 
 
 def test_alternating_between_two_blocked_paths_fails() -> None:
@@ -71,8 +71,8 @@ def test_alternating_between_two_blocked_paths_fails() -> None:
         robot.path_left_m = 20.0
         robot.drive(30.0, blocked=lambda left: left <= 16.0)
 
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert robot.navigator.recoveries <= 30
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert robot.mission.recoveries <= 30
 
 
 def test_ever_changing_paths_fail_the_mission() -> None:
@@ -82,7 +82,7 @@ def test_ever_changing_paths_fail_the_mission() -> None:
             robot.path_left_m = length
             robot.drive(5.0)
 
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert_words(robot.navigator.reason.text, "not get nearer", "6 recoveries")
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert_words(robot.mission.reason.text, "not get nearer", "6 recoveries")
     assert robot.motion is not None
     assert robot.motion["state"] != MotionStatus.BLOCKED

@@ -1,4 +1,4 @@
-"""The navigator state machine, step by step, with scripted inputs."""
+"""The mission state machine, step by step, with scripted inputs."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 
 import pytest
 
-from cairn.components.automove.inputs import NavigatorInputs
-from cairn.components.automove.state_machine import NavigatorStateMachine
+from cairn.components.automove.inputs import MissionInputs
+from cairn.components.automove.state_machine import MissionStateMachine
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
     MotionStatus,
@@ -26,39 +26,39 @@ LOST = LocalizationEstimate(located=True, health=0.1, reason="the map explains 2
 def test_located_robot_plans_drives_and_succeeds() -> None:
     robot = ScriptedRobot().run(1.0)
     assert robot.states == [NavigationStatus.PLANNING, NavigationStatus.DRIVING]
-    assert robot.navigator.behavior == NavCommand.FOLLOW
+    assert robot.mission.behavior == NavCommand.FOLLOW
 
     robot.motion = {"state": MotionStatus.DONE}
     robot.run(0.1)
 
-    assert robot.navigator.state == NavigationStatus.SUCCEEDED
-    assert robot.navigator.reason.text == "arrived at (3.00, 4.00)"
-    assert robot.navigator.behavior == NavCommand.STAND
-    assert robot.navigator.finished
+    assert robot.mission.state == NavigationStatus.SUCCEEDED
+    assert robot.mission.reason.text == "arrived at (3.00, 4.00)"
+    assert robot.mission.behavior == NavCommand.STAND
+    assert robot.mission.finished
 
 
-def test_each_command_has_a_new_goal_id_and_old_answers_are_ignored() -> None:
+def test_each_command_has_a_new_command_id_and_old_answers_are_ignored() -> None:
     robot = ScriptedRobot((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)).run(1.0)
-    first = robot.navigator.goal_id
+    first = robot.mission.command_id
     robot.motion = {"state": MotionStatus.DONE}
     robot.run(0.1)
-    assert (robot.navigator.goal_index, robot.navigator.state) == (1, NavigationStatus.PLANNING)
-    assert robot.navigator.goal_id != first
+    assert (robot.mission.goal_index, robot.mission.state) == (1, NavigationStatus.PLANNING)
+    assert robot.mission.command_id != first
 
-    robot.navigator.step(robot.now, robot.inputs)  # with the old plan and motion status
+    robot.mission.step(robot.now, robot.inputs)  # with the old plan and motion status
 
-    assert (robot.navigator.goal_index, robot.navigator.state) == (1, NavigationStatus.PLANNING)
+    assert (robot.mission.goal_index, robot.mission.state) == (1, NavigationStatus.PLANNING)
 
 
 def test_mission_starts_at_the_given_goal_index() -> None:
-    navigator = NavigatorStateMachine(
+    mission = MissionStateMachine(
         mission_id=1,
         goals=((1.0, 0.0, 0.0), (2.0, 0.0, 0.0)),
         goal_index=1,
-        next_goal_id=itertools.count(1).__next__,
+        next_command_id=itertools.count(1).__next__,
         started_s=0.0,
     )
-    assert navigator.goal == (2.0, 0.0, 0.0)
+    assert mission.goal == (2.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("health", [None, LOST])
@@ -66,9 +66,9 @@ def test_robot_stands_until_it_is_located(health: LocalizationEstimate | None) -
     robot = ScriptedRobot()
     robot.localization = health
     robot.run(1.5)
-    assert robot.navigator.state == NavigationStatus.LOCALIZING
-    assert robot.navigator.behavior == NavCommand.STAND
-    assert robot.navigator.reason.text in (LOST.reason, "no estimate from the localizer yet")
+    assert robot.mission.state == NavigationStatus.LOCALIZING
+    assert robot.mission.behavior == NavCommand.STAND
+    assert robot.mission.reason.text in (LOST.reason, "no estimate from the localizer yet")
 
 
 def test_silent_localizer_triggers_no_recovery() -> None:
@@ -76,14 +76,14 @@ def test_silent_localizer_triggers_no_recovery() -> None:
     robot.localization = None
     robot.run(6.0)
     assert robot.states == [NavigationStatus.LOCALIZING, NavigationStatus.FAILED]
-    assert_words(robot.navigator.reason.text, "no estimate", "localizer")
+    assert_words(robot.mission.reason.text, "no estimate", "localizer")
 
     robot = ScriptedRobot()
     robot.run(1.0)
     robot.localization = None
     robot.run(1.5)
     assert (
-        robot.navigator.state == NavigationStatus.DRIVING
+        robot.mission.state == NavigationStatus.DRIVING
     )  # motion control stops by itself and reports it
 
 
@@ -91,7 +91,7 @@ def test_lost_robot_tries_all_recoveries_and_fails() -> None:
     robot = ScriptedRobot().run(1.0)
     robot.localization = LOST
     robot.run(2.0)
-    assert (robot.navigator.state, robot.navigator.behavior) == (
+    assert (robot.mission.state, robot.mission.behavior) == (
         NavigationStatus.LOCALIZING,
         NavCommand.STAND,
     )
@@ -100,9 +100,9 @@ def test_lost_robot_tries_all_recoveries_and_fails() -> None:
 
     look, explore = NavCommand.LOOK_AROUND, NavCommand.EXPLORE
     assert robot.recovery_behaviors == 2 * [NavCommand.STAND, look, explore, look, explore, look]
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert_words(robot.navigator.reason.text, "the map explains 20% of the scan", "12 recoveries")
-    assert robot.navigator.recoveries == 12
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert_words(robot.mission.reason.text, "the map explains 20% of the scan", "12 recoveries")
+    assert robot.mission.recoveries == 12
 
 
 def test_each_exploration_drives_twice_as_far() -> None:
@@ -112,8 +112,8 @@ def test_each_exploration_drives_twice_as_far() -> None:
     far = []
     for _ in range(400):
         robot.run(1.0)
-        if robot.navigator.behavior == NavCommand.EXPLORE and robot.navigator.explore_m not in far:
-            far.append(robot.navigator.explore_m)
+        if robot.mission.behavior == NavCommand.EXPLORE and robot.mission.explore_m not in far:
+            far.append(robot.mission.explore_m)
 
     assert far == [2.0, 4.0, 8.0]
 
@@ -122,12 +122,12 @@ def test_located_robot_stops_recovering_and_drives_on() -> None:
     robot = ScriptedRobot().run(1.0)
     robot.localization = LOST
     robot.run(10.0)
-    assert robot.navigator.behavior == NavCommand.LOOK_AROUND
+    assert robot.mission.behavior == NavCommand.LOOK_AROUND
 
     robot.localization = LOCATED
     robot.run(2.0)
 
-    assert robot.navigator.state == NavigationStatus.DRIVING
+    assert robot.mission.state == NavigationStatus.DRIVING
 
 
 def test_short_loss_of_health_does_not_stop_the_robot() -> None:
@@ -143,21 +143,21 @@ def test_blocked_robot_recovers_and_progress_resets_the_recoveries() -> None:
     robot = ScriptedRobot().run(1.0)
     robot.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 4.0}
     robot.run(2.5)
-    assert (robot.navigator.state, robot.navigator.reason.text) == (
+    assert (robot.mission.state, robot.mission.reason.text) == (
         NavigationStatus.DRIVING,
         "a wall",
     )
     robot.run(10.0)
     assert robot.recovery_behaviors[0] == NavCommand.STAND
-    assert robot.navigator.recoveries > 1
+    assert robot.mission.recoveries > 1
 
     for left in (4.0, 3.5):
         robot.motion = {"state": MotionStatus.MOVING, "distance_left": left}
         robot.run(6.0)
-    assert robot.navigator.state == NavigationStatus.DRIVING
+    assert robot.mission.state == NavigationStatus.DRIVING
     robot.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall", "distance_left": 3.5}
     robot.run(3.2)
-    assert_words(robot.navigator.reason.text, "wait (1 of 6)", "a wall")
+    assert_words(robot.mission.reason.text, "wait (1 of 6)", "a wall")
 
 
 def test_mission_fails_after_all_recoveries_with_the_reason() -> None:
@@ -172,14 +172,14 @@ def test_mission_fails_after_all_recoveries_with_the_reason() -> None:
         NavCommand.LOOK_AROUND,
         NavCommand.STAND,
     ]
-    assert_words(robot.navigator.reason.text, "a wall", "6 recoveries")
+    assert_words(robot.mission.reason.text, "a wall", "6 recoveries")
 
 
 def test_mission_without_recoveries_fails_at_once() -> None:
     robot = ScriptedRobot(recoveries=0).run(1.0)
     robot.motion = {"state": MotionStatus.BLOCKED, "reason": "a wall"}
     robot.run(3.5)
-    assert (robot.navigator.state, robot.navigator.reason.text) == (
+    assert (robot.mission.state, robot.mission.reason.text) == (
         NavigationStatus.FAILED,
         "a wall",
     )
@@ -189,8 +189,8 @@ def test_moving_without_progress_triggers_a_recovery() -> None:
     robot = ScriptedRobot().run(1.0)
     robot.motion = {"state": MotionStatus.MOVING, "distance_left": 2.0}
     robot.run(21.0)
-    assert robot.navigator.state == NavigationStatus.RECOVERING
-    assert_words(robot.navigator.reason.text, "wait (1 of 6)", "not get nearer")
+    assert robot.mission.state == NavigationStatus.RECOVERING
+    assert_words(robot.mission.reason.text, "wait (1 of 6)", "not get nearer")
 
 
 @pytest.mark.parametrize(
@@ -201,12 +201,12 @@ def test_missing_path_fails_with_the_reason_of_the_planner(outcome: int, tries: 
     robot.plan = {"outcome": outcome, "reason": "the goal is in a wall"}
     robot.motion = {"state": MotionStatus.DONE}
     robot.run(1.0)
-    assert_words(robot.navigator.reason.text, "no path", "the goal is in a wall")
+    assert_words(robot.mission.reason.text, "no path", "the goal is in a wall")
     robot.run(200.0)
     assert len(robot.recovery_behaviors) == tries
-    assert robot.navigator.state == NavigationStatus.FAILED
+    assert robot.mission.state == NavigationStatus.FAILED
     assert_words(
-        robot.navigator.reason.text, "no path", "the goal is in a wall", f"{tries} recoveries"
+        robot.mission.reason.text, "no path", "the goal is in a wall", f"{tries} recoveries"
     )
 
 
@@ -216,15 +216,15 @@ def test_impossible_goal_fails_at_once(outcome: int) -> None:
     robot.plan = {"outcome": outcome, "reason": "the goal is outside the map"}
     robot.run(0.3)
     assert robot.states == [NavigationStatus.PLANNING, NavigationStatus.FAILED]
-    assert_words(robot.navigator.reason.text, "no path", "the goal is outside the map")
+    assert_words(robot.mission.reason.text, "no path", "the goal is outside the map")
 
 
 def test_goal_that_a_new_keepout_zone_covers_fails_while_the_robot_drives() -> None:
     robot = ScriptedRobot().run(1.0)
     robot.plan = {"outcome": Plan.GOAL_IN_KEEPOUT, "reason": "the goal is in keepout zone a"}
     robot.run(0.2)
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert robot.navigator.reason.code == ReasonCode.GOAL_IN_KEEPOUT
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert robot.mission.reason.code == ReasonCode.GOAL_IN_KEEPOUT
 
 
 @pytest.mark.parametrize("begins_s", [0.0, 1.0], ids=["planning", "driving"])
@@ -233,12 +233,12 @@ def test_goal_waits_while_the_robot_must_stay_in_a_keepout_zone(begins_s: float)
     robot.plan = {"outcome": Plan.START_IN_KEEPOUT, "reason": "the robot is in keepout zone a"}
     robot.motion = {"state": MotionStatus.STOPPED, "reason_code": ReasonCode.IN_KEEPOUT}
     robot.run(300.0)
-    assert robot.navigator.reason.code == ReasonCode.IN_KEEPOUT
+    assert robot.mission.reason.code == ReasonCode.IN_KEEPOUT
     assert robot.recovery_behaviors == []
 
     robot.plan, robot.motion = {"outcome": Plan.FOUND}, {"state": MotionStatus.MOVING}
     robot.run(1.0)
-    assert robot.navigator.state == NavigationStatus.DRIVING
+    assert robot.mission.state == NavigationStatus.DRIVING
 
 
 def test_robot_outside_the_map_recovers_and_drives_on() -> None:
@@ -246,40 +246,40 @@ def test_robot_outside_the_map_recovers_and_drives_on() -> None:
     outside = "the robot at (-0.10, 3.00) is outside the map"
     robot.plan = {"outcome": Plan.START_BLOCKED, "reason": outside}
     robot.run(5.0)
-    assert robot.navigator.state == NavigationStatus.RECOVERING
-    assert_words(robot.navigator.reason.text, "wait (1 of 6)", "no path", outside)
+    assert robot.mission.state == NavigationStatus.RECOVERING
+    assert_words(robot.mission.reason.text, "wait (1 of 6)", "no path", outside)
 
     robot.plan = {"outcome": Plan.FOUND}
     robot.run(5.0)
 
-    assert robot.navigator.state == NavigationStatus.DRIVING
+    assert robot.mission.state == NavigationStatus.DRIVING
 
 
 def test_silent_planner_is_reported() -> None:
     robot = ScriptedRobot(planning_s=5.0)
     robot.plan = None
     robot.run(6.0)
-    assert_words(robot.navigator.reason.text, "wait (1 of 6)", "path planner")
+    assert_words(robot.mission.reason.text, "wait (1 of 6)", "path planner")
 
 
 def test_missing_input_fails_the_mission_with_its_name() -> None:
     robot = ScriptedRobot(stopped_s=5.0).run(1.0)
     robot.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
     robot.run(4.0)
-    assert robot.navigator.state == NavigationStatus.DRIVING
-    assert robot.navigator.reason.text == "no scan for 0.6 s on /robot/scan"
+    assert robot.mission.state == NavigationStatus.DRIVING
+    assert robot.mission.reason.text == "no scan for 0.6 s on /robot/scan"
 
     robot.motion = {"state": MotionStatus.MOVING}
     robot.run(1.0)
-    assert (robot.navigator.state, robot.navigator.reason.text) == (
+    assert (robot.mission.state, robot.mission.reason.text) == (
         NavigationStatus.DRIVING,
         "",
     )
 
     robot.motion = {"state": MotionStatus.STOPPED, "reason": "no scan for 0.6 s on /robot/scan"}
     robot.run(5.5)
-    assert robot.navigator.state == NavigationStatus.FAILED
-    assert robot.navigator.reason.text == "no scan for 0.6 s on /robot/scan"
+    assert robot.mission.state == NavigationStatus.FAILED
+    assert robot.mission.reason.text == "no scan for 0.6 s on /robot/scan"
 
 
 def test_input_missing_during_a_recovery_is_named() -> None:
@@ -288,42 +288,42 @@ def test_input_missing_during_a_recovery_is_named() -> None:
     robot.run(10.0)
     robot.motion = {"state": MotionStatus.STOPPED, "reason": "no odom for 0.6 s on /robot/odom"}
     robot.run(1.0)
-    assert robot.navigator.reason.text == "no odom for 0.6 s on /robot/odom"
+    assert robot.mission.reason.text == "no odom for 0.6 s on /robot/odom"
     robot.run(5.0)
-    assert robot.navigator.state == NavigationStatus.FAILED
+    assert robot.mission.state == NavigationStatus.FAILED
 
 
 def test_silent_motion_control_is_reported_with_the_time() -> None:
     robot = ScriptedRobot(stopped_s=5.0).run(1.0)
     robot.motion = None
     robot.run(3.0)
-    assert robot.navigator.state == NavigationStatus.DRIVING
-    assert_words(robot.navigator.reason.text, "motion control", "3.0 s")
+    assert robot.mission.state == NavigationStatus.DRIVING
+    assert_words(robot.mission.reason.text, "motion control", "3.0 s")
     robot.run(5.0)
-    assert robot.navigator.state == NavigationStatus.FAILED
+    assert robot.mission.state == NavigationStatus.FAILED
 
 
 def test_canceled_mission_stays_canceled() -> None:
     robot = ScriptedRobot().run(1.0)
-    goal_id = robot.navigator.goal_id
-    robot.navigator.cancel()
+    command_id = robot.mission.command_id
+    robot.mission.cancel()
     robot.run(1.0)
-    assert robot.navigator.state == NavigationStatus.CANCELED
-    assert robot.navigator.behavior == NavCommand.STAND
-    assert robot.navigator.goal_id != goal_id
+    assert robot.mission.state == NavigationStatus.CANCELED
+    assert robot.mission.behavior == NavCommand.STAND
+    assert robot.mission.command_id != command_id
 
 
 def test_distance_left_is_along_the_path_while_driving() -> None:
     robot = ScriptedRobot()
-    assert robot.navigator.distance_left(robot.inputs) == pytest.approx(5.0)
+    assert robot.mission.distance_left(robot.inputs) == pytest.approx(5.0)
     robot.motion = {"state": MotionStatus.MOVING, "distance_left": 7.0}
     robot.run(1.0)
-    assert robot.navigator.distance_left(robot.inputs) == 7.0
+    assert robot.mission.distance_left(robot.inputs) == 7.0
     robot.motion = {"state": MotionStatus.STOPPED, "reason": "no scan"}
     robot.run(0.5)
-    assert robot.navigator.distance_left(robot.inputs) == pytest.approx(5.0)
-    assert robot.navigator.distance_left(NavigatorInputs()) == 0.0
-    assert math.isinf(NavigatorInputs().localization_s)
+    assert robot.mission.distance_left(robot.inputs) == pytest.approx(5.0)
+    assert robot.mission.distance_left(MissionInputs()) == 0.0
+    assert math.isinf(MissionInputs().localization_s)
 
 
 def test_uncertain_pose_does_not_reach_a_goal() -> None:
@@ -331,6 +331,6 @@ def test_uncertain_pose_does_not_reach_a_goal() -> None:
     robot.localization = LocalizationEstimate(located=True, health=0.45, reason="found but now")
     robot.motion = {"state": MotionStatus.DONE}
     robot.run(0.1)
-    assert robot.navigator.state == NavigationStatus.RECOVERING
-    assert robot.navigator.behavior == NavCommand.LOOK_AROUND
-    assert "found but now" in robot.navigator.reason.text
+    assert robot.mission.state == NavigationStatus.RECOVERING
+    assert robot.mission.behavior == NavCommand.LOOK_AROUND
+    assert "found but now" in robot.mission.reason.text

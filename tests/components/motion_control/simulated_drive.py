@@ -78,18 +78,18 @@ class SimulatedDrive:
         self._clocks_behind += round(seconds * SECOND)
 
     def command(
-        self, goal_id: int, behavior: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
+        self, command_id: int, behavior: int, goal: Pose = (0.0, 0.0, 0.0), distance: float = 0.0
     ) -> None:
         """Publish a navigation command, now and every half second."""
         self._nav_command = NavCommand(
-            goal_id=goal_id, behavior=behavior, goal=pose_message(goal), distance=distance
+            command_id=command_id, behavior=behavior, goal=pose_message(goal), distance=distance
         )
         self._publish("nav_command", self._nav_command)
 
-    def publish_plan(self, goal_id: int, *points: tuple[float, float], **fields: Any) -> None:
+    def publish_plan(self, command_id: int, *points: tuple[float, float], **fields: Any) -> None:
         """Publish a path through these points."""
         poses = packed_poses(np.array([(x, y, 0.0) for x, y in points]).reshape(-1, 3))
-        self._publish("plan", Plan(goal_id=goal_id, poses=poses, **fields))
+        self._publish("plan", Plan(command_id=command_id, poses=poses, **fields))
 
     def run_for(self, seconds: float, until: int | None = None) -> None:
         """Let time pass, at most until a status has the state `until`."""

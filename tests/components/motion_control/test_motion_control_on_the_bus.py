@@ -44,7 +44,7 @@ def test_plan_is_followed_to_the_goal_and_its_heading() -> None:
 
     x, y, heading = drive.robot.pose
     assert drive.status.state == STATES.DONE
-    assert drive.status.goal_id == 7
+    assert drive.status.command_id == 7
     assert math.hypot(x - 3, y) < 0.1
     assert heading == pytest.approx(1.0, abs=0.1)
 
@@ -77,7 +77,7 @@ def test_robot_stands_on_command() -> None:
     drive.run_for(1.5)
 
     assert drive.status.state == STATES.STANDING
-    assert drive.status.goal_id == 8
+    assert drive.status.command_id == 8
     assert drive.robot.speed == 0.0
 
 
@@ -305,7 +305,7 @@ def test_scans_are_placed_where_they_were_taken_although_odometry_is_late() -> N
     drive.run_for(0.7)  # it accelerates
 
     memory = drive.motion_control.component._memory
-    points = memory._points[: memory._count]
+    points = memory.points
     origin = compose(drive.robot.pose, inverse(drive.robot.odom))
     x, y = np.array([compose(origin, (px, py, 0.0))[:2] for px, py in points.tolist()]).T
     errors = np.abs(np.maximum(np.abs(x + 3.0), np.abs(y)) - 1.5)

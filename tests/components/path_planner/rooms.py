@@ -69,12 +69,12 @@ def not_located(reason: str) -> LocalizationEstimate:
     return LocalizationEstimate(reason=reason)
 
 
-def follow(goal: Pose, goal_id: int = 1) -> NavCommand:
-    return NavCommand(goal_id=goal_id, behavior=NavCommand.FOLLOW, goal=pose_message(goal))
+def follow(goal: Pose, command_id: int = 1) -> NavCommand:
+    return NavCommand(command_id=command_id, behavior=NavCommand.FOLLOW, goal=pose_message(goal))
 
 
-def stand(goal_id: int) -> NavCommand:
-    return NavCommand(goal_id=goal_id, behavior=NavCommand.STAND)
+def stand(command_id: int) -> NavCommand:
+    return NavCommand(command_id=command_id, behavior=NavCommand.STAND)
 
 
 def scan_of(grid: OccupancyCells, pose: Pose, time: float, beams: int = 360) -> LaserScan:

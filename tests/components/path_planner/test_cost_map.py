@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cairn.components.path_planner.cost_map import BLOCKED, CostMap, CostParameters, nearest_open
-from cairn.components.path_planner.obstacle_memory import RecentObstacles
+from cairn.components.path_planner.unmapped_obstacles import RecentObstacles
 from cairn.planar.grid import Frame, OccupancyCells
 from cairn.planar.scans import ScanBeams
 from cairn.planar.shortest_path import CLOSED, MARGIN, MAX_COST, MIN_COST, open_costs

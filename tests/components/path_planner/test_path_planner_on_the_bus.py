@@ -38,12 +38,12 @@ def test_outcomes_have_the_numbers_of_the_message() -> None:
 def test_goal_is_planned_at_once() -> None:
     planner = start_planner(room(DOOR))
 
-    planner.publish("nav_command", follow(THERE, goal_id=7))
+    planner.publish("nav_command", follow(THERE, command_id=7))
 
     (plan,) = planner.take("plan")
     (path,) = planner.take("path")
     poses = planar_poses(plan.poses)
-    assert (plan.goal_id, plan.outcome, plan.header.frame_id) == (7, Plan.FOUND, "map")
+    assert (plan.command_id, plan.outcome, plan.header.frame_id) == (7, Plan.FOUND, "map")
     assert tuple(poses[0, :2]) == HERE[:2]
     assert tuple(poses[-1]) == pytest.approx(THERE)
     assert plan.length == pytest.approx(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
@@ -68,16 +68,16 @@ def test_missing_inputs_are_reported_and_planning_starts_when_they_arrive() -> N
 def test_repeated_command_changes_nothing_and_a_new_goal_is_planned() -> None:
     planner = start_planner(room())
     for _ in range(3):
-        planner.publish("nav_command", follow(THERE, goal_id=1))
+        planner.publish("nav_command", follow(THERE, command_id=1))
         planner.run_for(0.5)
     assert len(planner.take("plan")) == 1
 
-    planner.publish("nav_command", stand(goal_id=2))
+    planner.publish("nav_command", stand(command_id=2))
     planner.run_for(3.0)
     assert planner.take("plan") == []
 
-    planner.publish("nav_command", follow(THERE, goal_id=3))
-    assert [plan.goal_id for plan in planner.take("plan")] == [3]
+    planner.publish("nav_command", follow(THERE, command_id=3))
+    assert [plan.command_id for plan in planner.take("plan")] == [3]
 
 
 def test_odometry_carries_the_last_pose_forward() -> None:
@@ -128,7 +128,7 @@ def test_goal_after_an_odometry_jump_waits_for_a_pose() -> None:
 
     planner.run_for(2.0)
     planner.publish("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 2.0))
-    planner.publish("nav_command", follow(THERE, goal_id=2))
+    planner.publish("nav_command", follow(THERE, command_id=2))
     planner.publish("localization", pose_at((4.0, 4.0, 0.0), BEGIN + 1.9))
     (refused,) = planner.take("plan")
     planner.publish("odom", odom_at((0.1, 0.0, 0.0), planner.now + 0.1))
@@ -146,7 +146,7 @@ def test_pose_after_the_jump_that_arrives_before_odometry_counts() -> None:
     planner.publish("localization", pose_at((5.0, 5.0, 0.0), BEGIN + 2.0))
 
     planner.publish("odom", odom_at((0.0, 0.0, 0.0), BEGIN + 1.98))
-    planner.publish("nav_command", follow(THERE, goal_id=2))
+    planner.publish("nav_command", follow(THERE, command_id=2))
 
     (plan,) = planner.take("plan")
     assert tuple(planar_poses(plan.poses)[0, :2]) == (5.0, 5.0)
@@ -156,7 +156,7 @@ def test_pose_from_before_a_time_reset_is_not_used() -> None:
     planner = driven_away()
 
     planner.publish("odom", odom_at((3.0, 2.3, 0.0), BEGIN - 50.0))
-    planner.publish("nav_command", follow(THERE, goal_id=2))
+    planner.publish("nav_command", follow(THERE, command_id=2))
     planner.publish("localization", pose_at((4.5, 4.5, 0.0), BEGIN - 50.0))
 
     refused, found = planner.take("plan")
@@ -172,7 +172,7 @@ def test_fast_robots_and_rare_odometry_do_not_count_as_a_jump(seconds: float, st
 
     planner.run_for(seconds)
     planner.publish("odom", odom_at(compose((3.0, 2.3, 0.0), step), planner.now))
-    planner.publish("nav_command", follow(THERE, goal_id=2))
+    planner.publish("nav_command", follow(THERE, command_id=2))
 
     (plan,) = planner.take("plan")
     assert planar_poses(plan.poses)[0, :2] == pytest.approx((4.0 + step[0], 4.0))
@@ -180,7 +180,7 @@ def test_fast_robots_and_rare_odometry_do_not_count_as_a_jump(seconds: float, st
 
 def test_restarted_planner_continues_with_the_latched_goal() -> None:
     planner = start_planner(room())
-    planner.publish("nav_command", follow(THERE, goal_id=4))
+    planner.publish("nav_command", follow(THERE, command_id=4))
     planner.take("plan")
 
     for step in ("deactivate", "cleanup", "configure", "activate"):
@@ -189,8 +189,8 @@ def test_restarted_planner_continues_with_the_latched_goal() -> None:
     planner.publish("localization", pose_at((2.0, 2.0, 0.0), planner.now))
 
     *refused, found = planner.take("plan")
-    assert {(plan.goal_id, plan.outcome) for plan in refused} == {(4, Plan.NOT_READY)}
-    assert (found.goal_id, found.outcome) == (4, Plan.FOUND)
+    assert {(plan.command_id, plan.outcome) for plan in refused} == {(4, Plan.NOT_READY)}
+    assert (found.command_id, found.outcome) == (4, Plan.FOUND)
     assert tuple(planar_poses(found.poses)[0, :2]) == (2.0, 2.0)
 
 

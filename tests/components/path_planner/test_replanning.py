@@ -66,13 +66,13 @@ def test_obstacles_seen_for_an_earlier_goal_are_not_avoided() -> None:
     box = (2.5, 1.7, 2.9, 2.4)
     here, there = (1.0, 1.8, 0.0), (4.0, 2.3, 0.0)
     planner = start_planner(room(), pose=here)
-    planner.publish("nav_command", follow(there, goal_id=1))
+    planner.publish("nav_command", follow(there, command_id=1))
     scan_standing(planner, room([box]), 0.5, here)
-    planner.publish("nav_command", stand(goal_id=2))
+    planner.publish("nav_command", stand(command_id=2))
     planner.run_for(5.0)
     planner.take("plan")
 
-    planner.publish("nav_command", follow(there, goal_id=3))
+    planner.publish("nav_command", follow(there, command_id=3))
 
     assert distance_to(planner.take("plan")[0], [box]) < 0.1
 
@@ -203,7 +203,7 @@ def stand_blocked(
     """Let motion control report for some time, five times per second, that the robot is blocked."""
     for _ in range(round(duration * 5)):
         planner.run_for(0.2)
-        planner.publish("motion_status", MotionStatus(goal_id=1, state=state))
+        planner.publish("motion_status", MotionStatus(command_id=1, state=state))
 
 
 @pytest.mark.parametrize(
@@ -230,8 +230,8 @@ def test_stuck_robot_without_an_alternative_keeps_its_path() -> None:
 
     stand_blocked(planner, 10.0)
     kept = planner.take("plan")
-    planner.publish("nav_command", stand(goal_id=2))
-    planner.publish("nav_command", follow(BEYOND, goal_id=3))
+    planner.publish("nav_command", stand(command_id=2))
+    planner.publish("nav_command", follow(BEYOND, command_id=3))
 
     assert kept == []
     assert [plan.outcome for plan in planner.take("plan")] == [Plan.FOUND]

@@ -12,7 +12,7 @@ from cairn.bus.keys import message_key
 from cairn.components.ros_names.component import RosNames
 from cairn.deployment.access_control import access_control
 from cairn.deployment.model import Deployment
-from cairn.deployment.ros_names import ros_services, ros_topics
+from cairn.deployment.ros_name_mapping import ros_services, ros_topics
 from cairn.processes.lockstep import LockstepRun
 from cairn.processes.run_plan import plan_run, with_recorder
 from cairn.schemas.diagnostic_msgs import DiagnosticArray

@@ -9,7 +9,7 @@ import pytest
 
 from cairn import CairnError
 from cairn.client import Connection, navigation
-from cairn.client.navigation import Navigator
+from cairn.client.navigation import MissionClient
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
 from cairn.supervisors.mobile.cli import cause_of, parse_goals, print_progress, progress_line
 from cairn.testing.launching import new_endpoint
@@ -146,7 +146,7 @@ def test_silent_supervisor_is_reported_with_the_way_to_stop_the_robot(
     connection = Connection.open(bus)
     remarks: list[str] = []
     with pytest.raises(CairnError) as refused:
-        Navigator(connection, "/robot/mobile_supervisor", remarks.append).await_active()
+        MissionClient(connection, "/robot/mobile_supervisor", remarks.append).await_active()
     connection.close()
     assert "mobile_supervisor does not answer" in remarks[0]
     assert str(refused.value).startswith("mobile_supervisor has not answered for 0 s")

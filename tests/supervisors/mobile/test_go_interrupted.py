@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cairn.bus.actions import CANCEL_GOAL, ActionCaller, SentGoal, make_at_once
-from cairn.client.navigation import Navigator, PlanarPose
+from cairn.client.navigation import MissionClient, PlanarPose
 from cairn.planar.messages import pose_message
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
 from cairn.schemas.action_msgs.srv import CancelGoal
@@ -46,7 +46,7 @@ class LockstepGoal:
         """Nothing is to be closed."""
 
 
-class InterruptedNavigator(Navigator):
+class InterruptedMissions(MissionClient):
     """The supervisor of a robot in lockstep, used by a client that is interrupted at `moment`."""
 
     def __init__(self, robot: DeploymentHarness, moment: str) -> None:
@@ -102,11 +102,11 @@ def robot(tmp_path: Path) -> Iterator[DeploymentHarness]:
 def test_ctrl_c_cancels_the_goal_sent(
     robot: DeploymentHarness, capsys: pytest.CaptureFixture[str], moment: str
 ) -> None:
-    navigator = InterruptedNavigator(robot, moment)
+    missions = InterruptedMissions(robot, moment)
     with pytest.raises(KeyboardInterrupt):
-        follow(navigator, GOALS, as_json=False)
+        follow(missions, GOALS, as_json=False)
 
-    assert navigator.goals[0].sent.status == GoalStatus.STATUS_CANCELED
+    assert missions.goals[0].sent.status == GoalStatus.STATUS_CANCELED
     assert capsys.readouterr().out.splitlines()[-1] == "canceled: the robot stops"
 
 
@@ -116,7 +116,7 @@ def test_ctrl_c_does_not_cancel_the_goal_of_another_client(
     _, of_another = go(robot, [3.0, 4.0, 0.0])
 
     with pytest.raises(KeyboardInterrupt):
-        follow(InterruptedNavigator(robot, "before it is sent"), GOALS, as_json=False)
+        follow(InterruptedMissions(robot, "before it is sent"), GOALS, as_json=False)
 
     assert not of_another.has_ended
     output = capsys.readouterr()
@@ -128,11 +128,11 @@ def test_ctrl_c_does_not_cancel_the_goal_of_another_client(
 def test_goal_that_ends_during_ctrl_c_keeps_its_result(
     robot: DeploymentHarness, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
-    navigator = InterruptedNavigator(robot, "as it ends")
+    missions = InterruptedMissions(robot, "as it ends")
     with pytest.raises(KeyboardInterrupt):
-        follow(navigator, GOALS, as_json=as_json)
+        follow(missions, GOALS, as_json=as_json)
 
-    assert navigator.goals[0].sent.status == GoalStatus.STATUS_SUCCEEDED
+    assert missions.goals[0].sent.status == GoalStatus.STATUS_SUCCEEDED
     assert_words(
         capsys.readouterr().err, "nothing is canceled", "mobile_supervisor", "not under way"
     )

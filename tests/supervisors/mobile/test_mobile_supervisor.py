@@ -12,12 +12,13 @@ import pytest
 from cairn import LATCHED, CairnError
 from cairn.bus.actions import STATUS_TEXT, SentGoal, uuid_of
 from cairn.client.connection import Connection
-from cairn.client.navigation import Navigator
+from cairn.client.navigation import MissionClient
 from cairn.planar.messages import packed_poses, planar_poses, pose_message
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus
 from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.cairn_nav_msgs import (
     MAX_GOALS,
+    MissionOutcome,
     NavigateGoal,
     NavigationStatus,
     ReasonCode,
@@ -27,7 +28,13 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from cairn.schemas.std_msgs import Header
 from cairn.supervisors.mobile import mission_file
-from cairn.supervisors.mobile.mission_file import ActionRecord, Mission, MissionFile, check_goals
+from cairn.supervisors.mobile.mission_file import (
+    ActionRecord,
+    Mission,
+    MissionFile,
+    MissionResult,
+    check_goals,
+)
 from cairn.system.files import replace_file
 from cairn.testing.lockstep import DeploymentHarness
 from tests.navigation.driving import send_poses
@@ -99,7 +106,7 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     goals = [[1.0, -2.0, 0.5], [3.0, 4.0, 0.0]]
     number, sent = go(robot, *goals)
     (first,) = missions.take()
-    assert first.action_goal_id.uuid.tobytes() == sent.id
+    assert first.goal_id.uuid.tobytes() == sent.id
     assert (first.mission_id, first.first, goals_of(first)) == (number, 0, goals)
 
     publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=1, goals=2)
@@ -107,7 +114,7 @@ def test_mission_is_published_latched_and_kept_until_its_result(
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
     saved = MissionFile(tmp_path / "mission.json").load()
     assert saved is not None
-    assert (saved.mission_id, saved.first, saved.result) == (number, 1, "")
+    assert (saved.mission_id, saved.first, saved.result) == (number, 1, None)
 
     publish_status(
         robot,
@@ -157,7 +164,7 @@ def test_goals_of_the_explorer_preempt_each_other_and_are_canceled(
     assert (canceled.mission_id, len(canceled.goals)) == (second.mission_id, 0)
     saved = MissionFile(tmp_path / "mission.json").load()
     assert saved is not None
-    assert saved.result == "canceled: the exploration has ended"
+    assert str(saved.result) == "canceled: the exploration has ended"
 
 
 def test_explorer_neither_preempts_nor_cancels_a_mission_of_an_operator(
@@ -213,7 +220,7 @@ def test_missions_that_no_client_sent_are_goals_too(make_harness: MakeHarness) -
     robot.publish("exploration_goal", exploration_goal([1.0, 2.0, 0.0]))
     assert cancel(robot, "navigate_through_poses") == 1
 
-    identities = {mission.action_goal_id.uuid.tobytes() for mission in missions.take()}
+    identities = {mission.goal_id.uuid.tobytes() for mission in missions.take()}
     assert len(identities) == 3
 
 
@@ -238,7 +245,7 @@ def test_restarted_supervisor_continues_the_mission(make_harness: MakeHarness) -
 
     (again,) = missions.take()
     assert (again.mission_id, again.first, goals_of(again)) == (number, 1, goals)
-    assert again.action_goal_id.uuid.tobytes() == sent.id
+    assert again.goal_id.uuid.tobytes() == sent.id
 
 
 def test_finished_mission_stays_finished_after_a_restart(
@@ -419,7 +426,7 @@ def test_more_goals_than_allowed_are_refused_wherever_they_are_given(
     with pytest.raises(InvalidMessage, match=words_in_order("goals = 1001", "at most 1000")):
         NavigateGoal(goals=packed_poses(np.array(too_many)))
     with pytest.raises(CairnError, match=words_in_order("1,001 goals", "at most 1,000")):
-        Navigator(Connection(cast("Any", None), 0), "/robot/x", print).goal(too_many)
+        MissionClient(Connection(cast("Any", None), 0), "/robot/x", print).goal(too_many)
     listed = [list(goal) for goal in too_many]
     with pytest.raises(CairnError, match=words_in_order("mission", "at most 1000")):
         make_harness(f"components.mobile_supervisor.parameters.mission={listed}")
@@ -432,6 +439,9 @@ def test_progress_beyond_the_goals_is_ignored(make_harness: MakeHarness) -> None
     missions.take()
     publish_status(robot, mission_id=number, state=NavigationStatus.DRIVING, goal=2, goals=1)
     assert missions.take() == []
+
+
+CANCELED = MissionResult(outcome=MissionOutcome.CANCELED, code=ReasonCode.CANCELED, reason="")
 
 
 def a_mission(number: int = 1, **changes: Any) -> Mission:
@@ -469,7 +479,7 @@ def test_kill_between_goals_and_progress_leaves_the_new_mission_at_its_start(
 
 
 @pytest.mark.parametrize(
-    "after", [a_mission(1, result="canceled: on request"), a_mission(2)], ids=["ended", "preempted"]
+    "after", [a_mission(1, result=CANCELED), a_mission(2)], ids=["ended", "preempted"]
 )
 def test_mission_that_is_over_is_not_continued_if_the_disk_takes_no_data(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: Mission

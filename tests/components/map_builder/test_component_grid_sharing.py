@@ -72,7 +72,7 @@ def test_crate_removed_before_one_robot_opens_the_passage_for_all(grid_file: Pat
     robots = [builder(world, grid_file, f"robot_{k}") for k in range(1, 6)]
     planner = ComponentHarness(PathPlanner, {}, beside=world, robot="robot_5")
     planner.publish("localization", pose_at((2.0, 5.0, 0.0), world.now))
-    planner.publish("nav_command", follow((7.0, 5.0, 0.0), goal_id=1))
+    planner.publish("nav_command", follow((7.0, 5.0, 0.0), command_id=1))
     (closed,) = planner.take("plan")
     assert closed.outcome == Plan.UNREACHABLE
     watch(robots[0], CLOSED, 2.0)
@@ -83,7 +83,7 @@ def test_crate_removed_before_one_robot_opens_the_passage_for_all(grid_file: Pat
     world.run_for(0.5)
     assert all(np.array_equal(cells(robots[0]), cells(robot)) for robot in robots)
     planner.publish("localization", pose_at((2.0, 5.0, 0.0), world.now))
-    planner.publish("nav_command", follow((7.0, 5.0, 0.0), goal_id=2))
+    planner.publish("nav_command", follow((7.0, 5.0, 0.0), command_id=2))
     opened = planner.take("plan")[-1]
     assert opened.outcome == Plan.FOUND
     through = planar_poses(opened.poses)

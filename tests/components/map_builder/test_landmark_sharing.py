@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cairn import CairnError
 from cairn.components.map_builder.landmark_map import LandmarkKeeper
-from cairn.components.map_builder.shared_landmarks import LandmarkSharing
+from cairn.components.map_builder.landmark_sharing import LandmarkSharing
 from cairn.visual_map.landmarks import (
     ChangeKind,
     LandmarkRecord,

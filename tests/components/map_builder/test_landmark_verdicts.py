@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cairn.components.map_builder.landmark_map import LandmarkMap
 from cairn.components.map_builder.landmark_registration import record_departure
-from cairn.components.map_builder.landmark_rule import (
+from cairn.components.map_builder.landmark_verdicts import (
     add_absence,
     add_recognition,
     cell_of,

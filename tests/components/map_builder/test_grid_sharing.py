@@ -21,8 +21,8 @@ from cairn.components.map_builder.cell_record import (
     set_of,
 )
 from cairn.components.map_builder.grid_keeper import GridKeeper
+from cairn.components.map_builder.grid_sharing import CellSharing
 from cairn.components.map_builder.occupancy import Occupancy
-from cairn.components.map_builder.shared_cells import CellSharing
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from cairn.planar.map_file import write_map
 from cairn.planar.scans import Rays
