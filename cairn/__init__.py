@@ -22,24 +22,15 @@ if TYPE_CHECKING:
     from cairn.bus.qos import LATCHED, RELIABLE, SENSOR, Qos
     from cairn.errors import CairnError
     from cairn.processes.supervisor import StartFailed, Supervisor
+    from cairn.runtime.action_ports import ActionClient, ActionServer
     from cairn.runtime.component import Component
+    from cairn.runtime.handlers import cancel, every, goal, on, serve
     from cairn.runtime.lifecycle import LifecycleState
     from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath, SensorFrame
-    from cairn.runtime.ports import (
-        ActionClient,
-        ActionServer,
-        Client,
-        In,
-        Out,
-        Server,
-        cancel,
-        every,
-        goal,
-        on,
-        serve,
-    )
     from cairn.runtime.rate_limited_log import RateLimitedLog
     from cairn.runtime.retried_save import RetriedSave
+    from cairn.runtime.service_ports import Client, Server
+    from cairn.runtime.topic_ports import In, Out
     from cairn.schemas.builtin_interfaces import from_ns, to_ns
     from cairn.system.clock import SECOND, Clock, SteadyClock, has_passed
 
@@ -88,7 +79,9 @@ _MODULES: Final = {
     "cairn.bus.qos": ("LATCHED", "RELIABLE", "SENSOR", "Qos"),
     "cairn.errors": ("CairnError",),
     "cairn.processes.supervisor": ("StartFailed", "Supervisor"),
+    "cairn.runtime.action_ports": ("ActionClient", "ActionServer"),
     "cairn.runtime.component": ("Component",),
+    "cairn.runtime.handlers": ("cancel", "every", "goal", "on", "serve"),
     "cairn.runtime.lifecycle": ("LifecycleState",),
     "cairn.runtime.parameters": (
         "Config",
@@ -97,21 +90,10 @@ _MODULES: Final = {
         "ReadPath",
         "SensorFrame",
     ),
-    "cairn.runtime.ports": (
-        "ActionClient",
-        "ActionServer",
-        "Client",
-        "In",
-        "Out",
-        "Server",
-        "cancel",
-        "every",
-        "goal",
-        "on",
-        "serve",
-    ),
     "cairn.runtime.rate_limited_log": ("RateLimitedLog",),
     "cairn.runtime.retried_save": ("RetriedSave",),
+    "cairn.runtime.service_ports": ("Client", "Server"),
+    "cairn.runtime.topic_ports": ("In", "Out"),
     "cairn.schemas.builtin_interfaces": ("from_ns", "to_ns"),
     "cairn.system.clock": ("SECOND", "Clock", "SteadyClock", "has_passed"),
 }

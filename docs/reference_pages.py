@@ -25,7 +25,7 @@ from cairn.runtime.ports import ports_of
 from cairn.schemas.interfaces import interface, interface_type_names
 from cairn.schemas.message import schema_messages, type_name
 
-PACKAGE = "cairn-robotics"
+PACKAGES = ("cairn-robotics", "cairn-lab")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -100,7 +100,7 @@ def _plugins_page() -> str:
     parts.extend(
         _plugin_section(plugin.name, load_plugin(plugin.name))
         for plugin in installed_plugins()
-        if plugin.package.split()[0] == PACKAGE
+        if plugin.package.split()[0] in PACKAGES
     )
     return "".join(parts)
 
@@ -108,7 +108,7 @@ def _plugins_page() -> str:
 def _plugin_section(name: str, cls: type[Component]) -> str:
     lines = [f"\n## {name}\n", getdoc(cls) or "", "", f"Class: `{cls.__module__}:{cls.__name__}`"]
     ports = [
-        (f"`{port.name}`", port.direction, f"`{type_name(port.message)}`", str(port.qos.depth))
+        (f"`{port.name}`", port.direction, f"`{type_name(port.interface)}`", str(port.qos.depth))
         for port in ports_of(cls).values()
     ]
     if ports:

@@ -305,7 +305,7 @@ def cross_field_check(cls: type[Any]) -> Callable[[Any], None] | None:
 def _constructor(
     name: str, fields: tuple[str, ...], plain: dict[str, type[Any]], defaults: dict[str, Any]
 ) -> Callable[..., None]:
-    def __init__(self: Any, /, *args: Any, **kwargs: Any) -> None:  # noqa: N807
+    def __init__(self: Any, /, *args: Any, **kwargs: Any) -> None:
         # Fast path: most messages are points, headers and compositions of these.
         if defaults and not args:
             for field, value in kwargs.items():
@@ -409,7 +409,7 @@ def _round_float32(cls: type[Any]) -> None:
     first, *others = names
     get = attrgetter(*names) if others else lambda self: (getattr(self, first),)
 
-    def __post_init__(self: Any) -> None:  # noqa: N807
+    def __post_init__(self: Any) -> None:
         values = get(self)
         try:
             rounded = single.unpack(single.pack(*values))
@@ -429,7 +429,7 @@ def _round_float32(cls: type[Any]) -> None:
 
 
 def _equality(fields: tuple[str, ...]) -> Callable[[Any, object], bool]:
-    def __eq__(self: Any, other: object) -> bool:  # noqa: N807
+    def __eq__(self: Any, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
         return all(_same(getattr(self, field), getattr(other, field)) for field in fields)
@@ -450,7 +450,7 @@ def _hashing(name: str, fields: tuple[str, ...]) -> Callable[[Any], int]:
             return value.size
         return value if value == value else None
 
-    def __hash__(self: Any) -> int:  # noqa: N807
+    def __hash__(self: Any) -> int:
         return hash((name, *(part(getattr(self, field)) for field in fields)))
 
     return __hash__

@@ -10,11 +10,11 @@ An action `/robot/spin` consists of the services `/robot/spin/_action/send_goal`
 import logging
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
-from cairn.bus.bus import Call, Client, ServiceError
+from cairn.bus.bus import Call, ServiceClient, ServiceError
 from cairn.errors import CairnError, Escalate
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
@@ -129,22 +129,6 @@ class ServerGoal(Generic[Goal, Result, Feedback]):
         self._server.end(self, GoalStatus.STATUS_CANCELED, result)
 
 
-class ActionLink(Protocol):
-    """By what a server reaches its clients."""
-
-    def publish_feedback(self, message: Any) -> None:
-        """Publish a feedback message."""
-        ...
-
-    def publish_status(self, message: GoalStatusArray) -> None:
-        """Publish the status of all goals, latched."""
-        ...
-
-    def now(self) -> int:
-        """Return the time [ns]."""
-        ...
-
-
 class GoalServer(Generic[Goal, Result, Feedback]):
     """The goals of one action server, and its answers to clients."""
 
@@ -152,15 +136,23 @@ class GoalServer(Generic[Goal, Result, Feedback]):
         self,
         name: str,
         action: type[Action[Goal, Result, Feedback]],
-        link: ActionLink,
+        publish_feedback: Callable[[Any], None],
+        publish_status: Callable[[GoalStatusArray], None],
+        now: Callable[[], int],
         on_goal: Callable[[ServerGoal[Goal, Result, Feedback]], None],
         on_cancel: Callable[[ServerGoal[Goal, Result, Feedback]], None] | None,
         log: logging.Logger | logging.LoggerAdapter[Any],
     ) -> None:
-        """`on_goal` begins to pursue a goal, `on_cancel` to end it; a `CairnError` rejects that."""
+        """Serve no goal yet.
+
+        `now` returns the time [ns]. `on_goal` begins to pursue a goal, `on_cancel` to end it; a
+        `CairnError` rejects that.
+        """
         self._name = name
         self._action = action
-        self._link = link
+        self._send_feedback = publish_feedback
+        self._send_status = publish_status
+        self._now = now
         self._on_goal = on_goal
         self._on_cancel = on_cancel
         self._log = log
@@ -176,9 +168,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
 
     def restore(self, identity: bytes, goal: Goal) -> ServerGoal[Goal, Result, Feedback]:
         """Return a goal that was accepted before a restart of the server, executing again."""
-        restored: ServerGoal[Goal, Result, Feedback] = ServerGoal(
-            identity, goal, self._link.now(), self
-        )
+        restored: ServerGoal[Goal, Result, Feedback] = ServerGoal(identity, goal, self._now(), self)
         restored.status = GoalStatus.STATUS_EXECUTING
         self._goals[identity] = restored
         self._publish_status()
@@ -196,7 +186,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
         elif len(self._results) >= MOST_ENDED and all(map(self._is_owed, self._results)):
             reason = f"the results of {MOST_ENDED} goals that have just ended were not asked for"
         goal: ServerGoal[Goal, Result, Feedback] = ServerGoal(
-            identity, call.request.goal, self._link.now(), self
+            identity, call.request.goal, self._now(), self
         )
         if not reason:
             self._goals[identity] = goal
@@ -274,7 +264,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
                 f"action {self._name}: feedback is a {type(feedback).__qualname__}, not a "
                 f"{type_name(self._action.Feedback)}"
             )
-        self._link.publish_feedback(
+        self._send_feedback(
             self._action.FeedbackMessage(goal_id=uuid_of(goal.id), feedback=feedback)
         )
 
@@ -291,7 +281,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
                 f"{STATUS_TEXT[goal.status]}"
             )
         goal.status = status
-        self._results[goal.id] = (result, self._link.now())
+        self._results[goal.id] = (result, self._now())
         waiting = self._waiting.pop(goal.id, ())
         if not waiting:
             self._unread.add(goal.id)
@@ -326,11 +316,11 @@ class GoalServer(Generic[Goal, Result, Feedback]):
 
     def _is_owed(self, identity: bytes) -> bool:
         """Return whether a goal has just ended, and no client has asked for its result yet."""
-        age = self._link.now() - self._results[identity][1]
+        age = self._now() - self._results[identity][1]
         return identity in self._unread and age < RESULT_OWED_S * SECOND
 
     def _forget_old(self) -> None:
-        oldest = self._link.now() - round(RESULT_KEPT_S * SECOND)
+        oldest = self._now() - round(RESULT_KEPT_S * SECOND)
         surplus = len(self._results) - MOST_ENDED
         for identity, (_, ended_ns) in list(self._results.items()):
             if ended_ns < oldest or (surplus > 0 and not self._is_owed(identity)):
@@ -340,7 +330,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
                 self._unread.discard(identity)
 
     def _publish_status(self) -> None:
-        self._link.publish_status(
+        self._send_status(
             GoalStatusArray(
                 status_list=tuple(
                     GoalStatus(goal_info=self._info(goal), status=goal.status)
@@ -520,7 +510,7 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
         self,
         name: str,
         action: type[Action[Goal, Result, Feedback]],
-        client: Callable[[str, type[Service[Any, Any]]], Client],
+        client: Callable[[str, type[Service[Any, Any]]], ServiceClient],
         on_change: Callable[[], None] = lambda: None,
     ) -> None:
         """Use the action `name` (a full name).

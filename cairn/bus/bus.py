@@ -112,7 +112,7 @@ class Call(Protocol):
         ...
 
 
-class Server(Protocol):
+class ServiceServer(Protocol):
     """Receives the calls of one service, in order."""
 
     @property
@@ -142,7 +142,7 @@ class Server(Protocol):
         ...
 
 
-class Client(Protocol):
+class ServiceClient(Protocol):
     """Calls one service."""
 
     @property
@@ -225,7 +225,7 @@ class Node(Protocol):
         invalid_response: Any = None,
         *,
         is_private: bool = False,
-    ) -> Server:
+    ) -> ServiceServer:
         """Return a server of the service `name` (a full name: `/robot/save_map`).
 
         `wake` is called, on any thread, once for each call that becomes pending. A request longer
@@ -243,7 +243,7 @@ class Node(Protocol):
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
         deliver: Callable[[Callable[[], None]], None] | None = None,
-    ) -> Client:
+    ) -> ServiceClient:
         """Return a client of the service `name`, whose answers arrive through `post`.
 
         An answer may also arrive through `deliver`, from a thread that may make the call itself,

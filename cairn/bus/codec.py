@@ -63,7 +63,7 @@ class Codec:
         self._definitions: dict[type[Any], _Definition] = {}
         # Decodes into tuples without validation, to find out which field of a message is invalid.
         self._plain = _Store()
-        self._budget = _Budget()
+        self._budget = _MemoryBudget()
         # The types that have dense messages in a sequence, at any depth.
         self._budgeted: set[str] = set()
 
@@ -274,7 +274,7 @@ class _Definition:
         return generate_deserialize_cdr(self.fields, self._store, "be")
 
 
-class _Budget(threading.local):
+class _MemoryBudget(threading.local):
     """The memory that the dense messages of the message being decoded may still take [bytes]."""
 
     left: int = 0

@@ -34,18 +34,18 @@ class LockstepBus:
         self.servers: dict[str, list[LockstepServer]] = {}
         self.taps: list[Callable[[LockstepPublisher, Any], None]] = []
         """Called with every message and its publisher, before it is handed over."""
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, _LockstepTopic] = {}
 
     def node(
         self,
         name: str,
         report: Callable[[str], None],
-        warn: Callable[[str], None] | None = None,  # noqa: ARG002 - `cairn check` knows all nodes
+        warn: Callable[[str], None] | None = None,
     ) -> "LockstepNode":
         """Join the bus under a full name; `report` receives errors about conflicting types."""
         return LockstepNode(self, name, report)
 
-    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002 - never waits
+    def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Return at once: in memory, all declarations are known to all nodes."""
         return []
 
@@ -56,9 +56,9 @@ class LockstepBus:
                 for message, identity in publisher.latched:
                     yield publisher, message, identity
 
-    def topic(self, name: str) -> "_Topic":
+    def topic(self, name: str) -> "_LockstepTopic":
         """Return the topic of that name, created on first use."""
-        return self._topics.setdefault(name, _Topic(name))
+        return self._topics.setdefault(name, _LockstepTopic(name))
 
 
 class LockstepNode:
@@ -77,9 +77,9 @@ class LockstepNode:
         topic: str,
         message: type[Any],
         qos: Qos,
-        exclusive: Exclusive | None = None,  # noqa: ARG002 - readers know the publisher's name
+        exclusive: Exclusive | None = None,
         *,
-        shared: bool = False,  # noqa: ARG002 - there are no other programs
+        shared: bool = False,
     ) -> "LockstepPublisher":
         """Return a publisher of class `message` on `topic`."""
         end = LockstepPublisher(self, self.bus.topic(topic), message, qos, self.bus.taps)
@@ -109,9 +109,9 @@ class LockstepNode:
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
         max_bytes: int | None = None,
-        invalid_response: Any = None,  # noqa: ARG002 - no object is invalid
+        invalid_response: Any = None,
         *,
-        is_private: bool = False,  # noqa: ARG002 - each has what it needs
+        is_private: bool = False,
     ) -> LockstepServer:
         """Return a server of the service `name`."""
         server = LockstepServer(self, name, service, wake, max_bytes)
@@ -123,7 +123,7 @@ class LockstepNode:
         name: str,
         service: type[Service[Any, Any]],
         post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002 - one thread
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> LockstepClient:
         """Return a client of the service `name`."""
         client = LockstepClient(self, name, service, post)
@@ -143,7 +143,7 @@ class LockstepPublisher:
     def __init__(
         self,
         node: LockstepNode,
-        topic: "_Topic",
+        topic: "_LockstepTopic",
         message: type[Any],
         qos: Qos,
         taps: Sequence[Callable[["LockstepPublisher", Any], None]],
@@ -196,7 +196,7 @@ class LockstepSubscription:
     def __init__(
         self,
         node: LockstepNode,
-        topic: "_Topic",
+        topic: "_LockstepTopic",
         message: type[Any],
         qos: Qos,
         wake: Callable[[], None],
@@ -271,7 +271,7 @@ def _never(delay_ns: int, call: Callable[[], None]) -> None:
     """Make no call: where there is no virtual time, nothing times out."""
 
 
-class _Topic:
+class _LockstepTopic:
     def __init__(self, name: str) -> None:
         self.name = name
         self._measured: tuple[Any, int] = (None, 0)

@@ -10,7 +10,8 @@ from pydantic import BaseModel
 
 from cairn.deployment.plugins import Plugin, installed_plugins, load_plugin
 from cairn.runtime.parameters import bounds_text
-from cairn.runtime.ports import PortSpec, ports_of
+from cairn.runtime.ports import ports_of
+from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.message import type_name
 from cairn.system.compilation import deferred_compilation
 from cairn.terminal.options import Json
@@ -95,12 +96,13 @@ def _plain(parameters: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def _port(port: PortSpec) -> dict[str, str]:
+def _port(port: In[Any] | Out[Any]) -> dict[str, str]:
+    is_optional = isinstance(port, In) and port.optional
     qos = f"{port.qos.reliability}, {port.qos.durability}, depth {port.qos.depth}"
     return {
         "port": port.name,
-        "direction": port.direction + (", optional" if port.optional else ""),
-        "type": type_name(port.message),
+        "direction": f"{port.direction}, optional" if is_optional else port.direction,
+        "type": type_name(port.interface),
         "qos": qos.replace("_", " "),
     }
 

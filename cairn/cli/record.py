@@ -23,7 +23,7 @@ from cairn.client import connect as connect_to
 from cairn.client.connection import Connection
 from cairn.deployment.model import ROOT, Deployment
 from cairn.errors import CairnError
-from cairn.recording.recorder import Recorder, RecorderSettings, RecorderStatus
+from cairn.recording.recorder import McapRecorder, RecorderSettings, RecorderStatus
 from cairn.recording.run_attachments import MessageClasses, as_json, run_attachments, versions
 from cairn.recording.tap import ZenohTap
 from cairn.recording.topics import TopicPatterns
@@ -120,7 +120,7 @@ def record(
     try:
         deployment, attachments = _run_of(connection, robot)
         find = MessageClasses(deployment).find
-        recorder = Recorder(settings, path, attachments, find, robot=robot)
+        recorder = McapRecorder(settings, path, attachments, find, robot=robot)
         with _bell() as (bell, ended):
             tap = ZenohTap(connection.session, domain, recorder.receive, recorder.topics)
             try:
@@ -170,7 +170,11 @@ def _note_missing(connection: Connection, settings: RecorderSettings, robot: str
 
 
 def _wait(
-    recorder: Recorder, connection: Connection, bell: Bell, ended: list[int], duration: float | None
+    recorder: McapRecorder,
+    connection: Connection,
+    bell: Bell,
+    ended: list[int],
+    duration: float | None,
 ) -> None:
     """Wait for a signal, the end of the deployment, or of the duration [s]; pass triggers on.
 

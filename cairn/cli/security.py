@@ -397,14 +397,14 @@ def serve(
 
     It may run all the time, or only while machines enroll or renew.
     """
-    from cairn.security.service import Service
+    from cairn.security.service import AuthorityService
 
     match = re.fullmatch(r"\[?([^\[\]]+)\]?:([0-9]{1,5})", listen)
     if match is None or int(match[2]) > 65_535:
         raise CairnError(f"--listen {listen}: give an address and a port, as in {_DEFAULT_LISTEN}")
     asyncio.run(
         _serve(
-            Service(
+            AuthorityService(
                 _authority(robot), match[1], int(match[2]), tuple(name or ()), days, grace, line
             ),
         )

@@ -22,7 +22,7 @@ _MAX_DRAWN = 1_000  # of these: more than any terminal has columns
 _LEAST_SIZE = (20, 8)  # columns and lines
 
 
-class _Series:
+class _FieldSeries:
     """The last values of some fields, with their times of arrival."""
 
     def __init__(self, paths: Sequence[FieldPath], seconds: float) -> None:
@@ -78,7 +78,7 @@ def plot_topic(
     messages: Subscription[Any], first: Any, paths: Sequence[FieldPath], seconds: float
 ) -> None:
     """Plot fields live on a terminal until q or Ctrl-C; else print one plot after `seconds`."""
-    series = _Series(paths, seconds)
+    series = _FieldSeries(paths, seconds)
     series.add(first)
     if not sys.stdout.isatty():
         _receive(messages, series, time.monotonic() + seconds)
@@ -100,7 +100,7 @@ def plot_topic(
             shown.draw(Text(f"{head[:columns]}\n").append_text(picture))
 
 
-def _receive(messages: Subscription[Any], series: _Series, until: float) -> None:
+def _receive(messages: Subscription[Any], series: _FieldSeries, until: float) -> None:
     while (left_s := until - time.monotonic()) > 0:
         try:
             series.add(messages.next(left_s))
@@ -110,7 +110,7 @@ def _receive(messages: Subscription[Any], series: _Series, until: float) -> None
             continue  # `cairn topic echo` prints why
 
 
-def _drawn(series: _Series, size: tuple[int, int], *, colored: bool) -> str:
+def _drawn(series: _FieldSeries, size: tuple[int, int], *, colored: bool) -> str:
     import plotext  # takes 0.4 s
 
     columns, lines = (max(pair) for pair in zip(size, _LEAST_SIZE, strict=True))

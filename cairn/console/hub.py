@@ -284,7 +284,7 @@ class Hub:
             case protocol.Unsubscribe():
                 for id_ in request.subscription_ids:
                     self.unsubscribe(browser, id_)
-            case protocol.Call():
+            case protocol.CallMethod():
                 self._spawn(browser, self._call(browser, request))
             case protocol.Advertise():
                 for channel in request.channels:
@@ -439,7 +439,7 @@ class Hub:
 
     # Calls
 
-    async def _call(self, browser: Browser, request: protocol.Call) -> None:
+    async def _call(self, browser: Browser, request: protocol.CallMethod) -> None:
         answer: dict[str, Any] = {"op": "result", "id": request.id}
         try:
             answer["value"] = await self._result(browser, request.method, request.arguments)

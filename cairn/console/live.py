@@ -50,7 +50,7 @@ _NO_CONNECTION: Final = "there is no connection to the robot now; the console tr
 
 
 @dataclass(frozen=True)
-class _Topic:
+class _LiveTopic:
     """A channel and how it is read."""
 
     channel: Channel
@@ -68,8 +68,8 @@ class LiveSource:
         self._domain = domain
         self._connection: Connection | None = None
         self._hub: Hub | None = None
-        self._topics: dict[int, _Topic] = {}
-        self._readers: dict[int, _Reader] = {}
+        self._topics: dict[int, _LiveTopic] = {}
+        self._readers: dict[int, _TopicReader] = {}
         self._ending: dict[int, asyncio.TimerHandle] = {}  # readers without a browser
         self._inputs: dict[tuple[str, str], str] = {}  # keys, by topic and type
         self._endpoints: Mapping[str, keys.EndpointEntity] = {}
@@ -154,7 +154,7 @@ class LiveSource:
             for message in reader.kept():
                 self._hub.deliver(channel.id, message)
         elif topic is not None and self._connection is not None and self._hub is not None:
-            self._readers[channel.id] = _Reader(self._connection, topic, self._hub.deliver)
+            self._readers[channel.id] = _TopicReader(self._connection, topic, self._hub.deliver)
 
     def unsubscribe(self, channel: Channel) -> None:
         """Read a topic no longer, unless it is subscribed again soon.
@@ -229,7 +229,7 @@ class LiveSource:
             else:
                 self._end(id_)
 
-    def _topics_of(self, endpoints: Mapping[str, keys.EndpointEntity]) -> dict[int, _Topic]:
+    def _topics_of(self, endpoints: Mapping[str, keys.EndpointEntity]) -> dict[int, _LiveTopic]:
         """Return the topics that have a publisher, by channel."""
         found: defaultdict[tuple[str, str, str], dict[str, keys.EndpointEntity]] = defaultdict(dict)
         for token, one in endpoints.items():
@@ -255,7 +255,7 @@ class LiveSource:
             limit = MAX_MESSAGE_SIZE if known is None else known.max_bytes
             ring = ring_length(max(_RING, depth), limit)
             gids = frozenset(map(keys.gid, by_token))
-            topics[id_] = _Topic(channel, publishers[0].data_key, ring, gids)
+            topics[id_] = _LiveTopic(channel, publishers[0].data_key, ring, gids)
         return topics
 
     def _learn_types(self) -> None:
@@ -269,13 +269,13 @@ class LiveSource:
             self._set_tokens(self._endpoints)
 
 
-class _Reader:
+class _TopicReader:
     """Reads one topic on a thread of its own, and passes one message at a time to the loop."""
 
     def __init__(
         self,
         connection: Connection,
-        topic: _Topic,
+        topic: _LiveTopic,
         deliver: Callable[[int, Message], None],
     ) -> None:
         """For the event loop, as all methods."""

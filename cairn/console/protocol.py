@@ -156,7 +156,7 @@ class FetchAsset(_Message):
     request_id: Id
 
 
-class Call(_Message):
+class CallMethod(_Message):
     """Call a method (console only)."""
 
     op: Literal["call"]
@@ -177,7 +177,7 @@ Request = (
     | SubscribeGraph
     | UnsubscribeGraph
     | FetchAsset
-    | Call
+    | CallMethod
 )
 _requests: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="op")])
 

@@ -35,7 +35,7 @@ from cairn.console.hub import Hub, TooManyBrowsers
 from cairn.console.protocol import LONGEST_FRAME, SUBPROTOCOLS
 from cairn.errors import CairnError
 from cairn.system.files import explain_os_error
-from cairn.system.http_server import Http, Server
+from cairn.system.http_server import Http, HttpServer
 
 TOKEN_REFUSED: Final = 4401
 """Close code: the token is missing or wrong."""
@@ -151,7 +151,7 @@ class Console:
         self._address = address
         self._token = token
         self._socket = _listening(address)
-        self._server = Server(self._config())
+        self._server = HttpServer(self._config())
 
     @property
     def is_serving(self) -> bool:

@@ -252,7 +252,7 @@ def input_topics(
         ports = ports_of(cls)
         for port in sorted(getattr(cls, attribute)):
             topic = full_name(deployment.robot, member.spec.topics.get(port, port))
-            kind = type_name(ports[port].message)
+            kind = type_name(ports[port].interface)
             topics[topic] = (f"{deployment.domain}{topic}/{keys.dds_type(kind)}/*",)
     return topics
 

@@ -64,11 +64,11 @@ CommonName = Annotated[str, Field(min_length=1, max_length=64)]
 FilePath = Annotated[str, Field(min_length=1, max_length=4096)]
 
 
-class _Section(BaseModel):
+class _BusSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
 
 
-class BusUser(_Section):
+class BusUser(_BusSection):
     """A user on the network, who connects with a password."""
 
     role: Role = Field(
@@ -80,7 +80,7 @@ class BusUser(_Section):
     )
 
 
-class TlsSettings(_Section):
+class TlsSettings(_BusSection):
     """Certificates (PEM files) for encrypted endpoints, tls/HOST:PORT and quic/HOST:PORT."""
 
     identity: UserName | None = Field(
@@ -124,7 +124,7 @@ class TlsSettings(_Section):
         return self
 
 
-class BusSettings(_Section):
+class BusSettings(_BusSection):
     """How the components of the deployment connect to each other over Zenoh, and who else may."""
 
     allow_remote: bool = Field(

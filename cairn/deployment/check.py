@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -24,16 +24,16 @@ from cairn.deployment.problems import Location, Problem, suggestion
 from cairn.deployment.validation import validation_problems
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
 from cairn.errors import CairnError
+from cairn.runtime.handlers import handlers_of
 from cairn.runtime.parameters import Config, SensorFrameMark, marked_parameters
 from cairn.runtime.ports import (
-    ActionSpec,
-    PortSpec,
-    ServiceSpec,
+    ActionPort,
+    ServicePort,
     actions_of,
-    handlers_of,
     ports_of,
     services_of,
 )
+from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.message import type_name
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ class CheckedComponent:
     path: KeyPath
     node: DocumentNode
     cls: "type[Component] | None" = None
-    ports: "dict[str, PortSpec] | None" = None
-    services: "dict[str, ServiceSpec | ActionSpec]" = field(default_factory=dict)
+    ports: "dict[str, In[Any] | Out[Any]] | None" = None
+    services: "dict[str, ServicePort | ActionPort]" = field(default_factory=dict)
     config: Config | None = None
 
     def topic(self, port: str) -> str:
@@ -222,7 +222,7 @@ def _resolve_plugin(
         return component, [Problem(plugin.where, dotted(path), error.found, error.remedy)]
     try:
         ports, config = ports_of(cls), cls.config_class()
-        services: dict[str, ServiceSpec | ActionSpec] = {**services_of(cls), **actions_of(cls)}
+        services: dict[str, ServicePort | ActionPort] = {**services_of(cls), **actions_of(cls)}
         handlers_of(cls)
         if unknown := sorted(cls.service_roles.keys() - services.keys()):
             raise CairnError(f"{cls.__name__}.service_roles names unknown ports: {unknown}")
@@ -327,7 +327,7 @@ class _PortUse:
     """One port of one component on a topic."""
 
     component: CheckedComponent
-    port: PortSpec
+    port: In[Any] | Out[Any]
 
     def problem(self, found: str, remedy: str) -> Problem:
         path = dotted((*self.component.path, "topics", self.port.name))
@@ -363,13 +363,12 @@ class _ServiceUse:
     """One server or client of a service or an action."""
 
     component: CheckedComponent
-    port: ServiceSpec | ActionSpec
+    port: ServicePort | ActionPort
 
     @property
     def type_name(self) -> str:
         """The type of the service or action."""
-        port = self.port
-        return type_name(port.action if isinstance(port, ActionSpec) else port.service)
+        return type_name(self.port.interface)
 
     def problem(self, found: str, remedy: str) -> Problem:
         path = dotted((*self.component.path, "topics", self.port.name))
@@ -409,7 +408,7 @@ def _service_problems(
             remedy = "add its server, correct the name, or list it under external_services"
             close = suggestion(name, served)
             for use in uses:
-                if not use.port.optional:
+                if use.port.role == "client" and not use.port.optional:
                     yield use.problem(
                         f"no component provides service {name}, which client {use.port.name} "
                         f"needs{unknown}",
@@ -420,13 +419,13 @@ def _service_problems(
 def _type_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
     uses = sorted(uses, key=lambda use: use.port.direction == "in")
     first = uses[0]
-    expected = type_name(first.port.message)
+    expected = type_name(first.port.interface)
     verbs = {"in": "reads", "out": "publishes"}
     for use in uses[1:]:
-        if type_name(use.port.message) != expected:
+        if type_name(use.port.interface) != expected:
             yield use.problem(
                 f"topic {topic} has two types: {use.port.name} {verbs[use.port.direction]} "
-                f"{type_name(use.port.message)}, but {first.component.name}.{first.port.name} "
+                f"{type_name(use.port.interface)}, but {first.component.name}.{first.port.name} "
                 f"{verbs[first.port.direction]} {expected}",
                 "give one of them another topic",
             )
@@ -483,7 +482,7 @@ def _missing_publishers(
     remedy = "add its publisher, correct the topic, or list it under external_topics"
     close = suggestion(topic, written)
     for use in uses:
-        if not use.port.optional:
+        if use.port.direction == "in" and not use.port.optional:
             yield use.problem(
                 f"no component publishes topic {topic}, which input {use.port.name} needs{unknown}",
                 f"{remedy}; {close}" if close.startswith("did you mean") else remedy,
@@ -497,7 +496,7 @@ def _clock_problems(root: DocumentNode, uses: list[_PortUse], external: bool) ->
     writers = [
         use
         for use in uses
-        if use.port.direction == "out" and type_name(use.port.message) == _CLOCK_TYPE
+        if use.port.direction == "out" and type_name(use.port.interface) == _CLOCK_TYPE
     ]
     if not writers:
         yield Problem(

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable
+from typing import Any
 
 from cairn.bus.bus import full_name
 from cairn.bus.exclusive import ExclusiveTopic
@@ -9,7 +10,8 @@ from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.errors import CairnError
-from cairn.runtime.ports import PortSpec, ports_of
+from cairn.runtime.ports import ports_of
+from cairn.runtime.topic_ports import In, Out
 
 
 def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
@@ -69,7 +71,7 @@ def only_writer(topic: str, writers: Iterable[str], writer: str) -> str:
     )
 
 
-def ports_of_plugin(plugin: str) -> list[PortSpec]:
+def ports_of_plugin(plugin: str) -> list[In[Any] | Out[Any]]:
     """Return the ports of a plugin; none if it cannot be loaded."""
     try:
         return list(ports_of(load_plugin(plugin)).values())

@@ -31,11 +31,12 @@ from cairn.deployment.machines import components_by_machine, parents_elsewhere
 from cairn.deployment.model import Deployment, Member, root_name, view_name
 from cairn.deployment.plugins import load_plugin
 from cairn.deployment.ros_names import ros_services, ros_topics
-from cairn.runtime.ports import PortSpec, actions_of, ports_of, services_of
+from cairn.runtime.ports import actions_of, ports_of, services_of
 from cairn.runtime.rosout import ROSOUT
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.service_events import SERVICE_EVENT_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
+from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.cairn_msgs import MACHINE_STATUS
 from cairn.schemas.lifecycle_msgs.srv import GetState
 from cairn.schemas.message import type_name
@@ -194,8 +195,8 @@ def _add_ports(rights: _Rights, deployment: Deployment, member: Member) -> set[s
     def name_of(port: str) -> str:
         return full_name(deployment.robot, member.spec.topics.get(port, port))
 
-    def add_topic(topic: str, port: PortSpec) -> None:
-        key = f"{domain}{topic}/{keys.dds_type(type_name(port.message))}/*"
+    def add_topic(topic: str, port: In[Any] | Out[Any]) -> None:
+        key = f"{domain}{topic}/{keys.dds_type(type_name(port.interface))}/*"
         if port.direction == "in":
             used.add(topic)
             rights.read.append(key)

@@ -66,6 +66,6 @@ def messages_of_plugins() -> dict[str, type[Any]]:
         type_name(message): message
         for plugin in found
         for port in plugin.ports
-        for message in classes_in(port.message)
+        for message in classes_in(port.interface)
     }
     return {name: one for name, one in messages.items() if find_defined_message(name) is None}

@@ -10,11 +10,12 @@ from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from inspect import getdoc
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
-from cairn.runtime.ports import PortSpec, ports_of
+from cairn.runtime.ports import ports_of
+from cairn.runtime.topic_ports import In, Out
 
 if TYPE_CHECKING:
     from cairn.runtime.component import Component
@@ -39,7 +40,7 @@ class Plugin:
     target: str
     package: str
     summary: str = ""
-    ports: tuple[PortSpec, ...] = ()
+    ports: tuple[In[Any] | Out[Any], ...] = ()
     error: str = ""
 
 

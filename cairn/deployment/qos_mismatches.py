@@ -1,12 +1,13 @@
 """Topics of a deployment whose publishers offer less than their subscribers request."""
 
 from collections import defaultdict
+from typing import Any
 
 from cairn.bus.bus import full_name
 from cairn.bus.conflicts import qos_mismatch
 from cairn.deployment.exclusive_topics import ports_of_plugin
 from cairn.deployment.model import Deployment
-from cairn.runtime.ports import PortSpec
+from cairn.runtime.topic_ports import In, Out
 
 
 def qos_mismatches(deployment: Deployment) -> tuple[str, ...]:
@@ -14,7 +15,7 @@ def qos_mismatches(deployment: Deployment) -> tuple[str, ...]:
 
     They do not prevent a start: Cairn delivers the messages nevertheless.
     """
-    topics: defaultdict[str, list[tuple[str, PortSpec]]] = defaultdict(list)
+    topics: defaultdict[str, list[tuple[str, In[Any] | Out[Any]]]] = defaultdict(list)
     for member in deployment.members():
         for port in ports_of_plugin(member.spec.plugin):
             topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))

@@ -13,9 +13,10 @@ from cairn.bus.bus import full_name
 from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
-from cairn.runtime.ports import PortSpec, ServiceSpec, actions_of, ports_of, services_of
+from cairn.runtime.ports import ServicePort, actions_of, ports_of, services_of
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
+from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.message import Service
 from cairn.schemas.rosgraph_msgs import Clock
 
@@ -56,7 +57,7 @@ class RosService:
 @dataclass(frozen=True)
 class _Port:
     name: str  # as the deployment has it, without the robot's name
-    spec: PortSpec
+    port: In[Any] | Out[Any]
     is_confidential: bool
 
 
@@ -75,12 +76,12 @@ def ros_topics(deployment: Deployment) -> list[RosTopic]:
     for name, uses in ports.items():
         if _keeps_its_name(name, ports) or any(one.is_confidential for one in uses):
             continue
-        outputs = [one.spec for one in uses if one.spec.direction == "out"]
-        inputs = [one.spec for one in uses if one.spec.direction == "in"]
+        outputs = [one.port for one in uses if isinstance(one.port, Out)]
+        inputs = [one.port for one in uses if isinstance(one.port, In)]
         own, other = full_name(deployment.robot, name), ros_name(name)
         is_exclusive = any(one.exclusive for one in inputs)
         if outputs:
-            message, qos = outputs[0].message, outputs[0].qos
+            message, qos = outputs[0].interface, outputs[0].qos
             if qos.latched and len(outputs) > 1:
                 qos = LATCHED.with_depth(_LATCHED_OF_ALL)
             found.append(RosTopic(own, other, message, qos, None, is_exclusive))
@@ -90,7 +91,7 @@ def ros_topics(deployment: Deployment) -> list[RosTopic]:
             qos = (LATCHED if latched else RELIABLE).with_depth(depth)
             longest = [one.max_bytes for one in inputs if one.max_bytes is not None]
             limit = max(longest) if len(longest) == len(inputs) else None
-            found.append(RosTopic(other, own, inputs[0].message, qos, limit))
+            found.append(RosTopic(other, own, inputs[0].interface, qos, limit))
     if deployment.clock == "simulated" and CLOCK_TOPIC in external - ports.keys():
         own = full_name(deployment.robot, CLOCK_TOPIC)
         found.append(RosTopic(ros_name(CLOCK_TOPIC), own, Clock, RELIABLE))
@@ -99,20 +100,20 @@ def ros_topics(deployment: Deployment) -> list[RosTopic]:
 
 def ros_services(deployment: Deployment) -> list[RosService]:
     """Return the services with two names, those of actions included."""
-    specs: dict[str, ServiceSpec] = {}
-    for name, spec in _services(deployment):
-        if name not in specs or spec.role == "server":
-            specs[name] = spec
+    ports: dict[str, ServicePort] = {}
+    for name, port in _services(deployment):
+        if name not in ports or port.role == "server":
+            ports[name] = port
     external = {_short(deployment, name) for name in deployment.external_services}
     found = []
-    for name, spec in specs.items():
-        if _keeps_its_name(name, specs):
+    for name, port in ports.items():
+        if _keeps_its_name(name, ports):
             continue
         own, other = full_name(deployment.robot, name), ros_name(name)
-        if spec.role == "server":
-            found.append(RosService(other, own, spec.service))
+        if port.role == "server":
+            found.append(RosService(other, own, port.interface))
         elif name.partition("/_action/")[0] in external:
-            found.append(RosService(own, other, spec.service))
+            found.append(RosService(own, other, port.interface))
     return found
 
 
@@ -122,28 +123,28 @@ def _ports(deployment: Deployment) -> Iterator[_Port]:
             cls = load_plugin(member.spec.plugin)
         except PluginError:  # its own start reports why
             continue
-        for spec in ports_of(cls).values():
-            name = _short(deployment, member.spec.topics.get(spec.name, spec.name))
-            yield _Port(name, spec, spec.name in cls.confidential_inputs)
+        for port in ports_of(cls).values():
+            name = _short(deployment, member.spec.topics.get(port.name, port.name))
+            yield _Port(name, port, port.name in cls.confidential_inputs)
         for action in actions_of(cls).values():
             name = _short(deployment, member.spec.topics.get(action.name, action.name))
-            for part, spec in action.topics().items():
-                yield _Port(f"{name}/{part}", spec, is_confidential=False)
+            for part, topic in action.topics().items():
+                yield _Port(f"{name}/{part}", topic, is_confidential=False)
 
 
-def _services(deployment: Deployment) -> Iterator[tuple[str, ServiceSpec]]:
+def _services(deployment: Deployment) -> Iterator[tuple[str, ServicePort]]:
     for member in deployment.members():
         try:
             cls = load_plugin(member.spec.plugin)
         except PluginError:
             continue
         topics = member.spec.topics
-        for spec in services_of(cls).values():
-            yield _short(deployment, topics.get(spec.name, spec.name)), spec
+        for port in services_of(cls).values():
+            yield _short(deployment, topics.get(port.name, port.name)), port
         for action in actions_of(cls).values():
             name = _short(deployment, topics.get(action.name, action.name))
-            for part, spec in action.services().items():
-                yield f"{name}/{part}", spec
+            for part, service in action.services().items():
+                yield f"{name}/{part}", service
 
 
 def _keeps_its_name(name: str, known: Mapping[str, Any]) -> bool:

@@ -37,7 +37,7 @@ def topic_limits(deployment: Deployment) -> MessageLimits:
         for port in ports_of_plugin(member.spec.plugin):
             topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
             if port.direction == "in":
-                size = port.max_bytes or default_max_bytes(port.message)
+                size = port.max_bytes or default_max_bytes(port.interface)
                 longest[topic] = max(longest[topic], size)
     limit = deployment.bus.max_message_size or max(MAX_MESSAGE_SIZE, *longest.values())
     accepted = {topic: TRANSPORT_FACTOR * size for topic, size in longest.items()}

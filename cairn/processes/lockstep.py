@@ -325,7 +325,7 @@ class _LockstepHost:
     def cancel_start(self, name: str) -> None:
         """Do nothing: a start takes no virtual time."""
 
-    def request(self, verb: Verb, timeout_s: float) -> None:  # noqa: ARG002 - time stands still
+    def request(self, verb: Verb, timeout_s: float) -> None:
         """Make a transition at once."""
         self.runtime.request(verb, {})
 
@@ -349,12 +349,12 @@ class _LockstepHost:
         if self.end is None:
             self.runtime.request("shutdown", {})
 
-    def kill(self, log_limit_s: float) -> None:  # noqa: ARG002 - it has no process
+    def kill(self, log_limit_s: float) -> None:
         """Raise `CairnError` unless it has ended."""
         if self.end is None:
             raise CairnError(f"{self.runtime.name}: a component cannot be killed in lockstep")
 
-    def wait(self, timeout_s: float) -> ExitReport | None:  # noqa: ARG002 - time stands still
+    def wait(self, timeout_s: float) -> ExitReport | None:
         """Return the report on its end, None if it runs."""
         return self.end
 

@@ -119,19 +119,19 @@ class RecordedChildren(ChildGroup):
         """Return the states of all children as logged."""
         return [ChildStatus(**one) for one in self._logged("status").get("status", ())]
 
-    def hold(self, name: str, state: str) -> str:  # noqa: ARG002 - as in `ChildGroup`
+    def hold(self, name: str, state: str) -> str:
         """Return what was logged."""
         return str(self._logged("hold").get("result", state))
 
-    def load(self, name: str) -> None:  # noqa: ARG002 - as in `ChildGroup`
+    def load(self, name: str) -> None:
         """Raise what was logged."""
         self._logged("load")
 
-    def unload(self, name: str) -> None:  # noqa: ARG002 - as in `ChildGroup`
+    def unload(self, name: str) -> None:
         """Raise what was logged."""
         self._logged("unload")
 
-    def restart(self, name: str) -> None:  # noqa: ARG002 - as in `ChildGroup`
+    def restart(self, name: str) -> None:
         """Raise what was logged."""
         self._logged("restart")
 

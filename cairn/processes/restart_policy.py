@@ -8,7 +8,7 @@ from cairn.runtime.child_spec import ChildSpec, Supervision
 
 
 @dataclass(frozen=True)
-class Decision:
+class RestartDecision:
     """Children to stop, in that order, as far as they run; then children to start, in order.
 
     `give_up` and `finished` are reasons, "" if not so: all children have to stop, and the
@@ -80,24 +80,26 @@ class RestartPolicy:
         self._failed_starts[name] = 0
         self._attempted.add(name)
 
-    def ended(self, name: str, *, normal: bool, at_s: float, reason: str) -> Decision:
+    def ended(self, name: str, *, normal: bool, at_s: float, reason: str) -> RestartDecision:
         """Decide what follows when a child ended or failed to start (not normal), at `at_s` [s]."""
         if name not in self._required:
-            return Decision()
+            return RestartDecision()
         child = self._children[name]
         if child.ends_supervisor and (normal or child.restart_type == "temporary"):
             if not normal:
                 return self._give_up(f"{name} failed and is not restarted: {reason}")
             self._required.clear()
-            return Decision(finished=f"{name} has finished: {reason}")
+            return RestartDecision(finished=f"{name} has finished: {reason}")
         if child.restart_type == "temporary" or (child.restart_type == "transient" and normal):
             self._required.discard(name)
             if child.restart_type == "transient":
                 self._done.add(name)
-            return Decision()
+            return RestartDecision()
         return self._restart_after(name, at_s, reason)
 
-    def start_failed(self, name: str, *, at_s: float, reason: str, refused: bool) -> Decision:
+    def start_failed(
+        self, name: str, *, at_s: float, reason: str, refused: bool
+    ) -> RestartDecision:
         """Decide what follows when a child did not become active.
 
         `refused`: the child reported that it cannot start, and a second attempt would not help;
@@ -111,11 +113,11 @@ class RestartPolicy:
             return self._give_up(f"{name}: {reason}")
         return self.ended(name, normal=False, at_s=at_s, reason=reason)
 
-    def _give_up(self, reason: str) -> Decision:
+    def _give_up(self, reason: str) -> RestartDecision:
         self._required.clear()
-        return Decision(give_up=reason)
+        return RestartDecision(give_up=reason)
 
-    def _restart_after(self, name: str, at_s: float, reason: str) -> Decision:
+    def _restart_after(self, name: str, at_s: float, reason: str) -> RestartDecision:
         exceeded = self._exceeded_limit(name, at_s)
         if exceeded:
             return self._give_up(f"{exceeded}; last, {name}: {reason}")
@@ -128,7 +130,7 @@ class RestartPolicy:
                 self._required.add(other)
         self._done -= group
         start = tuple(other for other in self.required if other in group)
-        return Decision(stop=tuple(other for other in stop if other != name), start=start)
+        return RestartDecision(stop=tuple(other for other in stop if other != name), start=start)
 
     def _exceeded_limit(self, name: str, at_s: float) -> str:
         """Count a restart; return which limit it exceeds, "" if none."""

@@ -46,12 +46,12 @@ from cairn.processes.child import (
     without_reserve,
 )
 from cairn.processes.remote_child import RemoteChild
-from cairn.processes.restart_policy import Decision, RestartPolicy
+from cairn.processes.restart_policy import RestartDecision, RestartPolicy
 from cairn.processes.ros_services import ChildLifecycle, Container
 from cairn.runtime.component import Component
+from cairn.runtime.handlers import every
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.runtime.ports import every
 from cairn.system.process_exit import ExitReport
 
 _STEP_S = 0.5
@@ -538,7 +538,7 @@ class ChildGroup:
         else:
             self._apply(decision, child)
 
-    def _apply(self, decision: Decision, child: Child | RemoteChild) -> None:
+    def _apply(self, decision: RestartDecision, child: Child | RemoteChild) -> None:
         if decision.give_up:
             self._give_up(decision.give_up)
         if child.name in decision.start:

@@ -44,7 +44,7 @@ _PIECE_S = 0.25
 _KILLED_LIMIT_S = 10.0  # for killed processes to end, on a computer without processor time
 _SEND_LIMIT = struct.pack("ll", 5, 0)  # struct timeval [s, us]
 # glibc would map and unmap memory for each image, which takes longer than all the rest: so it keeps
-# freed memory for the next one, but not more than this in each heap. See docs/benchmarks.md.
+# freed memory for the next one, but not more than this in each heap. See lab/history.md.
 _KEPT_BYTES = str(32 << 20)
 # All threads of a process share one heap. Otherwise each thread that happens to make a call keeps
 # the memory of the largest one in a heap of its own: the localizer took 18 MiB instead of 7 after

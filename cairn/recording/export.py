@@ -214,7 +214,7 @@ def _file_name(topic: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Column:
+class _FieldColumn:
     """A field, of the message itself or of a message in it: its name with dots, and its type."""
 
     name: str
@@ -240,16 +240,16 @@ def _head(recorded: RecordedMessage) -> tuple[str, int, int, int]:
     )
 
 
-def _columns(definition: Definition) -> list[_Column]:
+def _columns(definition: Definition) -> list[_FieldColumn]:
     """Return the fields of a type; those of a message in it are columns of their own."""
-    columns: list[_Column] = []
+    columns: list[_FieldColumn] = []
 
     def add(name: str, path: tuple[str, ...]) -> None:
         for part, kind in definition.fields(name):
             if kind[0] == Nodetype.NAME and len(path) < _DEEPEST:
                 add(str(kind[1]), (*path, part))
             else:
-                columns.append(_Column(".".join((*path, part)), (*path, part), kind))
+                columns.append(_FieldColumn(".".join((*path, part)), (*path, part), kind))
             if len(columns) > _MOST_COLUMNS:
                 raise RecordingError(f"{definition.name} has more than {_MOST_COLUMNS:,} fields")
 
@@ -260,7 +260,7 @@ def _columns(definition: Definition) -> list[_Column]:
 class _Csv:
     """A table with a row for each message; sequences are JSON in one cell."""
 
-    def __init__(self, stream: TextIO, columns: list[_Column]) -> None:
+    def __init__(self, stream: TextIO, columns: list[_FieldColumn]) -> None:
         self._columns = columns
         self._writer = csv.writer(stream, lineterminator="\n")
         self._writer.writerow([*_HEAD, *(column.name for column in columns)])
@@ -286,7 +286,7 @@ class _Parquet:
     """A Parquet file with a row for each message; bytes are binary, sequences lists."""
 
     def __init__(
-        self, part: Path, columns: list[_Column], definition: Definition, stack: ExitStack
+        self, part: Path, columns: list[_FieldColumn], definition: Definition, stack: ExitStack
     ) -> None:
         try:
             import pyarrow

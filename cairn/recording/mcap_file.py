@@ -156,7 +156,7 @@ class Block(NamedTuple):
     size: int = -1
 
 
-class _Entry(NamedTuple):
+class _MessageEntry(NamedTuple):
     """A message in a block: the number of its channel, its times [ns] and where its data are."""
 
     channel: int
@@ -413,7 +413,7 @@ class McapFile:
 
     def _blocks(
         self, others: Callable[[_Record], None] | None = None
-    ) -> Iterator[tuple[_Record, bytes, Iterator[_Entry]]]:
+    ) -> Iterator[tuple[_Record, bytes, Iterator[_MessageEntry]]]:
         """Yield chunks, and runs of messages outside of chunks, with their data and messages."""
         self._unpacked = 0
         run: _Record | None = None
@@ -442,7 +442,7 @@ class McapFile:
                 yield from self._block(run)
             self._note(f"cut off {error}")
 
-    def _block(self, record: _Record) -> Iterator[tuple[_Record, bytes, Iterator[_Entry]]]:
+    def _block(self, record: _Record) -> Iterator[tuple[_Record, bytes, Iterator[_MessageEntry]]]:
         with self._noted(record.at):
             data = self._bytes_of(
                 Block(record.at, record.end, 0, 0, ALL_CHANNELS), unpacked=self._unpacked
@@ -479,7 +479,7 @@ class McapFile:
             raise ValueError("its checksum differs")
         return data
 
-    def _entries(self, data: bytes, where: int) -> Iterator[_Entry]:
+    def _entries(self, data: bytes, where: int) -> Iterator[_MessageEntry]:
         """Yield the messages in `data` of the block at byte `where`; add the definitions."""
         at, end = 0, len(data)
         ids = self._definitions.ids
@@ -497,7 +497,7 @@ class McapFile:
                     raise ValueError(f"a message has {size} bytes, less than its head")
                 channel, sequence, log_ns, publish_ns = unpack_message(data, begin)
                 if channel in ids:
-                    yield _Entry(
+                    yield _MessageEntry(
                         ids[channel], sequence, log_ns, publish_ns, begin + _MESSAGE.size, at
                     )
                 else:
@@ -687,7 +687,7 @@ class _Noted:
         return False
 
 
-def _message(channel: RecordedChannel, entry: _Entry, data: bytes) -> RecordedMessage:
+def _message(channel: RecordedChannel, entry: _MessageEntry, data: bytes) -> RecordedMessage:
     return RecordedMessage(
         channel, entry.sequence, entry.log_ns, entry.publish_ns, data[entry.begin : entry.end]
     )

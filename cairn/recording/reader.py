@@ -33,7 +33,7 @@ _MESSAGE_COST: Final = 300  # what a message takes in memory beside its data [by
 _UNIX_FROM_S: Final = 100_000_000  # more than three years of recording
 
 
-class _Part(NamedTuple):
+class _FileBlock(NamedTuple):
     """A block of a file, with the file's number."""
 
     start_ns: int
@@ -75,7 +75,7 @@ class McapRecording:
         self.files = [file.path for file in self._files]
         self.size = sum(file.size for file in self._files)
         self._parts = sorted(
-            _Part(block.start_ns, number, block.at, block)
+            _FileBlock(block.start_ns, number, block.at, block)
             for number, (_, blocks) in enumerate(files)
             for block in blocks
         )

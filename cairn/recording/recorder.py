@@ -182,7 +182,7 @@ class RecorderStatus:
         return "; ".join([", ".join(parts), *filter(None, [self.problem])])
 
 
-class Recorder:
+class McapRecorder:
     """Records the samples that `receive` is called with; the other methods are for one thread."""
 
     def __init__(

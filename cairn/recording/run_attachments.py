@@ -83,7 +83,7 @@ class MessageClasses:
         if known is None and self._deployment is not None:
             for member in self._deployment.members():
                 for port in ports_of_plugin(member.spec.plugin):
-                    for message in classes_in(port.message):
+                    for message in classes_in(port.interface):
                         self._of_plugins.setdefault(type_name(message), message)
             self._deployment = None
         return known or self._of_plugins.get(name)

@@ -18,7 +18,7 @@ LOG_BYTES: Final = 1 << 30
 
 
 @dataclass
-class Call:
+class RecordedCall:
     """One call into a component: the record with which it begins, and what happened during it.
 
     `time_ns` is the first time that is known of it, else the last one before it.
@@ -93,9 +93,9 @@ class ComponentStart:
                 )
             at += count
 
-    def calls(self) -> Iterator[Call]:
+    def calls(self) -> Iterator[RecordedCall]:
         """Yield the calls in order; raises `RecordingError` if the log is damaged."""
-        call: Call | None = None
+        call: RecordedCall | None = None
         last_ns, timed = self.started_ns, False
         for record in self.records():
             kind = record[0]
@@ -104,7 +104,7 @@ class ComponentStart:
             if kind.begins_call:
                 if call is not None:
                     yield call
-                call, timed = Call(record, [], last_ns), kind is RecordKind.CLOCK
+                call, timed = RecordedCall(record, [], last_ns), kind is RecordKind.CLOCK
                 continue
             if call is None:
                 raise RecordingError(f"{self.component}: its call log does not begin with a call")

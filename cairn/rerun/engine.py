@@ -20,7 +20,7 @@ from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.processes.logged_children import RecordedChildren
 from cairn.processes.supervisor import Supervisor
-from cairn.rerun.call_logs import Call, ComponentStart
+from cairn.rerun.call_logs import ComponentStart, RecordedCall
 from cairn.rerun.comparison import first_difference
 from cairn.runtime.call_records import RecordKind, StartInfo
 from cairn.runtime.child_spec import ChildSpec
@@ -189,7 +189,7 @@ class Rerun:
         result.incomplete = self._start.missing
         return result
 
-    def _make(self, call: Call, *, is_last: bool) -> bool:
+    def _make(self, call: RecordedCall, *, is_last: bool) -> bool:
         """Make one call; return whether there should be further ones."""
         environment = _CallEnvironment(_describe(call))
         for record in call.events:
@@ -206,7 +206,7 @@ class Rerun:
         self._check_rest(environment)
         return not (self._stop_at_difference and self.result.first is not None)
 
-    def _enter(self, call: Call) -> None:
+    def _enter(self, call: RecordedCall) -> None:
         runtime, values = self._runtime, call.record[1:]
         if call.kind is RecordKind.START:
             try:
@@ -640,21 +640,21 @@ class _RerunBus:
 
     def node(
         self,
-        name: str,  # noqa: ARG002
-        report: Callable[[str], None],  # noqa: ARG002
-        warn: Callable[[str], None] | None = None,  # noqa: ARG002
+        name: str,
+        report: Callable[[str], None],
+        warn: Callable[[str], None] | None = None,
     ) -> "_RerunBus":
         return self
 
-    def wait_for_peers(self, timeout_s: float) -> list[str]:  # noqa: ARG002
+    def wait_for_peers(self, timeout_s: float) -> list[str]:
         return []
 
     def advertise(
         self,
         topic: str,
         message: type[Any],
-        qos: Qos,  # noqa: ARG002
-        exclusive: Exclusive | None = None,  # noqa: ARG002
+        qos: Qos,
+        exclusive: Exclusive | None = None,
         *,
         shared: bool = False,
     ) -> "_RerunPublisher | _NothingPublished":
@@ -666,10 +666,10 @@ class _RerunBus:
         self,
         topic: str,
         message: type[Any],
-        qos: Qos,  # noqa: ARG002
+        qos: Qos,
         wake: Callable[[], None],
-        exclusive: Exclusive | None = None,  # noqa: ARG002
-        max_bytes: int | None = None,  # noqa: ARG002
+        exclusive: Exclusive | None = None,
+        max_bytes: int | None = None,
     ) -> "_RerunSubscription":
         subscription = _RerunSubscription(self._rerun, topic, message, wake)
         self._rerun.open_input(topic, subscription)
@@ -680,8 +680,8 @@ class _RerunBus:
         name: str,
         service: type[Service[Any, Any]],
         wake: Callable[[], None],
-        max_bytes: int | None = None,  # noqa: ARG002
-        invalid_response: Any = None,  # noqa: ARG002
+        max_bytes: int | None = None,
+        invalid_response: Any = None,
         *,
         is_private: bool = False,
     ) -> "_RerunServer | _NothingServed":
@@ -693,8 +693,8 @@ class _RerunBus:
         self,
         name: str,
         service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],  # noqa: ARG002
-        deliver: Callable[[Callable[[], None]], None] | None = None,  # noqa: ARG002
+        post: Callable[[Callable[[], None]], None],
+        deliver: Callable[[Callable[[], None]], None] | None = None,
     ) -> "_RerunClient":
         return _RerunClient(self._rerun, name, service)
 
@@ -707,7 +707,7 @@ class _NothingPublished:
     gid = bytes(16)
     has_subscribers = False
 
-    def publish(self, message: Any) -> int:  # noqa: ARG002
+    def publish(self, message: Any) -> int:
         return 0
 
     def close(self) -> None:
@@ -793,7 +793,7 @@ class _RerunClient:
         request: Any,
         on_reply: Callable[[Any], None],
         on_failure: Callable[[ServiceError], None],
-        timeout_s: float,  # noqa: ARG002
+        timeout_s: float,
     ) -> None:
         self.sent += 1
         self.pending[self.sent] = (on_reply, on_failure)
@@ -853,7 +853,7 @@ class _RerunSubscription:
         self._rerun.close_input(self.topic)
 
 
-def _describe(call: Call) -> str:
+def _describe(call: RecordedCall) -> str:
     values = call.record[1:]
     match call.kind:
         case RecordKind.START:

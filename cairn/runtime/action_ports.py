@@ -1,9 +1,9 @@
-"""The action servers and clients of one running component."""
+"""The action servers and clients of components."""
 
 import zlib
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -18,42 +18,89 @@ from cairn.bus.actions import (
     GoalServer,
     ServerGoal,
 )
-from cairn.bus.bus import Node, ServiceError
+from cairn.bus.bus import ServiceError
+from cairn.bus.qos import LATCHED
 from cairn.errors import CairnError
-from cairn.runtime.call_log import CallLog
-from cairn.runtime.component import Component
-from cairn.runtime.launch_request import LaunchRequest
-from cairn.runtime.loop import Scheduler
-from cairn.runtime.port_owner import PortOwner
-from cairn.runtime.ports import ActionClient, ActionServer, ActionSpec
-from cairn.runtime.service_ports import ClientPort, ServerPort
-from cairn.runtime.topic_ports import InputPort, OutputPort
+from cairn.runtime.component import ComponentContext
+from cairn.runtime.port import Port, type_of
+from cairn.runtime.service_ports import Client, Server
+from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.action_msgs.msg import GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
-from cairn.schemas.message import type_name
+from cairn.schemas.message import Action, Service, type_name
+
+Goal = TypeVar("Goal")
+Result = TypeVar("Result")
+Feedback = TypeVar("Feedback")
 
 
-class ActionServerPort:
-    """An action server of the component: three servers and two outputs."""
+class ActionServer(Port, Generic[Goal, Result, Feedback]):
+    """An action that the component provides, while it is active: three servers and two outputs.
 
-    def __init__(
+    `spin: ActionServer[Spin.Goal, Spin.Result, Spin.Feedback]`; a method decorated
+    `@goal("spin")` begins to pursue each goal, one decorated `@cancel("spin")` to end it early.
+    Without the latter, goals cannot be canceled. When the component becomes inactive, its goals are
+    aborted.
+    """
+
+    role: ClassVar[Literal["server"]] = "server"
+
+    @property
+    def action(self) -> str:
+        """The full name of the action in this deployment; `CairnError` on a declaration."""
+        return self._bound_name()
+
+    @property
+    def goals(self) -> Sequence[ServerGoal[Goal, Result, Feedback]]:
+        """The goals that have not ended, the oldest first; `CairnError` on a declaration."""
+        self._bound_name()
+        return self._goals.active
+
+    def restore(self, identity: bytes, goal: Goal) -> ServerGoal[Goal, Result, Feedback]:
+        """Return a goal that was accepted before a restart of the component, executing again.
+
+        Its client can get the result as if nothing had happened. Raises `CairnError` on a
+        declaration.
+        """
+        self._bound_name()
+        return self._goals.restore(identity, goal)
+
+    def services(self) -> dict[str, Server[Any, Any]]:
+        """Return new ports for its three services, by their names below that of the action."""
+        return {
+            part: Server[Any, Any]().declare(f"{self.name}/{part}", service)
+            for part, service in _services(self.interface).items()
+        }
+
+    def topics(self) -> dict[str, Out[Any]]:
+        """Return new ports for its topics, by their names below that of the action."""
+        status = Out[Any](LATCHED).declare(f"{self.name}/{STATUS}", GoalStatusArray)
+        feedback = Out[Any]().declare(f"{self.name}/{FEEDBACK}", self.interface.FeedbackMessage)
+        return {FEEDBACK: feedback, STATUS: status}
+
+    def bind(
         self,
-        component: Component,
-        spec: ActionSpec,
+        context: ComponentContext,
         action: str,
-        owner: PortOwner,
-        node: Node,
-        scheduler: Scheduler,
-        on_goal: Callable[[Any], None],
-        on_cancel: Callable[[Any], None] | None,
-        call_log: CallLog | None,
+        on_goal: Callable[[ServerGoal[Goal, Result, Feedback]], None],
+        on_cancel: Callable[[ServerGoal[Goal, Result, Feedback]], None] | None,
     ) -> None:
-        """Prepare the server of the action of that full name."""
-        self._component = component
-        self._goals: GoalServer[Any, Any, Any] = GoalServer(
-            action, spec.action, self, on_goal, on_cancel, owner.log
+        """Bind the port to an action (full name), with the handlers of its goals."""
+        self._bind(context, action)
+        topics = self.topics()
+        for part, output in topics.items():
+            output.bind(context, f"{action}/{part}")
+        self.outputs = list(topics.values())
+        self._goals: GoalServer[Goal, Result, Feedback] = GoalServer(
+            action,
+            self.interface,
+            topics[FEEDBACK].publish,
+            topics[STATUS].publish,
+            context.clock.now,
+            on_goal,
+            on_cancel,
+            context.log,
         )
-        self.bound = _BoundActionServer(action, self._goals)
         answers = {
             SEND_GOAL: self._goals.send_goal,
             CANCEL_GOAL: self._goals.cancel_goal,
@@ -61,163 +108,72 @@ class ActionServerPort:
         }
         # A goal that is not valid is rejected, which ROS 2 clients understand.
         invalid = {
-            SEND_GOAL: spec.action.SendGoal.Response(accepted=False),
+            SEND_GOAL: self.interface.SendGoal.Response(accepted=False),
             CANCEL_GOAL: CancelGoal.Response(return_code=CancelGoal.Response.ERROR_REJECTED),
         }
-        self.servers: list[ServerPort] = []
+        services = self.services()
+        self.servers: list[Server[Any, Any]] = []
         # While many goals arrive, earlier ones are canceled and have results nevertheless.
         for part in (CANCEL_GOAL, GET_RESULT, SEND_GOAL):
-            service = spec.services()[part]
-            self.servers.append(
-                ServerPort(
-                    service, f"{action}/{part}", owner, node, scheduler,
-                    f"{on_goal.__name__} ({service.name})", answers[part], call_log,
-                    invalid.get(part), tuple(self.servers),
-                )
+            server = services[part]
+            where = f"{on_goal.__name__} ({server.name})"
+            server.bind(
+                context, f"{action}/{part}", where, answers[part], invalid.get(part),
+                tuple(self.servers),
             )  # fmt: skip
-        topics = {
-            part: OutputPort(component.name, topic, f"{action}/{part}", owner, node, None, call_log)
-            for part, topic in spec.topics().items()
-        }
-        self.outputs = list(topics.values())
-        self.publish_feedback = topics[FEEDBACK].bound.publish
-        self._status = topics[STATUS].bound
-
-    def publish_status(self, message: GoalStatusArray) -> None:
-        """Publish the status of all goals."""
-        self._status.publish(message)
-
-    def now(self) -> int:
-        """Return the component's time [ns]."""
-        return self._component.clock.now()
+            self.servers.append(server)
 
     def abort_goals(self) -> None:
         """Abort all goals: the component becomes inactive, or has failed."""
         self._goals.close()
 
 
-class _BoundActionServer(ActionServer[Any, Any, Any]):
-    """The action server of one component instance."""
+class ActionClient(Port, Generic[Goal, Result, Feedback]):
+    """An action that the component uses, while it is active: three clients and an input.
 
-    def __init__(self, action: str, goals: GoalServer[Any, Any, Any]) -> None:
-        self._action = action
-        self._goals = goals
+    `spin: ActionClient[Spin.Goal, Spin.Result, Spin.Feedback]`. With `optional=True` the component
+    works without a server, and the check of a deployment does not require one.
+    """
 
-    @property
-    def action(self) -> str:
-        """The full name of the action in this deployment."""
-        return self._action
+    role: ClassVar[Literal["client"]] = "client"
 
-    @property
-    def goals(self) -> Sequence[ServerGoal[Any, Any, Any]]:
-        """The goals that have not ended, the oldest first."""
-        return self._goals.active
-
-    def restore(self, identity: bytes, goal: Any) -> ServerGoal[Any, Any, Any]:
-        """Return a goal that was accepted before a restart, executing again."""
-        return self._goals.restore(identity, goal)
-
-
-class ActionClientPort:
-    """An action client of the component: three clients and an input."""
-
-    def __init__(
-        self,
-        component: Component,
-        spec: ActionSpec,
-        action: str,
-        owner: PortOwner,
-        node: Node,
-        scheduler: Scheduler,
-        launch: LaunchRequest,
-        call_log: CallLog | None,
-    ) -> None:
-        """Prepare the client of the action of that full name."""
-        services = {
-            part: ClientPort(
-                component.name, service, f"{action}/{part}", owner, node, scheduler, call_log
-            )
-            for part, service in spec.services().items()
-        }
-        self.clients = list(services.values())
-        goals: GoalClient[Any, Any, Any] = GoalClient(
-            action,
-            spec.action,
-            *(
-                partial(_call, services[part].bound)
-                for part in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)
-            ),
-        )
-        self.feedback = InputPort(
-            spec.topics()[FEEDBACK], f"{action}/{FEEDBACK}", owner, node, scheduler,
-            [("feedback", goals.receive_feedback)], None, call_log,
-        )  # fmt: skip
-        # Of its own, so that goals do not change the component's other random numbers; another one
-        # after a restart, because a server rejects a goal whose id it knows.
-        seed = [launch.context.seed, zlib.crc32(action.encode()), launch.incarnation]
-        identities = np.random.default_rng([*seed, zlib.crc32(component.name.encode())])
-        self.bound = _BoundActionClient(
-            component.name, spec, action, goals, services[SEND_GOAL], identities, owner
-        )
-
-
-def _call(
-    client: Any,
-    request: Any,
-    on_response: Callable[[Any], None],
-    on_failure: Callable[[ServiceError], None],
-    timeout_s: float,
-) -> None:
-    client.call(request, on_response, on_failure, timeout_s=timeout_s)
-
-
-class _BoundActionClient(ActionClient[Any, Any, Any]):
-    """The action client of one component instance."""
-
-    def __init__(
-        self,
-        component: str,
-        spec: ActionSpec,
-        action: str,
-        goals: GoalClient[Any, Any, Any],
-        send_goal: ClientPort,
-        identities: np.random.Generator,
-        owner: PortOwner,
-    ) -> None:
-        super().__init__(optional=spec.optional)
-        self._component = component
-        self._spec = spec
-        self._action = action
-        self._goals = goals
-        self._send_goal = send_goal
-        self._identities = identities
-        self._owner = owner
+    def __init__(self, *, optional: bool = False) -> None:
+        self.optional = optional
 
     @property
     def action(self) -> str:
-        """The full name of the action in this deployment."""
-        return self._action
+        """The full name of the action in this deployment; `CairnError` on a declaration."""
+        return self._bound_name()
 
     @property
     def is_available(self) -> bool:
-        """Whether there is a server."""
-        return self._send_goal.bound.is_available
+        """Whether there is a server; `CairnError` on a declaration."""
+        self._bound_name()
+        return self._send_goal.is_available
 
     def send(
         self,
-        goal: Any,
-        on_result: Callable[[int, Any], None],
+        goal: Goal,
+        on_result: Callable[[int, Result], None],
         on_failure: Callable[[ServiceError], None] | None = None,
         *,
         on_accepted: Callable[[], None] | None = None,
-        on_feedback: Callable[[Any], None] | None = None,
+        on_feedback: Callable[[Feedback], None] | None = None,
         timeout_s: float = 5.0,
-    ) -> ClientGoal[Any, Any, Any]:
-        """Send a goal; `CairnError` if it is of another type than the port's."""
-        if not isinstance(goal, self._spec.action.Goal):
+    ) -> ClientGoal[Goal, Result, Feedback]:
+        """Send a goal, without waiting: the functions are called later as handlers.
+
+        `on_result` gets the final status, one of the constants of `action_msgs/msg/GoalStatus`, and
+        the result. `on_failure` is called in its place, with the reason, if the server rejects the
+        goal, does not answer within the time limit, or ends; without it, the reason is logged as a
+        warning. Raises `CairnError` if the goal is of another type than the port's, or on a
+        declaration.
+        """
+        self._bound_name()
+        if not isinstance(goal, self.interface.Goal):
             raise CairnError(
-                f"{self._component}: port {self._spec.name} sends goals of "
-                f"{type_name(self._spec.action)}, not {type(goal).__qualname__}"
+                f"{self._context.name}: port {self.name} sends goals of "
+                f"{type_name(self.interface)}, not {type_of(goal)}"
             )
         return self._goals.send(
             self._identities.bytes(16),
@@ -229,8 +185,59 @@ class _BoundActionClient(ActionClient[Any, Any, Any]):
             timeout_s,
         )
 
+    def services(self) -> dict[str, Client[Any, Any]]:
+        """Return new ports for its three services, by their names below that of the action."""
+        return {
+            part: Client[Any, Any](optional=self.optional).declare(f"{self.name}/{part}", service)
+            for part, service in _services(self.interface).items()
+        }
+
+    def topics(self) -> dict[str, In[Any]]:
+        """Return a new port for the feedback, by its name below that of the action."""
+        feedback = In[Any](optional=True)
+        return {
+            FEEDBACK: feedback.declare(f"{self.name}/{FEEDBACK}", self.interface.FeedbackMessage)
+        }
+
+    def bind(self, context: ComponentContext, action: str) -> None:
+        """Bind the port to an action (full name)."""
+        self._bind(context, action)
+        services = self.services()
+        for part, client in services.items():
+            client.bind(context, f"{action}/{part}")
+        self.clients = list(services.values())
+        self._send_goal = services[SEND_GOAL]
+        self._goals: GoalClient[Goal, Result, Feedback] = GoalClient(
+            action,
+            self.interface,
+            *(partial(_call, services[part]) for part in (SEND_GOAL, CANCEL_GOAL, GET_RESULT)),
+        )
+        self.feedback = self.topics()[FEEDBACK]
+        self.feedback.bind(
+            context, f"{action}/{FEEDBACK}", [("feedback", self._goals.receive_feedback)]
+        )
+        # Of its own, so that goals do not change the component's other random numbers; another one
+        # after a restart, because a server rejects a goal whose id it knows.
+        launch = context.launch
+        seed = [launch.context.seed, zlib.crc32(action.encode()), launch.incarnation]
+        self._identities = np.random.default_rng([*seed, zlib.crc32(context.name.encode())])
+
     def _log_failure(self, error: ServiceError) -> None:
-        self._owner.log.warning("a goal has failed: %s", error)
+        self._context.log.warning("a goal has failed: %s", error)
+
+
+def _services(action: type[Action[Any, Any, Any]]) -> dict[str, type[Service[Any, Any]]]:
+    return {SEND_GOAL: action.SendGoal, CANCEL_GOAL: CancelGoal, GET_RESULT: action.GetResult}
+
+
+def _call(
+    client: Client[Any, Any],
+    request: Any,
+    on_response: Callable[[Any], None],
+    on_failure: Callable[[ServiceError], None],
+    timeout_s: float,
+) -> None:
+    client.call(request, on_response, on_failure, timeout_s=timeout_s)
 
 
 def _ignore() -> None:

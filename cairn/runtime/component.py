@@ -11,6 +11,7 @@ from cairn.bus.bus import Bus, Node
 from cairn.bus.roles import Role
 from cairn.errors import CairnError
 from cairn.runtime.call_log import CallLog
+from cairn.runtime.loop import Scheduler
 from cairn.runtime.parameters import COMMON_PARAMETERS, Config
 from cairn.system.clock import Clock
 
@@ -20,18 +21,30 @@ if TYPE_CHECKING:
 
 
 class ComponentContext(Protocol):
-    """What the runtime provides to a component; component authors do not use it directly."""
+    """What the runtime provides to a component and its ports; for no direct use by authors."""
 
     name: str
     config: Config
     clock: Clock
+    unlogged_clock: Clock
+    """The component's time, read without a record in the call log."""
     log: logging.Logger
     random: np.random.Generator
     restarts: int
     bus: Bus
     node: Node
+    scheduler: Scheduler
     launch: "LaunchRequest"
     call_log: CallLog | None
+
+    @property
+    def may_publish(self) -> bool:
+        """Whether messages may be sent now."""
+        ...
+
+    def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
+        """Make one call into the component, while active."""
+        ...
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Make `call` once at time `at` [ns] of the component's clock, while active."""
@@ -92,6 +105,9 @@ class Component:
     confidential_inputs: ClassVar[frozenset[str]] = frozenset()
     """Input ports whose topics users on the network with less than `administer` may not read."""
 
+    live_parameters: ClassVar[frozenset[str] | None] = None
+    """Parameters, or groups of them, that can be changed while it runs; None: all."""
+
     published_frames: ClassVar[frozenset[str]] = frozenset()
     """Frames whose transforms to their parents it publishes, so that nothing else may."""
 
@@ -124,8 +140,8 @@ class Component:
     @classmethod
     def check_neighbors(
         cls,
-        config: Config,  # noqa: ARG003 - for overriding methods
-        neighbors: Mapping[str, Mapping[str, Config]],  # noqa: ARG003
+        config: Config,
+        neighbors: Mapping[str, Mapping[str, Config]],
     ) -> Iterable[tuple[str, str, str]]:
         """Return which parameters do not fit those of the components on the same topics.
 
@@ -230,7 +246,7 @@ class Component:
     def on_shutdown(self) -> None:
         """Release everything; the component is not used again."""
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - for overriding methods
+    def on_error(self, error: Exception) -> bool:
         """Clean up after an exception in a handler or a transition.
 
         Return True if the component can be configured again in the same process; by default it
@@ -247,7 +263,7 @@ class Component:
     def on_fresh(self, port: str) -> None:
         """React to an input that was stale and has a current message again."""
 
-    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:  # noqa: ARG002
+    def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Return the reply to a control request of the component's own, a value that is JSON.
 
         Raises `CairnError` for an unknown request, which is every one by default.
@@ -255,7 +271,7 @@ class Component:
         raise CairnError(f"{self.name}: unknown request {verb}")
 
     def on_parameters(self, new: Config) -> None:
-        """Check a valid change of parameters before it takes effect.
+        """Check a valid change of `live_parameters` before it takes effect.
 
         Raise `ParameterRejected` to keep all parameters as they are. `self.config` is still the old
         configuration here and becomes `new` when this returns.

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from cairn.runtime.component import Component
-from cairn.runtime.ports import BoundIn
+from cairn.runtime.topic_ports import In
 from cairn.schemas.builtin_interfaces import to_ns
 from cairn.system.clock import SECOND
 
@@ -24,7 +24,7 @@ class InputAges:
     def __init__(
         self,
         component: Component,
-        inputs: Mapping[str, BoundIn[Any]],
+        inputs: Mapping[str, In[Any]],
         max_age_s: Mapping[str, float],
     ) -> None:
         """Watch the inputs (by port) for which `max_age_s` has an age [s]."""

@@ -15,7 +15,7 @@ from cairn.bus.qos import RELIABLE
 from cairn.bus.type_hash import type_description, type_hash
 from cairn.errors import CairnError
 from cairn.runtime.loop import Scheduler
-from cairn.runtime.parameters import Parameter, ParameterRejected
+from cairn.runtime.parameters import ParameterDescription, ParameterRejected
 from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.definitions import DefinitionError
 from cairn.schemas.interfaces import interface
@@ -85,12 +85,12 @@ def serve_node(
 ) -> None:
     """Serve services below a node, of that full name, on a component's loop until `node` closes."""
     for one in services:
-        service = _Service(f"{name}/{one.name}", one)
+        service = _NodeServer(f"{name}/{one.name}", one)
         wake = partial(scheduler.deliver, service.receive)
         service.server = node.serve(service.name, one.service, wake, is_private=True)
 
 
-class _Service:
+class _NodeServer:
     def __init__(self, name: str, service: NodeService) -> None:
         self.name = name
         self._answer = service.answer
@@ -122,7 +122,7 @@ class ParameterServices:
         node: Node,
         name: str,
         clock: Clock,
-        described: Callable[[], list[Parameter]],
+        described: Callable[[], list[ParameterDescription]],
         change: Callable[[Mapping[str, Any]], object],
         *,
         simulated_time: bool,
@@ -166,9 +166,9 @@ class ParameterServices:
             )
         )
 
-    def _known(self) -> dict[str, Parameter]:
+    def _known(self) -> dict[str, ParameterDescription]:
         meaning = "Whether the time is that of topic clock."
-        time = Parameter(USE_SIM_TIME, self._simulated_time, "bool", meaning, "")
+        time = ParameterDescription(USE_SIM_TIME, self._simulated_time, "bool", meaning, "")
         return {one.name: one for one in [*self._described(), time]}
 
     def _get(self, request: GetParameters.Request) -> GetParameters.Response:
@@ -331,7 +331,7 @@ def python_value(parameter: RosParameter) -> Any:
     return fields[value.type]()
 
 
-def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+def _descriptor(parameter: ParameterDescription) -> ParameterDescriptor:
     value = ros_value(parameter.value)
     low, high = parameter.range
     integer: tuple[IntegerRange, ...] = ()

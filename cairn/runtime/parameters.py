@@ -115,7 +115,7 @@ SensorFrame = Annotated[str, Field(min_length=1), SensorFrameMark()]
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ParameterDescription:
     """One parameter as shown to an operator; parameters in groups have dotted names.
 
     `range` has the least and the greatest number, each None without a limit.
@@ -146,10 +146,10 @@ COMMON_PARAMETERS: Final = tuple(_COMMON)
 """Names of the parameters that every component has beside those of its configuration."""
 
 
-def describe_common(values: Mapping[str, str]) -> list[Parameter]:
+def describe_common(values: Mapping[str, str]) -> list[ParameterDescription]:
     """Return the parameters that every component has, with their values."""
     return [
-        Parameter(name, values[name], _type_name(kind), meaning, "")
+        ParameterDescription(name, values[name], _type_name(kind), meaning, "")
         for name, (kind, meaning) in _COMMON.items()
     ]
 
@@ -164,10 +164,10 @@ def checked_common(name: str, value: object) -> str:
     return str(value)
 
 
-def describe_parameters(config: Config) -> list[Parameter]:
+def describe_parameters(config: Config) -> list[ParameterDescription]:
     """Return all parameters of a configuration, in order of declaration."""
     return [
-        Parameter(
+        ParameterDescription(
             name,
             value,
             _type_name(field.annotation),

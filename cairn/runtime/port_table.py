@@ -1,162 +1,119 @@
-"""The ports of one running component: publishes, subscribes, delivers messages, counts them."""
+"""The ports of one running component, which its runtime opens and closes together."""
 
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
-from cairn.bus.bus import Node, full_name
-from cairn.runtime.action_ports import ActionClientPort, ActionServerPort
-from cairn.runtime.call_log import CallLog
-from cairn.runtime.component import Component
+from cairn.bus.bus import full_name
+from cairn.runtime.action_ports import ActionServer
+from cairn.runtime.component import Component, ComponentContext
+from cairn.runtime.handlers import Decorator, handlers_of
 from cairn.runtime.input_ages import InputAges
-from cairn.runtime.launch_request import LaunchRequest
-from cairn.runtime.loop import Scheduler
 from cairn.runtime.parameters import ServiceIntrospection
-from cairn.runtime.port_owner import PortOwner
-from cairn.runtime.ports import (
-    BoundIn,
-    CancelHandler,
-    GoalHandler,
-    PortHandler,
-    ServiceHandler,
-    TimerHandler,
-    actions_of,
-    handlers_of,
-    ports_of,
-    services_of,
-)
-from cairn.runtime.service_ports import ClientPort, ServerPort, answering
-from cairn.runtime.topic_ports import InputPort, OutputPort
+from cairn.runtime.ports import actions_of, ports_of, services_of
+from cairn.runtime.service_ports import Client, Server, answering
+from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.message import fields_of, type_name
 
 
 class PortTable:
-    """Binds the ports declared by a component's class to the bus."""
+    """All ports of one running component: those that its class declares, bound to the bus."""
 
     def __init__(
         self,
         component: Component,
-        owner: PortOwner,
-        node: Node,
-        scheduler: Scheduler,
-        launch: LaunchRequest,
-        call_log: CallLog | None = None,
+        context: ComponentContext,
         clock_problem: Callable[[str], str] = lambda _: "",
     ) -> None:
-        """Bind the ports; `launch` gives their topics, and the writers of exclusive ones.
+        """Bind the ports, and make them attributes of the component.
 
         `clock_problem` returns why stamps of a machine of the robot cannot be used, "" if they can.
         """
         self._component = component
+        self._context = context
+        self._clock_problem = clock_problem
+        self._handlers = handlers_of(type(component))
+        self._inputs: list[In[Any]] = []
+        self._outputs: list[Out[Any]] = []
+        self._servers: list[Server[Any, Any]] = []
+        self._clients: list[Client[Any, Any]] = []
+        self._action_servers: list[ActionServer[Any, Any, Any]] = []
+        self._bind_topics()
+        inputs = {port.name: port for port in self._inputs}
+        ages = {port.name: port.max_age_s for port in self._inputs if port.max_age_s is not None}
+        self._ages = InputAges(component, inputs, ages | context.launch.spec.max_age_s)
+        self._bind_services()
+        self._bind_actions()
+
+    def _bind_topics(self) -> None:
+        launch = self._context.launch
         elsewhere = {} if launch.context.simulated_time else launch.context.remote_topics
-        handlers = handlers_of(type(component))
-        self._timers = [
-            (name, handler.period_ns, getattr(component, name))
-            for name, handler in handlers.items()
-            if isinstance(handler, TimerHandler)
-        ]
-        self._inputs: list[InputPort] = []
-        self._outputs: list[OutputPort] = []
-        bound: dict[str, BoundIn[Any]] = {}
-        ages: dict[str, float] = {}
-        for spec in ports_of(type(component)).values():
-            name = launch.spec.topics.get(spec.name, spec.name)
-            topic = full_name(launch.context.robot, name)
-            exclusive = launch.exclusive(topic)
-            if spec.direction == "in":
-                calls = [
-                    (name, getattr(component, name))
-                    for name, handler in handlers.items()
-                    if isinstance(handler, PortHandler) and handler.port == spec.name
-                ]
-                if not spec.exclusive:
-                    exclusive = None
-                elif exclusive is None and launch.context.exclusive_topics is not None:
-                    owner.log.warning(
+        for name, port in ports_of(type(self._component)).items():
+            topic = self._full_name(name)
+            writer = launch.exclusive(topic)
+            if isinstance(port, In):
+                if not port.exclusive:
+                    writer = None
+                elif writer is None and launch.context.exclusive_topics is not None:
+                    self._context.log.warning(
                         "port %s: accepts every publisher on %s, although it is exclusive: the "
                         "topic is listed under external_topics, and no component publishes it",
-                        spec.name, topic,
+                        name, topic,
                     )  # fmt: skip
                 machine = elsewhere.get(topic)
-                problem = None if machine is None else partial(clock_problem, machine)
-                port = InputPort(
-                    spec, topic, owner, node, scheduler, calls, exclusive, call_log, problem
-                )
-                setattr(component, spec.name, port.bound)
+                problem = None if machine is None else partial(self._clock_problem, machine)
+                port.bind(self._context, topic, self._methods("on", name), writer, problem)
                 self._inputs.append(port)
-                bound[spec.name] = port.bound
-                if spec.max_age_s is not None:
-                    ages[spec.name] = spec.max_age_s
             else:
-                output = OutputPort(component.name, spec, topic, owner, node, exclusive, call_log)
-                setattr(component, spec.name, output.bound)
-                self._outputs.append(output)
+                port.bind(self._context, topic, writer)
+                self._outputs.append(port)
+            setattr(self._component, name, port)
 
-        self._ages = InputAges(component, bound, ages | launch.spec.max_age_s)
-        self._servers: list[ServerPort] = []
-        self._clients: list[ClientPort] = []
-        self._bind_services(owner, node, scheduler, launch, call_log)
-        self._action_servers: list[ActionServerPort] = []
-        self._bind_actions(owner, node, scheduler, launch, call_log)
-
-    def _bind_services(
-        self,
-        owner: PortOwner,
-        node: Node,
-        scheduler: Scheduler,
-        launch: LaunchRequest,
-        call_log: CallLog | None,
-    ) -> None:
-        component = self._component
-        methods = _methods(component, ServiceHandler)
-        for spec in services_of(type(component)).values():
-            service = full_name(launch.context.robot, launch.spec.topics.get(spec.name, spec.name))
-            if spec.role == "server":
-                name, method = methods[spec.name]
-                answer = answering(method, service)
-                where = f"{name} (service {spec.name})"
-                server = ServerPort(spec, service, owner, node, scheduler, where, answer, call_log)
-                setattr(component, spec.name, server.bound)
-                self._servers.append(server)
+    def _bind_services(self) -> None:
+        for name, port in services_of(type(self._component)).items():
+            service = self._full_name(name)
+            if isinstance(port, Server):
+                [(method_name, method)] = self._methods("serve", name)
+                where = f"{method_name} (service {name})"
+                port.bind(self._context, service, where, answering(method, service))
+                self._servers.append(port)
             else:
-                client = ClientPort(component.name, spec, service, owner, node, scheduler, call_log)
-                setattr(component, spec.name, client.bound)
-                self._clients.append(client)
+                port.bind(self._context, service)
+                self._clients.append(port)
+            setattr(self._component, name, port)
 
-    def _bind_actions(
-        self,
-        owner: PortOwner,
-        node: Node,
-        scheduler: Scheduler,
-        launch: LaunchRequest,
-        call_log: CallLog | None,
-    ) -> None:
-        component = self._component
-        goals, cancels = _methods(component, GoalHandler), _methods(component, CancelHandler)
-        for spec in actions_of(type(component)).values():
-            action = full_name(launch.context.robot, launch.spec.topics.get(spec.name, spec.name))
-            if spec.role == "server":
-                on_cancel = cancels[spec.name][1] if spec.name in cancels else None
-                server = ActionServerPort(
-                    component, spec, action, owner, node, scheduler, goals[spec.name][1], on_cancel,
-                    call_log,
-                )  # fmt: skip
-                setattr(component, spec.name, server.bound)
-                self._action_servers.append(server)
-                self._servers += server.servers
-                self._outputs += server.outputs
+    def _bind_actions(self) -> None:
+        for name, port in actions_of(type(self._component)).items():
+            action = self._full_name(name)
+            if isinstance(port, ActionServer):
+                [(_, on_goal)] = self._methods("goal", name)
+                on_cancel = [method for _, method in self._methods("cancel", name)]
+                port.bind(self._context, action, on_goal, on_cancel[-1] if on_cancel else None)
+                self._action_servers.append(port)
+                self._servers += port.servers
+                self._outputs += port.outputs
             else:
-                client = ActionClientPort(
-                    component, spec, action, owner, node, scheduler, launch, call_log
-                )
-                setattr(component, spec.name, client.bound)
-                self._clients += client.clients
-                self._inputs.append(client.feedback)
+                port.bind(self._context, action)
+                self._clients += port.clients
+                self._inputs.append(port.feedback)
+            setattr(self._component, name, port)
+
+    def _full_name(self, port: str) -> str:
+        launch = self._context.launch
+        return full_name(launch.context.robot, launch.spec.topics.get(port, port))
+
+    def _methods(self, decorator: Decorator, port: str) -> list[tuple[str, Callable[..., Any]]]:
+        """Return the names and methods of the handlers of a port that are decorated so."""
+        return [
+            (name, getattr(self._component, name))
+            for name, handler in self._handlers.items()
+            if (handler.decorator, handler.port) == (decorator, port)
+        ]
 
     def introspect(self, introspection: ServiceIntrospection) -> None:
         """Choose what is published of the calls of all services and actions."""
-        ends: list[ServerPort | ClientPort] = [*self._servers, *self._clients]
+        ends: list[Server[Any, Any] | Client[Any, Any]] = [*self._servers, *self._clients]
         for end in ends:
             end.events.configure(introspection)
 
@@ -167,7 +124,7 @@ class PortTable:
 
     def subscribe(self) -> None:
         """Open the subscriptions of the inputs, the servers and the clients."""
-        ends: list[InputPort | ClientPort | ServerPort] = [
+        ends: list[In[Any] | Client[Any, Any] | Server[Any, Any]] = [
             *self._inputs, *self._clients, *self._servers,
         ]  # fmt: skip
         for end in ends:
@@ -182,7 +139,7 @@ class PortTable:
         """Close the subscriptions, the servers and the clients; abort the goals of actions."""
         for action in self._action_servers:
             action.abort_goals()
-        ends: list[InputPort | ClientPort | ServerPort] = [
+        ends: list[In[Any] | Client[Any, Any] | Server[Any, Any]] = [
             *self._inputs, *self._servers, *self._clients,
         ]  # fmt: skip
         for end in ends:
@@ -193,7 +150,7 @@ class PortTable:
         for output in self._outputs:
             output.close()
         for port in self._inputs:
-            port.bound.set_latest(None)
+            port.forget()
 
     def watch_ages(self) -> None:
         """Count the ages of the inputs from now on."""
@@ -201,15 +158,15 @@ class PortTable:
 
     def timers(self) -> Iterator[tuple[str, int, Callable[[], None]]]:
         """Yield the periodic handlers: name, period [ns], method."""
-        yield from self._timers
+        for name, handler in self._handlers.items():
+            if handler.decorator == "every":
+                yield name, handler.period_ns, getattr(self._component, name)
         if self._ages.period_ns:
             yield "ages of inputs", self._ages.period_ns, self._ages.check
 
     def outputs_with(self, message: str) -> list[str]:
         """Return the outputs whose messages have the type of that name, or a field of it."""
-        return [
-            output.spec.name for output in self._outputs if _contains(output.spec.message, message)
-        ]
+        return [output.name for output in self._outputs if _contains(output.interface, message)]
 
     def status(self) -> tuple[PortStatus, ...]:
         """Return the counters of every port."""
@@ -219,17 +176,6 @@ class PortTable:
             *(server.status() for server in self._servers),
             *(client.status() for client in self._clients),
         )
-
-
-def _methods(
-    component: Component, kind: type[ServiceHandler | GoalHandler | CancelHandler]
-) -> dict[str, tuple[str, Callable[..., Any]]]:
-    """Return the names and methods of the handlers of a kind, by port."""
-    return {
-        handler.port: (name, getattr(component, name))
-        for name, handler in handlers_of(type(component)).items()
-        if isinstance(handler, kind)
-    }
 
 
 def _contains(message: type[Any], name: str) -> bool:

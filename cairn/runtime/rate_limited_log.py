@@ -19,16 +19,16 @@ class RateLimitedLog:
     def __init__(self, log: logging.Logger) -> None:
         """Write to `log`, usually a component's `self.log`."""
         self._log = log
-        self._counts: dict[str, _Counts] = {}
+        self._counts: dict[str, _Repeated] = {}
 
     def warn(self, subject: str, message: str) -> None:
         """Count a warning about `subject`; log the 1st, 2nd, 4th, 8th ... with the count.
 
         The count is that of this very message, or else that of all warnings about the subject.
         """
-        before = self._counts.get(subject, _Counts("", 0, 0))
+        before = self._counts.get(subject, _Repeated("", 0, 0))
         same = before.same + 1 if message == before.message else 1
-        now = self._counts[subject] = _Counts(message, same, before.all + 1)
+        now = self._counts[subject] = _Repeated(message, same, before.all + 1)
         if len(self._counts) > MOST_SUBJECTS:
             del self._counts[next(iter(self._counts))]
         if now.all & (now.all - 1) == 0:
@@ -40,7 +40,7 @@ class RateLimitedLog:
             self._log.info("%s", message)
 
 
-class _Counts(NamedTuple):
+class _Repeated(NamedTuple):
     """The last message about a subject, how often it came in a row, and the number of warnings."""
 
     message: str

@@ -46,7 +46,8 @@ from cairn.runtime.parameters import (
     LOG_LEVEL,
     SERVICE_INTROSPECTION,
     Config,
-    Parameter,
+    ParameterDescription,
+    ParameterRejected,
     ReadPathMark,
     ServiceIntrospection,
     checked_common,
@@ -113,7 +114,7 @@ class Runtime:
         self.log.setLevel(self._common[LOG_LEVEL].upper())
         self.random = np.random.default_rng([launch.context.seed, zlib.crc32(launch.name.encode())])
         self.bus = bus
-        self._scheduler = scheduler
+        self.scheduler = scheduler
         self._system_clock = system_clock
         self._on_end = on_end
         self._handler_clock = handler_clock
@@ -146,7 +147,7 @@ class Runtime:
         if launch.context.call_log and component.clock_source != "device":
             self.call_log = self._open_call_log()
             start = _start_record(launch, self.config)
-            self._scheduler = LoggedScheduler(scheduler, self.call_log)
+            self.scheduler = LoggedScheduler(scheduler, self.call_log)
             if simulated_clock is None:  # otherwise the clock messages are logged
                 self.clock = LoggedClock(system_clock, self.call_log)
         self._parameter_services: ParameterServices | None = None
@@ -173,7 +174,7 @@ class Runtime:
     def post(self, call: Callable[[], None]) -> None:
         """Make the component's `call` among its handlers; from any thread."""
         name = getattr(call, "__name__", "posted call")
-        self._scheduler.post(partial(self.run, name, call))
+        self.scheduler.post(partial(self.run, name, call))
 
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End normally once the current handler returns."""
@@ -223,6 +224,7 @@ class Runtime:
         }
         new = with_changes(self.config, own)
         if own:
+            self._check_live(new)
             self.component.on_parameters(new)
             self.config = new
             self.component.config = new
@@ -232,6 +234,22 @@ class Runtime:
         self.log.info("parameters changed: %s", dict(changes))
         if self._parameter_services is not None:
             self._parameter_services.publish_change(list(changes))
+
+    def _check_live(self, new: Config) -> None:
+        live = self.component.live_parameters
+        if live is None:
+            return
+        fixed = [
+            name
+            for name in type(new).model_fields
+            if name not in live and getattr(new, name) != getattr(self.config, name)
+        ]
+        if fixed:
+            only = f", or change only {', '.join(sorted(live))}" if live else ""
+            raise ParameterRejected(
+                f"{self.name}: {', '.join(fixed)} cannot change while it runs; change the "
+                f"deployment, and restart it{only}"
+            )
 
     def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Return the reply to a control request; raises `CairnError` if it is rejected or fails."""
@@ -248,7 +266,7 @@ class Runtime:
             return self._answer(verb, arguments)
         return self._logged(request_record(verb, arguments), self._answer, verb, arguments)
 
-    def _described_parameters(self) -> list[Parameter]:
+    def _described_parameters(self) -> list[ParameterDescription]:
         return [*describe_parameters(self.config), *describe_common(self._common)]
 
     def _answer(self, verb: str, arguments: Mapping[str, Any]) -> Any:
@@ -279,7 +297,7 @@ class Runtime:
             self._call(where, call, *arguments)
         except _Failure as failure:
             if self._fail(failure):
-                self._scheduler.post(self._recover)
+                self.scheduler.post(self._recover)
         self._finish_if_requested()
 
     def publish_heartbeat(self) -> None:
@@ -328,14 +346,11 @@ class Runtime:
         self, component: type[Component], simulated_clock: SimulatedClock | None
     ) -> None:
         simulated = simulated_clock is not None
-        self._timers = ComponentTimers(self.clock, self._scheduler, self.log, simulated=simulated)
+        self._timers = ComponentTimers(self.clock, self.scheduler, self.log, simulated=simulated)
         self.component = component(self)
         self.component.config = self.config
         robot, topics = self.launch.context.robot, self.launch.spec.topics
-        self._ports = PortTable(
-            self.component, self, self.node, self._scheduler, self.launch, self.call_log,
-            self._clock_problem,
-        )  # fmt: skip
+        self._ports = PortTable(self.component, self, self._clock_problem)
         self._clock_input: ClockInput | None = None
         if simulated_clock is not None:
             topic = full_name(robot, topics.get(CLOCK_TOPIC, CLOCK_TOPIC))
@@ -343,7 +358,7 @@ class Runtime:
                 simulated_clock,
                 self.node,
                 topic,
-                self._scheduler,
+                self.scheduler,
                 self._on_clock_set,
                 self.log.error,
             )
@@ -507,7 +522,7 @@ class Runtime:
                 self.transition(Transition.ACTIVATE)
         except CairnError as error:
             self.log.error("recovery failed: %s", error)
-            self._scheduler.post(self._recover)  # until `RecoveryLimit` is reached
+            self.scheduler.post(self._recover)  # until `RecoveryLimit` is reached
         else:
             self.log.info("recovered")
 
@@ -522,7 +537,7 @@ class Runtime:
                 self.call_log.flush(last=True)
             self.node.close()
         finally:
-            self._scheduler.stop()
+            self.scheduler.stop()
             self._on_end(end)
 
 

@@ -1,23 +1,27 @@
-"""The inputs and outputs of one running component: they deliver and publish, and count."""
+"""The inputs and outputs of components: they deliver and publish messages, and count them."""
 
 from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
-from cairn.bus.bus import Node, Publisher, Subscription
+from cairn.bus.bus import Publisher, Subscription
 from cairn.bus.exclusive import Exclusive
-from cairn.runtime.call_log import CallLog
+from cairn.bus.qos import RELIABLE, Qos
+from cairn.errors import CairnError
 from cairn.runtime.call_records import RecordKind
-from cairn.runtime.loop import Scheduler
-from cairn.runtime.port_owner import PortOwner
-from cairn.runtime.ports import BoundIn, BoundOut, PortSpec
+from cairn.runtime.component import ComponentContext
+from cairn.runtime.port import Port, check_max_bytes, type_of
 from cairn.schemas.cairn_msgs import PortStatus
-from cairn.schemas.message import InvalidMessage
+from cairn.schemas.message import InvalidMessage, type_name
+
+T = TypeVar("T")
+
+_LONGEST_AGE_S = 3600.0
 
 
-class _Counts(NamedTuple):
-    """Numbers of messages of one input port."""
+class _InputCounts(NamedTuple):
+    """Numbers of messages of one input."""
 
     received: int = 0
     dropped: int = 0
@@ -30,47 +34,84 @@ def has_stamp(message: type[Any]) -> bool:
     return any(one.name == "header" for one in fields(message))
 
 
-class InputPort:
-    """An input of the component."""
+class In(Port, Generic[T]):
+    """An input port, declared in the body of a component: `odom: In[Odometry] = In(qos=SENSOR)`.
+
+    A bare annotation `odom: In[Odometry]` means `In()`. With `optional=True` the component works
+    without a publisher, and the check of a deployment does not require one. With `exclusive=True`
+    the port accepts only the messages of the one component whose output has its topic in the
+    deployment; it refuses, counts and reports those of any other publisher. A message longer than
+    `max_bytes` is rejected, counted and reported before it is decoded; by default the limit follows
+    from the message type: 4 KiB for one of fixed length, 64 KiB with texts, 1 MiB with sequences,
+    32 MiB with bytes, such as images and maps. An input without a message younger than `max_age_s`
+    [s] is stale: the component logs and shows it, and `Component.on_stale` is called.
+    """
+
+    direction: ClassVar[Literal["in"]] = "in"
 
     def __init__(
         self,
-        spec: PortSpec,
-        topic: str,
-        owner: PortOwner,
-        node: Node,
-        scheduler: Scheduler,
-        calls: list[tuple[str, Callable[..., None]]],
-        exclusive: Exclusive | None,
-        call_log: CallLog | None,
-        clock_problem: Callable[[], str] | None = None,
+        qos: Qos = RELIABLE,
+        *,
+        optional: bool = False,
+        exclusive: bool = False,
+        max_bytes: int | None = None,
+        max_age_s: float | None = None,
     ) -> None:
-        """`clock_problem` returns why messages with a stamp are refused now, "" if they are not."""
-        self.bound: BoundIn[Any] = BoundIn(spec, topic)
-        self._spec = spec
-        self._topic = topic
-        self._owner = owner
-        self._node = node
-        self._exclusive = exclusive
-        self._call_log = call_log
-        self._clock_problem = clock_problem if has_stamp(spec.message) else None
+        check_max_bytes("In", max_bytes)
+        if max_age_s is not None and (qos.latched or not 0 < max_age_s <= _LONGEST_AGE_S):
+            raise CairnError(
+                f"In(max_age_s={max_age_s}): an age is above 0 and at most {_LONGEST_AGE_S:g} s, "
+                "and not for a latched input, whose last message stays valid"
+            )
+        self.max_age_s = max_age_s
+        self.qos = qos
+        self.optional = optional
+        self.exclusive = exclusive
+        self.max_bytes = max_bytes
+        self._latest: T | None = None
         self._refused = 0  # because of the clock of their publisher's machine
-        self._wake = partial(scheduler.deliver, self._on_wake_up)
-        self._calls = [(f"{name} (port {spec.name})", call) for name, call in calls]
         self._subscription: Subscription | None = None
         # The subscription to count, and the counts before it; one tuple, read by other threads.
-        self._counted: tuple[Subscription | None, _Counts] = (None, _Counts())
+        self._counted: tuple[Subscription | None, _InputCounts] = (None, _InputCounts())
+
+    @property
+    def topic(self) -> str:
+        """The topic that the port reads in this deployment; `CairnError` on a declaration."""
+        return self._bound_name()
+
+    @property
+    def latest(self) -> T | None:
+        """The last message handled, None before the first; `CairnError` on a declaration."""
+        if (latest := self._latest) is None:
+            self._bound_name()
+        return latest
+
+    def bind(
+        self,
+        context: ComponentContext,
+        topic: str,
+        calls: list[tuple[str, Callable[..., None]]],
+        writer: Exclusive | None = None,
+        clock_problem: Callable[[], str] | None = None,
+    ) -> None:
+        """Bind the port to a topic (full name), for the handlers `calls`: names and methods.
+
+        Only messages of the `writer` are accepted, if there is one. `clock_problem` returns why
+        messages with a stamp are refused now, "" if they are not.
+        """
+        self._bind(context, topic)
+        self._calls = [(f"{name} (port {self.name})", call) for name, call in calls]
+        self._writer = writer
+        self._clock_problem = clock_problem if has_stamp(self.interface) else None
+        self._call_log = context.call_log
+        self._wake = partial(context.scheduler.deliver, self._on_wake_up)
 
     def open(self) -> None:
         """Receive from now on."""
         if self._subscription is None:
-            self._subscription = self._node.subscribe(
-                self._topic,
-                self._spec.message,
-                self._spec.qos,
-                self._wake,
-                self._exclusive,
-                self._spec.max_bytes,
+            self._subscription = self._context.node.subscribe(
+                self._full_name, self.interface, self.qos, self._wake, self._writer, self.max_bytes
             )
             self._counted = (self._subscription, self._counted[1])
 
@@ -78,7 +119,7 @@ class InputPort:
         """Handle the messages that are pending."""
         # Not more than the port's depth: a publisher faster than the handlers must not keep the
         # component from deactivating.
-        for _ in range(self._spec.qos.depth):
+        for _ in range(self.qos.depth):
             if not self._deliver():
                 return
 
@@ -89,12 +130,16 @@ class InputPort:
             self._subscription = None
             self._counted = (None, self._counts())
 
+    def forget(self) -> None:
+        """Forget the latest message."""
+        self._latest = None
+
     def status(self) -> PortStatus:
         """Return the counters."""
         counts = self._counts()
         return PortStatus(
-            port=self._spec.name,
-            topic=self._topic,
+            port=self.name,
+            topic=self._full_name,
             direction=PortStatus.IN,
             messages=counts.received,
             dropped=counts.dropped,
@@ -102,11 +147,11 @@ class InputPort:
             refused=counts.refused + self._refused,
         )
 
-    def _counts(self) -> _Counts:
+    def _counts(self) -> _InputCounts:
         now, before = self._counted
         if now is None:
             return before
-        return _Counts(
+        return _InputCounts(
             before.received + now.received,
             before.dropped + now.dropped,
             before.invalid + now.invalid,
@@ -131,63 +176,109 @@ class InputPort:
             self._refuse(problem)
             return True
         if self._call_log is not None:
-            self._call_log.took(self._spec.name, self._subscription.taken)
-        self.bound.set_latest(message)
+            self._call_log.took(self.name, self._subscription.taken)
+        self._latest = message
         for where, call in self._calls:
-            self._owner.run(where, call, message)
+            self._context.run(where, call, message)
         return True
 
     def _refuse(self, problem: str) -> None:
         self._refused += 1
         if self._refused & (self._refused - 1) == 0:  # the 1st, 2nd, 4th, 8th ...
-            self._owner.log.error(
+            self._context.log.error(
                 "port %s: refused message on %s (%d so far): %s",
-                self._spec.name, self._topic, self._refused, problem,
+                self.name, self._full_name, self._refused, problem,
             )  # fmt: skip
 
     def _log_invalid(self, error: InvalidMessage) -> None:
         count = self._counts().invalid
         if count & (count - 1) == 0:  # the 1st, 2nd, 4th, 8th ... do not flood the log
-            self._owner.log.error(
+            self._context.log.error(
                 "port %s: rejected invalid message on %s (%d so far): %s",
-                self._spec.name, self._topic, count, error,
+                self.name, self._full_name, count, error,
             )  # fmt: skip
 
 
-class OutputPort:
-    """An output of the component."""
+class Out(Port, Generic[T]):
+    """An output port, declared in the body of a component: `pose: Out[PoseStamped]`.
 
-    def __init__(
-        self,
-        component: str,
-        spec: PortSpec,
-        topic: str,
-        owner: PortOwner,
-        node: Node,
-        exclusive: Exclusive | None,
-        call_log: CallLog | None,
-    ) -> None:
-        self.bound: BoundOut[Any] = BoundOut(
-            component, spec, topic, self._send, self._has_subscribers
-        )
-        self.spec = spec
-        self._topic = topic
-        self._owner = owner
-        self._node = node
-        self._exclusive = exclusive
-        self._call_log = call_log
+    Its quality of service is given as a default: `map: Out[OccupancyGrid] = Out(qos=LATCHED)`. With
+    `exclusive=True` the check of a deployment rejects any other component that publishes on its
+    topic, also if what reads there is not part of the deployment.
+    """
+
+    direction: ClassVar[Literal["out"]] = "out"
+
+    def __init__(self, qos: Qos = RELIABLE, *, exclusive: bool = False) -> None:
+        self.qos = qos
+        self.exclusive = exclusive
         self._publisher: Publisher | None = None
+        # The publisher to count, and the count before it; one tuple, read by other threads.
         self._counted: tuple[Publisher | None, int] = (None, 0)
+
+    @property
+    def topic(self) -> str:
+        """The topic that the port publishes on in this deployment; `CairnError` if declared."""
+        return self._bound_name()
+
+    @property
+    def has_subscribers(self) -> bool:
+        """Whether a message published now would be received; always True on a latched port.
+
+        For messages that are costly to compute; just publish all others. Raises `CairnError` on a
+        declaration.
+        """
+        publisher = self._publisher
+        if publisher is None:
+            self._bound_name()
+            return False
+        if not self._context.may_publish:
+            return False
+        subscribed = publisher.has_subscribers
+        if self._call_log is not None:
+            kind = RecordKind.HAS_SUBSCRIBERS if subscribed else RecordKind.NO_SUBSCRIBERS
+            self._call_log.add(kind, self.name)
+        return subscribed
+
+    def publish(self, message: T) -> None:
+        """Send a message; an inactive component sends nothing.
+
+        Raises `CairnError` if the message is of another type than the port's, or on a declaration.
+        """
+        if not isinstance(message, self.interface):
+            raise CairnError(
+                f"{self._context.name}: port {self.name} publishes {type_name(self.interface)}, "
+                f"not {type_of(message)}"
+            )
+        publisher = self._publisher
+        if publisher is None:
+            self._bound_name()
+            return
+        if not self._context.may_publish:
+            return
+        sequence = publisher.publish(message)
+        if self._call_log is None:
+            return
+        if sequence:
+            self._call_log.add(RecordKind.SENT, self.name, sequence)
+        else:
+            self._call_log.add(RecordKind.NOT_SENT, self.name)
+
+    def bind(self, context: ComponentContext, topic: str, writer: Exclusive | None = None) -> None:
+        """Bind the port to a topic (full name); with `writer` it proves to be that one."""
+        self._bind(context, topic)
+        self._writer = writer
+        self._call_log = context.call_log
 
     def open(self) -> None:
         """Publish from now on."""
         if self._publisher is None:
-            self._publisher = self._node.advertise(
-                self._topic, self.spec.message, self.spec.qos, self._exclusive
+            self._publisher = self._context.node.advertise(
+                self._full_name, self.interface, self.qos, self._writer
             )
             self._counted = (self._publisher, self._counted[1])
             if self._call_log is not None:
-                self._call_log.add(RecordKind.OPENED, self.spec.name, self._publisher.gid)
+                self._call_log.add(RecordKind.OPENED, self.name, self._publisher.gid)
 
     def close(self) -> None:
         """Publish nothing more."""
@@ -199,8 +290,8 @@ class OutputPort:
     def status(self) -> PortStatus:
         """Return the counters."""
         return PortStatus(
-            port=self.spec.name,
-            topic=self._topic,
+            port=self.name,
+            topic=self._full_name,
             direction=PortStatus.OUT,
             messages=self._sent(),
         )
@@ -208,24 +299,3 @@ class OutputPort:
     def _sent(self) -> int:
         now, before = self._counted
         return before if now is None else before + now.published
-
-    def _has_subscribers(self) -> bool:
-        publisher = self._publisher
-        if publisher is None or not self._owner.may_publish:
-            return False
-        subscribed = publisher.has_subscribers
-        if self._call_log is not None:
-            kind = RecordKind.HAS_SUBSCRIBERS if subscribed else RecordKind.NO_SUBSCRIBERS
-            self._call_log.add(kind, self.spec.name)
-        return subscribed
-
-    def _send(self, message: Any) -> None:
-        if self._publisher is None or not self._owner.may_publish:
-            return
-        sequence = self._publisher.publish(message)
-        if self._call_log is None:
-            return
-        if sequence:
-            self._call_log.add(RecordKind.SENT, self.spec.name, sequence)
-        else:
-            self._call_log.add(RecordKind.NOT_SENT, self.spec.name)

@@ -50,7 +50,7 @@ _HOST_NAME: Final = re.compile(r"(?!.*\.\.)[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za
 
 
 @dataclass(frozen=True)
-class Member:
+class AuthorityMember:
     """A machine or operator that gets an identity.
 
     Attributes:
@@ -71,7 +71,7 @@ class Member:
 
 def members_of(
     machines: Mapping[str, Sequence[str]], operators: Mapping[str, Role]
-) -> list[Member]:
+) -> list[AuthorityMember]:
     """Return machines with their addresses, and operators with their roles, as members.
 
     Raises `CairnError` for a name or address that is not valid, or a name of both.
@@ -79,10 +79,12 @@ def members_of(
     if both := sorted(machines.keys() & operators.keys()):
         raise CairnError(f"{both[0]}: it is the name of a machine and an operator; rename one")
     found = [
-        Member(check_name(name, "machine"), None, check_addresses(name, addresses))
+        AuthorityMember(check_name(name, "machine"), None, check_addresses(name, addresses))
         for name, addresses in machines.items()
     ]
-    found += [Member(check_name(name, "operator"), role) for name, role in operators.items()]
+    found += [
+        AuthorityMember(check_name(name, "operator"), role) for name, role in operators.items()
+    ]
     return found
 
 
@@ -140,7 +142,7 @@ class Authority:
     def create(
         cls,
         folder: RobotFolder,
-        members: Sequence[Member],
+        members: Sequence[AuthorityMember],
         days: int = VALID_DAYS,
         authority_days: int = AUTHORITY_DAYS,
     ) -> Authority:
@@ -192,7 +194,7 @@ class Authority:
         is_machine = entry is not None and entry.kind == "machine"
         return read_machines_key(self.folder).hex() if is_machine else None
 
-    def add(self, member: Member, days: int = VALID_DAYS) -> Entry:
+    def add(self, member: AuthorityMember, days: int = VALID_DAYS) -> Entry:
         """Make one more identity, with its key in this folder; `CairnError` if the name is used."""
         with self.folder.locked():
             roster = self.roster()
@@ -320,7 +322,7 @@ class Authority:
         grace_s: float,
     ) -> tuple[bytes, Entry]:
         """Issue a new certificate (PEM) of an identity; earlier ones end after `grace_s`."""
-        member = Member(entry.name, entry.role, entry.addresses)
+        member = AuthorityMember(entry.name, entry.role, entry.addresses)
         made, new = _certify((self.ca, self._key), roster.robot, member, public_key, days)
         end = int(time.time() + grace_s)
         entries = [
@@ -357,7 +359,7 @@ _Signer = tuple[x509.Certificate, ec.EllipticCurvePrivateKey]
 
 
 def _issue(
-    authority: _Signer, robot: str, member: Member, days: int
+    authority: _Signer, robot: str, member: AuthorityMember, days: int
 ) -> tuple[Entry, bytes, ec.EllipticCurvePrivateKey]:
     key = certificates.new_key()
     made, entry = _certify(authority, robot, member, key.public_key(), days)
@@ -367,7 +369,7 @@ def _issue(
 def _certify(
     authority: _Signer,
     robot: str,
-    member: Member,
+    member: AuthorityMember,
     public_key: ec.EllipticCurvePublicKey,
     days: int,
 ) -> tuple[x509.Certificate, Entry]:

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final
 from urllib.parse import urlsplit
 
 from cryptography.hazmat.primitives.asymmetric import ec
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from cairn.errors import CairnError
 from cairn.security import certificates
@@ -28,6 +28,7 @@ from cairn.security.identity import Identity, entry_of, own_identity, write_iden
 from cairn.security.roster import (
     ROSTER_BYTES,
     Roster,
+    StrictModel,
     accept_roster,
     accept_roster_locked,
     parse_roster,
@@ -61,15 +62,11 @@ MachinesKey = Annotated[str, Field(pattern=rf"^[0-9a-f]{{{2 * MACHINES_KEY_BYTES
 """The secret that the robot's machines share [hexadecimal]."""
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class _AuthorityFile(_Model):
+class _AuthorityFile(StrictModel):
     url: ServiceUrl
 
 
-class _Issued(_Model):
+class _Issued(StrictModel):
     certificate: Annotated[str, Field(max_length=PEM_BYTES)]
     roster: Annotated[str, Field(max_length=ROSTER_BYTES)]
     machines_key: MachinesKey | None = None

@@ -28,11 +28,13 @@ Address = Annotated[str, Field(pattern=r"^[0-9A-Za-z.:_-]+$", max_length=253)]
 CommonName = Annotated[str, Field(pattern=r"^[a-z0-9_.]+$", max_length=64)]
 
 
-class _Model(BaseModel):
+class StrictModel(BaseModel):
+    """What is read from files and requests: nothing else than it declares is accepted."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class Entry(_Model):
+class Entry(StrictModel):
     """One certificate of an identity."""
 
     name: Name
@@ -78,7 +80,7 @@ class Entry(_Model):
         return "replaced, in force for a while" if self.is_in_force(at) else "replaced"
 
 
-class Roster(_Model):
+class Roster(StrictModel):
     """All identities of a robot that its authority knows."""
 
     robot: Name
@@ -125,7 +127,7 @@ class Roster(_Model):
         return tuple(sorted(found))
 
 
-class _SignedRoster(_Model):
+class _SignedRoster(StrictModel):
     roster: Roster
     signature: Annotated[str, Field(pattern=r"^([0-9a-f]{2}){8,80}$")]
 

@@ -43,7 +43,7 @@ from cairn.security.folder import Name, write_secret
 from cairn.security.identity import entry_of
 from cairn.security.roster import Entry
 from cairn.security.tokens import Digest, TokenRefused
-from cairn.system.http_server import Http, Server
+from cairn.system.http_server import Http, HttpServer
 
 DEFAULT_PORT: Final = 7449
 
@@ -116,7 +116,7 @@ class WrongAttempts:
         self._counts[address] = self._counts.get(address, 0) + 1
 
 
-class Service:
+class AuthorityService:
     """The service of an authority at one address."""
 
     def __init__(
@@ -160,7 +160,7 @@ class Service:
         """The address for machines."""
         with authority.folder.locked():
             write_url(authority.folder, self.url)
-        self._server = Server(self._config())
+        self._server = HttpServer(self._config())
 
     @property
     def is_serving(self) -> bool:

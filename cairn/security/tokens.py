@@ -13,12 +13,12 @@ from hashlib import sha256
 from typing import Annotated, Final
 from urllib.parse import urlsplit
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from cairn.bus.roles import Role
 from cairn.errors import CairnError
 from cairn.security.folder import Kind, Name, RobotFolder, write_secret
-from cairn.security.roster import Time
+from cairn.security.roster import StrictModel, Time
 
 LONGEST_TOKEN: Final = 2_000  # characters
 LONGEST_VALID_S: Final = 7 * 86_400
@@ -51,11 +51,7 @@ ServiceUrl = Annotated[str, Field(max_length=300), AfterValidator(_service_url)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
-class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class Token(_Model):
+class Token(StrictModel):
     """What a token contains, for the computer that enrolls."""
 
     url: ServiceUrl
@@ -87,7 +83,7 @@ def decode_token(text: str) -> Token:
         ) from None
 
 
-class _Stored(_Model):
+class _StoredToken(StrictModel):
     digest: Digest
     name: Name
     kind: Kind
@@ -95,8 +91,8 @@ class _Stored(_Model):
     expires: Time
 
 
-class _Store(_Model):
-    tokens: Annotated[tuple[_Stored, ...], Field(max_length=_MOST_TOKENS)] = ()
+class _TokenFile(StrictModel):
+    tokens: Annotated[tuple[_StoredToken, ...], Field(max_length=_MOST_TOKENS)] = ()
 
 
 def store_token(
@@ -110,7 +106,9 @@ def store_token(
             "they have expired"
         )
     secret = secrets.token_hex(32)
-    kept.append(_Stored(digest=_digest(secret), name=name, kind=kind, role=role, expires=expires))
+    kept.append(
+        _StoredToken(digest=_digest(secret), name=name, kind=kind, role=role, expires=expires)
+    )
     _write(folder, kept)
     return secret
 
@@ -147,12 +145,12 @@ def _digest(secret: str) -> str:
     return sha256(secret.encode()).hexdigest()
 
 
-def _read(folder: RobotFolder) -> list[_Stored]:
+def _read(folder: RobotFolder) -> list[_StoredToken]:
     if not folder.tokens.exists():
         return []
     data = folder.read(folder.tokens, _STORE_BYTES, _NEW_TOKEN)
     try:
-        return list(_Store.model_validate_json(data).tokens)
+        return list(_TokenFile.model_validate_json(data).tokens)
     except ValidationError as error:
         raise CairnError(
             f"{folder.tokens}: it is damaged ({error.errors()[0]['msg']}); remove it, and make new "
@@ -160,6 +158,6 @@ def _read(folder: RobotFolder) -> list[_Stored]:
         ) from None
 
 
-def _write(folder: RobotFolder, tokens: list[_Stored]) -> None:
-    store = _Store(tokens=tuple(tokens))
+def _write(folder: RobotFolder, tokens: list[_StoredToken]) -> None:
+    store = _TokenFile(tokens=tuple(tokens))
     write_secret(folder.tokens, store.model_dump_json().encode() + b"\n")

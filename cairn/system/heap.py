@@ -10,7 +10,7 @@ SMALL_THREAD_CACHES = "glibc.malloc.tcache_max=256"
 """Value of `TUNABLES`: each thread caches only freed blocks of up to 256 bytes.
 
 glibc's default is 1,032 bytes, up to 236 kB for each of the 30 to 60 threads of a process: a part
-of the growth of its memory in the first hour (docs/benchmarks.md).
+of the growth of its memory in the first hour (lab/history.md).
 """
 
 _RESTARTED = "CAIRN_RESTARTED_WITH_TUNABLES"
@@ -27,7 +27,7 @@ def share_heap() -> None:
 
     With a heap for each thread, what lives long lies scattered among what is freed soon, and keeps
     its pages: the router of a deployment grew by 16 kB with each restart of a component instead
-    of 4 kB (docs/benchmarks.md). `MALLOC_ARENA_MAX` in the environment overrides it.
+    of 4 kB (lab/history.md). `MALLOC_ARENA_MAX` in the environment overrides it.
     """
     if _ARENAS not in os.environ and hasattr(_libc, "mallopt"):  # another C library has no heaps
         _libc.mallopt(_M_ARENA_MAX, 1)

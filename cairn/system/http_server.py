@@ -14,7 +14,7 @@ _MAX_CONNECTIONS: Final = 128  # of TCP
 _REQUEST_LIMIT_S: Final = 10.0  # for the headers of a request to arrive
 
 
-class Server(uvicorn.Server):
+class HttpServer(uvicorn.Server):
     """Leaves the handling of signals to its caller."""
 
     @contextlib.contextmanager

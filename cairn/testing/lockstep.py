@@ -294,7 +294,7 @@ class ComponentHarness(Lockstep, Generic[C]):
         }
         self._outputs = {
             name: self.read(
-                self._topics[name], port.message, on_message=partial(self._note_message, name)
+                self._topics[name], port.interface, on_message=partial(self._note_message, name)
             )
             for name, port in ports_of(component).items()
             if port.direction == "out"

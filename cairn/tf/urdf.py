@@ -132,7 +132,7 @@ def read_urdf(text: str, source: str = "robot description") -> RobotDescription:
             f"{source}: it has {size} bytes, more than the {MOST_BYTES} that are allowed; give a "
             "smaller robot description"
         )
-    reader = _Reader(source)
+    reader = _UrdfReader(source)
     try:
         reader.parse(text)
         return reader.description(text)
@@ -181,7 +181,7 @@ class _ReadJoint:
 
 
 @dataclass
-class _Reader:
+class _UrdfReader:
     """Keeps links and joints while expat reads; nothing else of the document is kept."""
 
     source: str

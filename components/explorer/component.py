@@ -18,10 +18,8 @@ from cairn import (
     SECOND,
     CairnError,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     RetriedSave,
     SteadyClock,
     every,
@@ -99,6 +97,7 @@ class Explorer(Component):
     The requests `explore` and `stop` start and end it. A mission of anyone else ends it, too.
     """
 
+    live_parameters = frozenset({"radius", "margin"})
     config: ExplorerConfig
 
     request_roles = MappingProxyType({"explore": "operate", "stop": "operate", "status": "view"})
@@ -145,13 +144,6 @@ class Explorer(Component):
         if goal is not None:
             self._own.append(goal)
         self._publish()
-
-    def on_parameters(self, new: Config) -> None:
-        """Reject changes of what is used at the start only."""
-        assert isinstance(new, ExplorerConfig)
-        fixed = self.config.model_copy(update={"radius": new.radius, "margin": new.margin})
-        if new != fixed:
-            raise ParameterRejected(f"{self.name}: only radius and margin can be changed")
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `explore`, `stop` and `status` with the status."""

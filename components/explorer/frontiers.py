@@ -130,7 +130,7 @@ class FrontierSearch:
             return None
         lengths = self._lengths(roomy, start) * resolution
         safe = roomy & (distance_field(obstacles | unknown, resolution) > needs.fits_m)
-        area = _Area(grid.frame, mapped, unknown, safe, lengths)
+        area = _MapArea(grid.frame, mapped, unknown, safe, lengths)
         _, labels, boxes, _ = cv2.connectedComponentsWithStats(
             borders.view(np.uint8), connectivity=8
         )
@@ -172,7 +172,7 @@ def free_area(grid: OccupancyCells) -> float:
 
 
 @dataclass(frozen=True)
-class _Area:
+class _MapArea:
     """Cells (rows, columns) of a map: free in it; unknown; safe whatever is unknown; paths [m]."""
 
     frame: Frame

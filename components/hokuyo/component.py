@@ -33,6 +33,7 @@ class HokuyoScanner(Component):
     unplugged, falls silent or sends impossible replies, the driver reports that and opens it again.
     """
 
+    live_parameters = frozenset(LIVE)
     clock_source = "device"
     config: HokuyoConfig
 
@@ -96,14 +97,8 @@ class HokuyoScanner(Component):
         return False
 
     def on_parameters(self, new: Config) -> None:
-        """Accept changes of what is measured, not of where the sensor is connected."""
+        """Measure as the new parameters say; reject what the sensor cannot do."""
         assert isinstance(new, HokuyoConfig)
-        for name in HokuyoConfig.model_fields:
-            if name not in LIVE and getattr(new, name) != getattr(self.config, name):
-                raise ParameterRejected(
-                    f"{name} is fixed while the driver runs; it can change {', '.join(LIVE)}; for "
-                    "others restart the component"
-                )
         spec = self._measurement.spec
         if spec is not None:
             try:

@@ -15,10 +15,8 @@ from cairn import (
     SENSOR,
     CairnError,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     RetriedSave,
     every,
@@ -129,6 +127,8 @@ class Localizer(Component):
     and publishes the evidence.
     """
 
+    # The particles are allocated once.
+    live_parameters = frozenset()
     published_frames = frozenset({"odom"})
     config: LocalizerConfig
     operator_inputs = frozenset({"initialpose"})
@@ -167,10 +167,6 @@ class Localizer(Component):
         )
         self._scanner = ScannerMonitor()
         self._published = self._scanned = -math.inf
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: the particles are allocated once."""
-        raise ParameterRejected("the localizer takes its parameters when it is configured")
 
     @on("map")
     def on_map(self, message: OccupancyGrid) -> None:

@@ -17,10 +17,8 @@ from cairn import (
     SENSOR,
     CairnError,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     RetriedSave,
     every,
@@ -112,6 +110,8 @@ class MapBuilder(Component):
     zones that users draw on the map.
     """
 
+    # Files cannot be replaced while their map is in use.
+    live_parameters = frozenset()
     config: MapBuilderConfig
     request_roles = MappingProxyType(
         {
@@ -229,12 +229,6 @@ class MapBuilder(Component):
             keeper, self._landmarks = self._landmarks, None
             keeper.close()
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: files cannot be replaced while their map is in use."""
-        raise ParameterRejected(
-            "the map builder's parameters can only be set when it is configured"
-        )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `why` with the chain of evidence about `object` (number or name), as far as saved.

@@ -19,10 +19,8 @@ from cairn import (
     SENSOR,
     CairnError,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     RetriedSave,
     every,
@@ -82,6 +80,7 @@ class ObjectFinder(Component):
     It needs two cameras, and the robot's pose.
     """
 
+    live_parameters = frozenset({"accept"})
     config: ObjectFinderConfig
     request_roles = MappingProxyType(
         {"proposals": "view", "picture": "view", "accept": "operate", "reject": "operate"}
@@ -127,14 +126,6 @@ class ObjectFinder(Component):
     def on_deactivate(self) -> None:
         """Save the proposals."""
         self._save(now=True)
-
-    def on_parameters(self, new: Config) -> None:
-        """Reject all changes but that of `accept`."""
-        if new.model_copy(update={"accept": self.config.accept}) != self.config:
-            raise ParameterRejected(
-                f"{self.name}: only accept can be set while it runs; set the others when it is "
-                "configured"
-            )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `proposals` with their list, `picture` (`number`) with a PNG image in base64.

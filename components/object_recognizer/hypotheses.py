@@ -40,7 +40,7 @@ _SHARED_M = 0.02
 
 
 @dataclass(frozen=True)
-class Sighting:
+class ObjectSighting:
     """Where a thing was seen: `x`, `y` [m] in the map, covariance (2, 2), and from which pose."""
 
     x: float
@@ -71,13 +71,13 @@ class Hypothesis:
     """
 
     model: ObjectModel
-    sightings: list[Sighting] = field(default_factory=list)
+    sightings: list[ObjectSighting] = field(default_factory=list)
     seen: int = 0
     visits: int = 0
     first_ns: int = 0
     last_ns: int = 0
 
-    def add(self, stamp_ns: int, one: Sighting, away_s: float) -> bool:
+    def add(self, stamp_ns: int, one: ObjectSighting, away_s: float) -> bool:
         """Add a sighting; return False if the thing is somewhere else than before."""
         if self.sightings:
             place, spread = self.place()
@@ -150,7 +150,7 @@ class Hypotheses:
         """Forget a hypothesis."""
         del self._known[object_id]
 
-    def recognized(self, stamp_ns: int, seen: Sequence[tuple[int, Sighting]]) -> bool:
+    def recognized(self, stamp_ns: int, seen: Sequence[tuple[int, ObjectSighting]]) -> bool:
         """Add what was recognized in an image; return whether hypotheses were forgotten.
 
         One that is visible twice in an image, or somewhere else than before, cannot be a landmark.
@@ -173,7 +173,7 @@ class Hypotheses:
         return ready
 
 
-def sighting_of(one: RecognizedObject, robot: Pose, covariance: Array) -> Sighting:
+def sighting_of(one: RecognizedObject, robot: Pose, covariance: Array) -> ObjectSighting:
     """Return where an object is that was recognized from a pose with a covariance (3, 3)."""
     direction = robot[2] + one.bearing
     cosine, sine = math.cos(direction), math.sin(direction)
@@ -182,4 +182,4 @@ def sighting_of(one: RecognizedObject, robot: Pose, covariance: Array) -> Sighti
     measured = np.asarray(one.covariance, np.float64).reshape(2, 2)
     spread = by_pose @ covariance @ by_pose.T + by_range @ measured @ by_range.T
     x, y = robot[0] + one.range * cosine, robot[1] + one.range * sine
-    return Sighting(x, y, spread + 1e-6 * np.eye(2), robot)
+    return ObjectSighting(x, y, spread + 1e-6 * np.eye(2), robot)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cairn import SECOND, SENSOR, Component, Config, Out, ParameterRejected, every, from_ns
+from cairn import SECOND, SENSOR, Component, Out, every, from_ns
 from cairn.components.pbs.config import PbsConfig
 from cairn.components.pbs.messages import PbsMessages
 from cairn.components.pbs.sensor import PbsMeasurement, TimedDistances
@@ -22,6 +22,7 @@ class PbsScanner(Component):
     silent, the driver reports that and opens it again.
     """
 
+    live_parameters = frozenset()
     clock_source = "device"
     config: PbsConfig
 
@@ -62,12 +63,6 @@ class PbsScanner(Component):
         if "_feed" in vars(self):  # otherwise it was not even configured
             self._feed.stop()
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes."""
-        raise ParameterRejected(
-            f"{self.name}: parameters are fixed while the driver runs; restart it to change them"
-        )
 
     @every(hz=1)
     def report(self) -> None:

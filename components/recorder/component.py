@@ -9,12 +9,11 @@ from typing import Any
 
 from pydantic import Field
 
-from cairn import CairnError, Component, Config, ParameterRejected, every
+from cairn import CairnError, Component, every
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.model import Deployment
-from cairn.recording.recorder import Recorder as RecorderCore
-from cairn.recording.recorder import RecorderSettings
+from cairn.recording.recorder import McapRecorder, RecorderSettings
 from cairn.recording.run_attachments import MessageClasses, run_attachments, started_parameters
 from cairn.recording.tap import LockstepTap, Tap, ZenohTap
 from cairn.rerun.files import input_attachments
@@ -38,6 +37,7 @@ class Recorder(Component):
     `resume`, `status`. Whatever happens to its disk, it fails no other component.
     """
 
+    live_parameters = frozenset()
     config: RecorderConfig
     clock_source = "system"
     request_roles = MappingProxyType(
@@ -50,7 +50,7 @@ class Recorder(Component):
         }
     )
 
-    _recorder: RecorderCore | None = None
+    _recorder: McapRecorder | None = None
     _tap: Tap | None = None
 
     def on_configure(self) -> None:
@@ -71,7 +71,7 @@ class Recorder(Component):
                 **input_attachments(deployment),
             }
         )
-        recorder = RecorderCore(
+        recorder = McapRecorder(
             self.config,
             self.config.file,
             attachments,
@@ -104,12 +104,6 @@ class Recorder(Component):
         """Close the file; a restart continues in another one."""
         self._close()
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes while it runs."""
-        raise ParameterRejected(
-            "the recorder takes its parameters when it is configured; restart it to change them"
-        )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Trigger, split, pause, resume, or return the status."""

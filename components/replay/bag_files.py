@@ -247,7 +247,7 @@ class _Ros1:
                         yield topic, received, data[record.begin : record.end]
             at = record.end
 
-    def _unpacked(self, record: _Record, data: Data, at: int) -> bytes:
+    def _unpacked(self, record: _BagRecord, data: Data, at: int) -> bytes:
         declared = record.fields.get("size", b"")
         compression = _text(record.fields.get("compression", b""))
         try:
@@ -280,7 +280,7 @@ class _Ros1:
 
 
 @dataclass(frozen=True, slots=True)
-class _Record:
+class _BagRecord:
     """The fields of a record's header, and where its data begin and end."""
 
     fields: dict[str, bytes]
@@ -288,7 +288,7 @@ class _Record:
     end: int
 
 
-def _record(data: Data, at: int, longest: int = _LONGEST_HEADER) -> _Record | None:
+def _record(data: Data, at: int, longest: int = _LONGEST_HEADER) -> _BagRecord | None:
     """Return the record at byte `at`, None if there is none."""
     header_end = _sized_end(data, at, longest)
     if header_end is None:
@@ -301,7 +301,7 @@ def _record(data: Data, at: int, longest: int = _LONGEST_HEADER) -> _Record | No
     end = _sized_end(data, header_end, RECORD_BYTES)
     if end is None or not _whole_index(fields, end - header_end - 4):
         return None
-    return _Record(fields, header_end + 4, end)
+    return _BagRecord(fields, header_end + 4, end)
 
 
 def _whole_index(header: dict[str, bytes], length: int) -> bool:

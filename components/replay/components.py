@@ -12,9 +12,7 @@ from cairn import (
     RELIABLE,
     SENSOR,
     Component,
-    Config,
     Out,
-    ParameterRejected,
     every,
     from_ns,
 )
@@ -35,6 +33,8 @@ _TRUTH_INTERVAL = 99_900_000  # [ns]: 10 Hz, with a tolerance for the times of r
 class ReplayComponent(Component):
     """What all replay components share: records of a file, published as time passes."""
 
+    # A recording cannot be exchanged during a replay.
+    live_parameters = frozenset()
     config: RecordingConfig
     records: PacedRecords
 
@@ -49,12 +49,6 @@ class ReplayComponent(Component):
         """Log that the recording does not hold the stream of this component."""
         self.log.warning("%s holds no %s: nothing to replay", self.config.recording, stream)
         self.records = PacedRecords(())
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes: a recording cannot be exchanged during a replay."""
-        raise ParameterRejected(
-            "a replay takes its parameters when it is configured; restart it to change them"
-        )
 
     def publish_due(self, publish: Callable[[int], None]) -> None:
         """Call `publish` with the index of each record that is due."""

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from cairn import LATCHED, SECOND, Component, Config, In, Out, ParameterRejected, from_ns, on, to_ns
+from cairn import LATCHED, SECOND, Component, In, Out, from_ns, on, to_ns
 from cairn.components.replay.config import RecordingConfig
 from cairn.schemas.rosgraph_msgs import Clock
 
@@ -71,6 +71,8 @@ class ReplayClock(Component):
     If it is restarted, it continues from the time that the odometry component has reached.
     """
 
+    # A replay keeps its rate, on which its report depends.
+    live_parameters = frozenset()
     clock_source: ClassVar[Literal["deployment", "system"]] = "system"
     config: ReplayClockConfig
     reached: In[Clock] = In(qos=LATCHED.with_depth(10), optional=True)
@@ -96,12 +98,6 @@ class ReplayClock(Component):
         """Listen first whether the replay runs already."""
         self._last = 0
         self.schedule(self.clock.now() + _LISTEN, self._start)
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes: a replay keeps its rate, on which its report depends."""
-        raise ParameterRejected(
-            "the replay clock takes its parameters when it is configured; restart it to change them"
-        )
 
     @on("reached")
     def on_reached(self, reached: Clock) -> None:

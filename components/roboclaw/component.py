@@ -10,10 +10,8 @@ from cairn import (
     SENSOR,
     CairnError,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     every,
     on,
@@ -51,6 +49,7 @@ class RoboclawBase(Component):
     timeout stops them.
     """
 
+    live_parameters = frozenset()
     clock_source = "device"
 
     config: RoboclawBaseConfig
@@ -119,12 +118,6 @@ class RoboclawBase(Component):
         """Stop the wheels."""
         self._stop_thread()
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes while it runs."""
-        raise ParameterRejected(
-            "the base takes its parameters when it is configured; restart it to change them"
-        )
 
     @on("cmd_vel")
     def on_cmd_vel(self, command: Twist) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pydantic import Field
 
-from cairn import LATCHED, Component, Config, Out, ParameterRejected, ReadPath, from_ns
+from cairn import LATCHED, Component, Config, Out, ReadPath, from_ns
 from cairn.deployment.model import Frame
 from cairn.schemas.std_msgs import String
 from cairn.schemas.tf2_msgs import TFMessage
@@ -29,6 +29,8 @@ class RobotFramesPublisher(Component):
     a file, the description has a link for each frame.
     """
 
+    # Components have got the mounts at their start.
+    live_parameters = frozenset()
     config: RobotFramesConfig
 
     tf_static: Out[TFMessage] = Out(qos=LATCHED)
@@ -56,10 +58,3 @@ class RobotFramesPublisher(Component):
         )
         self.tf_static.publish(TFMessage(transforms=transforms))
         self.robot_description.publish(String(data=self._text))
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: components have got the mounts at their start."""
-        raise ParameterRejected(
-            f"{self.name}: frames are fixed while the robot runs; change the deployment, and "
-            "restart it"
-        )

@@ -7,10 +7,8 @@ from cairn import (
     SECOND,
     SENSOR,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     every,
     on,
 )
@@ -42,6 +40,7 @@ class Ros2Base(Component):
     While no odometry arrives, the base is not driven.
     """
 
+    live_parameters = frozenset()
     config: Ros2BaseConfig
 
     cmd_vel: In[Twist] = In(qos=SENSOR, exclusive=True)
@@ -88,12 +87,6 @@ class Ros2Base(Component):
         """Command rest, if it was active."""
         self._send(*REST)
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes while it runs."""
-        raise ParameterRejected(
-            "the base takes its parameters when it is configured; restart it to change them"
-        )
 
     @on("cmd_vel")
     def on_cmd_vel(self, command: Twist) -> None:

@@ -9,10 +9,8 @@ from cairn import (
     SENSOR,
     CairnError,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     every,
     from_ns,
@@ -45,6 +43,7 @@ class Ros2StereoCamera(Component):
     one, if their own ones differ by at most 10 ms.
     """
 
+    live_parameters = frozenset()
     config: Ros2StereoCameraConfig
 
     source_left_image: In[Image] = In(qos=SENSOR.with_depth(2), optional=True)
@@ -82,12 +81,6 @@ class Ros2StereoCamera(Component):
         self._infos: list[CameraInfo | None] = [None, None]
         self._baseline: float | None = None
         self._publish_frames()
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes while it runs."""
-        raise ParameterRejected(
-            f"{self.name}: parameters are fixed while the driver runs; restart it to change them"
-        )
 
     @on("source_left_info")
     def on_source_left_info(self, info: CameraInfo) -> None:

@@ -6,10 +6,8 @@ from cairn import (
     SECOND,
     SENSOR,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     every,
     from_ns,
     on,
@@ -29,6 +27,7 @@ class Ros2Scanner(Component):
     The deployment names the node's topic: `topics: {source_scan: /scan}`.
     """
 
+    live_parameters = frozenset()
     config: Ros2ScannerConfig
 
     source_scan: In[LaserScan] = In(qos=SENSOR)
@@ -41,12 +40,6 @@ class Ros2Scanner(Component):
         limits = SourceLimits(config.rate, config.timeout_s, config.age_s, config.stamp_on_arrival)
         topic = self.source_scan.topic
         self._source = Ros2Source(self, topic, "the scan", "no scan is published", limits)
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes while it runs."""
-        raise ParameterRejected(
-            f"{self.name}: parameters are fixed while the driver runs; restart it to change them"
-        )
 
     @on("source_scan")
     def on_source_scan(self, message: LaserScan) -> None:

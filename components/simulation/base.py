@@ -18,7 +18,6 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRejected,
     every,
     from_ns,
     on,
@@ -218,6 +217,8 @@ class SimulatedBase(Component):
     measurements, also of messages that are delayed. The wheels stop when commands become stale.
     """
 
+    # The errors are drawn when the base is configured.
+    live_parameters = frozenset()
     config: SimulatedBaseConfig
 
     cmd_vel: In[Twist] = In(qos=SENSOR, exclusive=True)
@@ -247,12 +248,6 @@ class SimulatedBase(Component):
         )
         self._encoders = Encoders(errors, self.random)
         self._stepped_at: int | None = None
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: the errors are drawn when the base is configured."""
-        raise ParameterRejected(
-            f"{self.name}: parameters of the simulated base cannot change while it runs; restart it"
-        )
 
     @on("cmd_vel")
     def on_cmd_vel(self, command: Twist) -> None:

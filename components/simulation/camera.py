@@ -23,7 +23,6 @@ from cairn import (
     In,
     Mount,
     Out,
-    ParameterRejected,
     SensorFrame,
     from_ns,
     on,
@@ -216,6 +215,7 @@ class SimulatedStereoCamera(Component):
     Both images of a pair and their camera infos have the time of the middle of the exposure.
     """
 
+    live_parameters = frozenset(LIVE)
     published_frames = frozenset({LEFT_FRAME, RIGHT_FRAME})
     config: SimulatedStereoCameraConfig
 
@@ -254,15 +254,6 @@ class SimulatedStereoCamera(Component):
         self.tf_static.publish(TFMessage(transforms=(left, right)))
         self._due = self.clock.now() + self._period
         self.schedule(self._due, self._photograph)
-
-    def on_parameters(self, new: Config) -> None:
-        """Accept changes of light, sensor and fault only."""
-        for name in type(self.config).model_fields:
-            if name not in LIVE and getattr(new, name) != getattr(self.config, name):
-                raise ParameterRejected(
-                    f"{self.name}: {name} cannot change while the camera runs; restart it, or "
-                    f"change only {', '.join(LIVE)}"
-                )
 
     @on("world_geometry")
     def on_world_geometry(self, geometry: WorldGeometry) -> None:

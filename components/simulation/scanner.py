@@ -21,7 +21,6 @@ from cairn import (
     In,
     Mount,
     Out,
-    ParameterRejected,
     from_ns,
     on,
 )
@@ -223,6 +222,8 @@ class SimulatedScannerConfig(Config):
 class SimulatedScanner(Component):
     """Measure the simulated world as a scanner of a real model does."""
 
+    # The beams are selected when the scanner is configured.
+    live_parameters = frozenset()
     config: SimulatedScannerConfig
 
     world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
@@ -264,13 +265,6 @@ class SimulatedScanner(Component):
         """Start to measure."""
         self._due = self.clock.now() + self._period
         self.schedule(self._due, self._sweep)
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: the beams are selected when the scanner is configured."""
-        raise ParameterRejected(
-            f"{self.name}: parameters of the simulated scanner cannot change while it runs; "
-            "restart it"
-        )
 
     @on("world_geometry")
     def on_world_geometry(self, geometry: WorldGeometry) -> None:

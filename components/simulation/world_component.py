@@ -19,7 +19,6 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     ReadPath,
     RetriedSave,
@@ -143,6 +142,8 @@ class SimulatedWorld(Component):
     collisions.
     """
 
+    # A world is changed by requests, not by parameters.
+    live_parameters = frozenset()
     config: WorldConfig
 
     wheel_motion: In[WheelMotion] = In(qos=RELIABLE.with_depth(200))
@@ -182,13 +183,6 @@ class SimulatedWorld(Component):
         if self.restarts > 0:
             self._resume()
         self._publish_layout()
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: a world is changed by requests, not by parameters."""
-        raise ParameterRejected(
-            f"{self.name}: parameters of the world cannot change while it runs; restart it, or "
-            "change the world with `cairn world`"
-        )
 
     @on("wheel_motion")
     def on_wheel_motion(self, motion: WheelMotion) -> None:

@@ -19,10 +19,8 @@ from cairn import (
     SENSOR,
     CairnError,
     Component,
-    Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     RetriedSave,
     every,
@@ -80,6 +78,8 @@ class Slam(Component):
     Replaces localizer and map_builder until the map is finished. The request `save` writes the map.
     """
 
+    # The map would be of two kinds.
+    live_parameters = frozenset()
     published_frames = frozenset({"odom"})
     config: SlamConfig
     request_roles = MappingProxyType({"save": "operate", "status": "view"})
@@ -147,10 +147,6 @@ class Slam(Component):
         """Close the graph file; a restarted component continues from it."""
         self._close()
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: the map would be of two kinds."""
-        raise ParameterRejected(f"{self.name} takes its parameters when it is configured")
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `save` with the written files and the map's quality, `status` with figures."""

@@ -106,7 +106,7 @@ class Renewal:
 
 
 @dataclass(frozen=True)
-class Difference:
+class ChangedBlock:
     """A block of the grid map that differs from the map of the graph.
 
     Attributes:
@@ -236,7 +236,7 @@ class GraphHistory:
             _insert_edges(connection, edges)
             _end_lives(connection, retired, version)
 
-    def differences(self) -> dict[tuple[int, int], Difference]:
+    def differences(self) -> dict[tuple[int, int], ChangedBlock]:
         """Return the noted differences by column and row of their block.
 
         Raises `CairnError` if the file is damaged.
@@ -245,14 +245,14 @@ class GraphHistory:
             if not has_differences(self._connection):
                 return {}
             return {
-                (int(column), int(row)): Difference(int(since_ns), _cells_of(cells))
+                (int(column), int(row)): ChangedBlock(int(since_ns), _cells_of(cells))
                 for column, row, since_ns, cells in self._connection.execute(
                     f"SELECT block_column, block_row, since_ns, cells FROM {DIFFERENCES}"
                 )
             }
 
     def note_differences(
-        self, noted: Mapping[tuple[int, int], Difference], gone: Collection[tuple[int, int]]
+        self, noted: Mapping[tuple[int, int], ChangedBlock], gone: Collection[tuple[int, int]]
     ) -> None:
         """Note differences, in place of earlier ones of the same blocks, and delete others.
 

@@ -15,9 +15,7 @@ from cairn import (
     SENSOR,
     CairnError,
     Component,
-    Config,
     In,
-    ParameterRejected,
     RateLimitedLog,
     RetriedSave,
     every,
@@ -50,6 +48,8 @@ class GraphKeeper(Component):
     and what it had there is retired.
     """
 
+    # A graph cannot be replaced while it is in use.
+    live_parameters = frozenset()
     config: GraphKeeperConfig
     request_roles = MappingProxyType({"status": "view"})
 
@@ -81,10 +81,6 @@ class GraphKeeper(Component):
         """Close the graph; committed changes are safe."""
         self._close()
         return False
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject all changes: a graph cannot be replaced while it is in use."""
-        raise ParameterRejected(f"{self.name} takes its parameters when it is configured")
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer `status` with figures of the graph."""

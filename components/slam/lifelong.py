@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.graph_history import (
-    Difference,
+    ChangedBlock,
     GraphChange,
     GraphHistory,
     HistoryBudget,
@@ -84,7 +84,7 @@ class _Pending:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _ChangedScan:
     """A scan that sees changed blocks, and the covariance (3, 3) of its pose."""
 
     scan: PosedScan
@@ -127,7 +127,7 @@ class LifelongMap:
         self._pending = {
             block: _Pending(one.since_ns, one.cells) for block, one in self._noted.items()
         }
-        self._waiting: list[_Seen] = []
+        self._waiting: list[_ChangedScan] = []
         self.is_of_other_building = False
         """Whether the grid map has mostly other obstacles than the graph, which then stays."""
         self._changed: Renewal | None = None  # after which too many keyframes may be left
@@ -202,7 +202,7 @@ class LifelongMap:
             for other in self._waiting
             if apart(other.scan.pose, scan.pose, _APART_M, _APART_RAD)
         ]
-        self._waiting = [*waiting, _Seen(scan, covariance, seen)][-_WAITING:]
+        self._waiting = [*waiting, _ChangedScan(scan, covariance, seen)][-_WAITING:]
 
     def work(self, now_ns: int) -> GraphChange | None:
         """Draw and compare, retire what is not needed, or make a change that is due; return it.
@@ -301,7 +301,9 @@ class LifelongMap:
         since = self._noted_ns
         if since is not None and 0 <= now_ns - since < round(_NOTES_S * _NS_PER_S):
             return
-        noted = {block: Difference(one.since_ns, one.cells) for block, one in self._pending.items()}
+        noted = {
+            block: ChangedBlock(one.since_ns, one.cells) for block, one in self._pending.items()
+        }
         news = {block: one for block, one in noted.items() if self._noted.get(block) != one}
         gone = self._noted.keys() - noted.keys()
         if news or gone:
@@ -359,7 +361,7 @@ class LifelongMap:
         shape = inside.shape[0], inside.shape[1]
         cells, old = differences.cells[rows, columns], differences.drawn(rows, columns)
         most = int(_REMAINS * np.count_nonzero(differing(cells, old) & inside))
-        best: tuple[list[tuple[_Seen, Rays]], Renewals, NDArray[np.int8]] | None = None
+        best: tuple[list[tuple[_ChangedScan, Rays]], Renewals, NDArray[np.int8]] | None = None
         for size in _SUBMAP_SIZES:
             chosen = [
                 (one, differences.explained(one.scan.pose, one.scan.rays)) for one in scans[:size]
@@ -389,7 +391,7 @@ class LifelongMap:
         return self._with_constraints(change, chosen, renewals)
 
     def _with_constraints(
-        self, change: GraphChange, chosen: list[tuple[_Seen, Rays]], renewals: Renewals
+        self, change: GraphChange, chosen: list[tuple[_ChangedScan, Rays]], renewals: Renewals
     ) -> Renewal:
         """Return a change with its keyframes, tied to the nearest ones that stay."""
         outdated = {

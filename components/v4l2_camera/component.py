@@ -51,6 +51,7 @@ class V4l2StereoCamera(Component):
     the left one: its capture time by the kernel. It waits for a camera that is unplugged.
     """
 
+    live_parameters = frozenset(LIVE)
     clock_source = "device"
 
     published_frames = frozenset({LEFT_FRAME, RIGHT_FRAME})
@@ -139,14 +140,8 @@ class V4l2StereoCamera(Component):
         return False
 
     def on_parameters(self, new: Config) -> None:
-        """Set controls of the cameras; other parameters cannot be changed."""
+        """Set controls of the cameras."""
         assert isinstance(new, V4l2StereoCameraConfig)
-        for name in type(new).model_fields:
-            if name not in LIVE and getattr(new, name) != getattr(self.config, name):
-                raise ParameterRejected(
-                    f"the camera takes {name} when it is configured; {', '.join(LIVE)} may be "
-                    "changed while it runs"
-                )
         with ExitStack() as undo:
             try:
                 for camera in self._cameras:

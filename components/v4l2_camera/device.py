@@ -348,7 +348,7 @@ class VideoStream:
             self._enqueue(buffer.index)
         return buffers
 
-    def _all_filled(self) -> list[videodev.Buffer]:
+    def _all_filled(self) -> list[videodev.V4l2Buffer]:
         filled = []
         for _ in self._maps:  # no more can be filled
             buffer = self._dequeue()
@@ -357,8 +357,8 @@ class VideoStream:
             filled.append(buffer)
         return filled
 
-    def _dequeue(self) -> videodev.Buffer | None:
-        buffer = videodev.Buffer(type=videodev.CAPTURE, memory=videodev.MMAP)
+    def _dequeue(self) -> videodev.V4l2Buffer | None:
+        buffer = videodev.V4l2Buffer(type=videodev.CAPTURE, memory=videodev.MMAP)
         try:
             self._device.ioctl(videodev.DQBUF, buffer)
         except OSError as error:
@@ -368,14 +368,14 @@ class VideoStream:
         return buffer
 
     def _enqueue(self, index: int) -> None:
-        buffer = videodev.Buffer(index=index, type=videodev.CAPTURE, memory=videodev.MMAP)
+        buffer = videodev.V4l2Buffer(index=index, type=videodev.CAPTURE, memory=videodev.MMAP)
         self._device.request(videodev.QBUF, buffer, "queuing a buffer")
 
     def _switch(self, number: int, action: str) -> None:
         self._device.request(number, ctypes.c_int32(videodev.CAPTURE), action)
 
     def _map(self, index: int) -> mmap.mmap:
-        buffer = videodev.Buffer(index=index, type=videodev.CAPTURE, memory=videodev.MMAP)
+        buffer = videodev.V4l2Buffer(index=index, type=videodev.CAPTURE, memory=videodev.MMAP)
         self._device.request(videodev.QUERYBUF, buffer, "querying a buffer")
         try:
             return mmap.mmap(
@@ -386,7 +386,7 @@ class VideoStream:
             raise self._device.device_error(error, "mapping a buffer") from error
 
 
-def _filled_buffer(buffer: videodev.Buffer, data: bytes | None) -> FilledBuffer:
+def _filled_buffer(buffer: videodev.V4l2Buffer, data: bytes | None) -> FilledBuffer:
     flags = buffer.flags
     monotonic = flags & videodev.BUF_FLAG_TIMESTAMP_MASK == videodev.BUF_FLAG_TIMESTAMP_MONOTONIC
     time = buffer.timestamp

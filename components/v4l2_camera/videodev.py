@@ -166,7 +166,7 @@ class _Memory(ctypes.Union):
     _fields_ = [("offset", c_uint32), ("userptr", c_ulong), ("planes", c_void_p), ("fd", c_int32)]
 
 
-class Buffer(ctypes.Structure):
+class V4l2Buffer(ctypes.Structure):
     """struct v4l2_buffer: a frame's memory, number, time and flags."""
 
     _fields_ = [
@@ -272,9 +272,9 @@ QUERYCAP: Final = _request(_OUT, 0, Capability)
 ENUM_FMT: Final = _request(_BOTH, 2, FormatDescription)
 S_FMT: Final = _request(_BOTH, 5, Format)
 REQBUFS: Final = _request(_BOTH, 8, BufferRequest)
-QUERYBUF: Final = _request(_BOTH, 9, Buffer)
-QBUF: Final = _request(_BOTH, 15, Buffer)
-DQBUF: Final = _request(_BOTH, 17, Buffer)
+QUERYBUF: Final = _request(_BOTH, 9, V4l2Buffer)
+QBUF: Final = _request(_BOTH, 15, V4l2Buffer)
+DQBUF: Final = _request(_BOTH, 17, V4l2Buffer)
 STREAMON: Final = _request(_IN, 18, c_int32)
 STREAMOFF: Final = _request(_IN, 19, c_int32)
 G_PARM: Final = _request(_BOTH, 21, StreamParameters)

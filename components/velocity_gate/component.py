@@ -17,7 +17,6 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRejected,
     RateLimitedLog,
     every,
     from_ns,
@@ -73,6 +72,8 @@ class VelocityGate(Component):
     `acquire_lease`, `renew_lease`, `release_lease`, `take_over_lease`; `status`.
     """
 
+    # With `scanner: false`, any program that may change them could drive.
+    live_parameters = frozenset()
     config: VelocityGateConfig
     request_roles = MappingProxyType(
         {
@@ -206,13 +207,6 @@ class VelocityGate(Component):
     def on_deactivate(self) -> None:
         """Stop the robot."""
         self.cmd_vel.publish(Twist())
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - none can be changed
-        """Reject changes: with `scanner: false`, any program that may make them could drive."""
-        raise ParameterRejected(
-            f"{self.name}: the limits of the velocity gate cannot change while it runs; set them "
-            "in the deployment, end `cairn up`, and start it again"
-        )
 
     def on_request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Answer the requests that the class names."""

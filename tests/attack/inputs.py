@@ -69,7 +69,7 @@ def topics() -> Mapping[str, Topic]:
             if port.direction == "in":
                 name = member.spec.topics.get(port.name, port.name)
                 readers[name].append((member.name, port.name))
-                kinds[name] = port.message
+                kinds[name] = port.interface
                 open_to_all |= set() if port.exclusive else {name}
                 operated |= {name} if port.name in cls.operator_inputs else set()
     return {

@@ -21,7 +21,7 @@ import pytest
 import cairn.client
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import NavigationStatus
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import free_port
 from tests.attack.hostile_machine import ATTACKS
@@ -131,7 +131,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Attacked]:
     with ExitStack() as stack:
         patch = stack.enter_context(pytest.MonkeyPatch.context())
         patch.setenv(VARIABLE, str(folder / "security"))
-        members = [Member(name, None, ("127.0.0.1",)) for name in ("base", "brain")]
+        members = [AuthorityMember(name, None, ("127.0.0.1",)) for name in ("base", "brain")]
         Authority.create(RobotFolder.of("robot"), members)
         identity = RobotFolder.of("robot").path / "identities" / "brain"
         until = "active: mobile_supervisor"

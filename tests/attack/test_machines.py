@@ -9,7 +9,7 @@ import json
 import random
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from secrets import token_hex
@@ -35,7 +35,7 @@ from cairn.processes.machine_identity import machine_identity
 from cairn.runtime.ports import actions_of, ports_of
 from cairn.schemas.cairn_msgs import ComponentStatus, MachineStatus
 from cairn.schemas.message import type_name
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import free_port
 from tests.attack.conftest import Cases
@@ -122,8 +122,10 @@ def robot(tmp_path_factory: pytest.TempPathFactory, request: Any) -> Iterator[Ro
     deployment = load_deployment(FOLDER / "sim.yaml", [overlay])
     with pytest.MonkeyPatch.context() as patch, ExitStack() as stack:
         patch.setenv(VARIABLE, str(folder / "security"))
-        members = [Member(name, None, ("127.0.0.1",)) for name in ("base", "brain", "arm")]
-        Authority.create(RobotFolder.of("robot"), [*members, Member("alice", "administer", ())])
+        members = [AuthorityMember(name, None, ("127.0.0.1",)) for name in ("base", "brain", "arm")]
+        Authority.create(
+            RobotFolder.of("robot"), [*members, AuthorityMember("alice", "administer", ())]
+        )
         links = machine_links(deployment, "base", machine_access(deployment, "base"))
         socket = folder / "bus" / "router.sock"
         stack.enter_context(closing(open_router(socket, links=links)))
@@ -158,7 +160,7 @@ def keys_of(
         ports = [one for name, one in ports_of(cls).items()
                  if not attribute or name in getattr(cls, attribute)]  # fmt: skip
         ports += [
-            replace(part, name=f"{name}/{below}")
+            part.declare(f"{name}/{below}", part.interface)
             for name, action in actions_of(cls).items()
             for below, part in action.topics().items()
             if not attribute
@@ -166,7 +168,7 @@ def keys_of(
         for port in ports:
             if port.direction == direction:
                 topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
-                key = keys.message_key(deployment.domain, topic, port.message)
+                key = keys.message_key(deployment.domain, topic, port.interface)
                 found.setdefault(key, set()).add(member.name)
     return found
 
@@ -344,8 +346,8 @@ def test_machine_announces_its_own_nodes_only(robot: Robot, cases: Cases) -> Non
     for node in nodes:
         entities += [
             EndpointEntity(
-                node, 2, kind, "/robot/scan", type_name(plugin.message),
-                type_hash(plugin.message), plugin.qos,
+                node, 2, kind, "/robot/scan", type_name(plugin.interface),
+                type_hash(plugin.interface), plugin.qos,
             )
             for kind in ("MP", "MS", "SS", "SC")
         ]  # fmt: skip
@@ -399,7 +401,7 @@ def test_certificates_that_are_not_in_force_open_no_link(
         authority = robot.folder  # its new certificate is not in force at this router
     else:
         monkeypatch.setenv(VARIABLE, str(tmp_path / "security"))
-        members = [Member("brain", None, ("127.0.0.1",))]
+        members = [AuthorityMember("brain", None, ("127.0.0.1",))]
         with days_ago(10):
             own = Authority.create(RobotFolder.of("robot"), members, days=1)
         authority = own.folder.path

@@ -43,9 +43,9 @@ def _received_by(component: type) -> Iterator[type[Any]]:
     for action in actions_of(component).values():
         services += action.services().values()
         ports += action.topics().values()
-    yield from (port.message for port in ports if port.direction == "in")
+    yield from (port.interface for port in ports if port.direction == "in")
     for service in services:
-        yield service.service.Request if service.role == "server" else service.service.Response
+        yield service.interface.Request if service.role == "server" else service.interface.Response
 
 
 GROUPS: Final = [message_names()[first : first + 6] for first in range(0, len(message_names()), 6)]

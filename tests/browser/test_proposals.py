@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import cairn.client
-from cairn.components.object_recognizer.hypotheses import Hypothesis, Sighting
+from cairn.components.object_recognizer.hypotheses import Hypothesis, ObjectSighting
 from cairn.components.object_recognizer.proposals import Proposals
 from cairn.deployment.shipped import FOLDER, deployment_file
 from cairn.testing.launching import launching
@@ -34,7 +34,7 @@ def proposing(tmp_path: Path, map_file: Path) -> Iterator[RunningRobot]:
     for seed, (x, y) in enumerate(((4.0, 7.0), (9.0, 5.0), (2.5, 0.0)), start=41):
         view = make_view(texture(seed, 400, 300))
         hypothesis = Hypothesis(ObjectModel(seed, "", (0.4, 0.3), (view,)))
-        hypothesis.add(10**9, Sighting(x, y, 0.04**2 * np.eye(2), (x - 1, y, 0.0)), 20.0)
+        hypothesis.add(10**9, ObjectSighting(x, y, 0.04**2 * np.eye(2), (x - 1, y, 0.0)), 20.0)
         proposals.add(hypothesis)
     proposals.save()
     parameters = {"map_file": str(map_file), "proposals_file": str(proposals.path)}

@@ -20,8 +20,8 @@ from cairn.runtime.ports import ports_of, services_of
 from cleaner.brushes import BrushDriver, Brushes
 from cleaner.clean_msgs.srv import CleanArea
 from cleaner.status import HALF_TURN, Status
-assert Brushes().name == "main" and ports_of(BrushDriver)["brushes"].message is Brushes
-assert services_of(Status)["enable"].service.__name__ == "SetBool"
+assert Brushes().name == "main" and ports_of(BrushDriver)["brushes"].interface is Brushes
+assert services_of(Status)["enable"].interface.__name__ == "SetBool"
 assert CleanArea.Request().area.points == () and HALF_TURN.target_yaw > 3
 """
 

@@ -58,7 +58,7 @@ class Node:
         self._ends: dict[str, Any] = {}
         self._types: dict[str, Any] = {}
 
-    def publish(self, topic: str, type: str, value: dict[str, Any], reliable: bool) -> None:  # noqa: A002
+    def publish(self, topic: str, type: str, value: dict[str, Any], reliable: bool) -> None:
         """Publish a message; the first time, advertise the topic."""
         if topic not in self._ends:
             qos = dora.Ros2QosPolicies(reliable=reliable, keep_last=10)
@@ -69,7 +69,7 @@ class Node:
     def subscribe(
         self,
         topic: str,
-        type: str,  # noqa: A002
+        type: str,
         reliable: bool,
         latched: bool = False,
     ) -> None:
@@ -84,7 +84,7 @@ class Node:
         found = self._ends[topic].next()
         return None if found is None else _plain(found)
 
-    def relay(self, source: str, target: str, type: str, reliable: bool) -> None:  # noqa: A002
+    def relay(self, source: str, target: str, type: str, reliable: bool) -> None:
         """Publish on one topic what arrives on another one, from now on."""
         self.subscribe(source, type, reliable)
         qos = dora.Ros2QosPolicies(reliable=reliable, keep_last=10)
@@ -101,7 +101,7 @@ class Node:
 
         threading.Thread(target=relay, daemon=True).start()
 
-    def service_client(self, name: str, type: str) -> None:  # noqa: A002
+    def service_client(self, name: str, type: str) -> None:
         """Make a client, which waits for the server."""
         self._types[name] = interface(type)
         self._ends[name] = self._node.create_service_client(
@@ -157,7 +157,7 @@ class Node:
 
         threading.Thread(target=serve, daemon=True).start()
 
-    def action_client(self, name: str, type: str) -> None:  # noqa: A002
+    def action_client(self, name: str, type: str) -> None:
         """Make a client of an action."""
         self._types[name] = interface(type)
         self._ends[name] = self._node.create_action_client(

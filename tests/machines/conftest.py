@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import Launching, Run, launching
 from tests.commands import Answer, cairn
@@ -74,8 +74,8 @@ def _machines(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Machine
     monkeypatch.setenv(VARIABLE, str(security))
     with two_computers() as (base, brain, cable), launching(folder) as launch:
         members = [
-            Member("base", None, (base.address,)),
-            Member("brain", None, (brain.address,)),
+            AuthorityMember("base", None, (base.address,)),
+            AuthorityMember("brain", None, (brain.address,)),
         ]
         Authority.create(RobotFolder.of("robot"), members)
         yield Machines(base, brain, cable, launch, security)

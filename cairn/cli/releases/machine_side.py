@@ -29,11 +29,11 @@ _LONGEST_REASON = 4000  # characters
 _OLDEST_PYTHON = (3, 11)
 
 
-class Refused(Exception):
+class RequestFailed(Exception):
     """The request fails: what is wrong, and what to do."""
 
 
-class Robot:
+class ReleaseFolder:
     """The folder of one robot's releases on this machine, and its service."""
 
     def __init__(self, folder: str, robot: str) -> None:
@@ -43,7 +43,7 @@ class Robot:
         self.releases = self.folder / "releases"
         self.environments = self.folder / "environments"
         self.current = self.folder / "current"
-        self.service = Service(f"cairn@{robot}.service", self.current)
+        self.service = SystemdService(f"cairn@{robot}.service", self.current)
 
     def prepare(self) -> None:
         """Create the folders."""
@@ -54,7 +54,7 @@ class Robot:
                 raise PermissionError(13, "Permission denied")
         except OSError as error:
             base = shlex.quote(str(self.folder))
-            raise Refused(
+            raise RequestFailed(
                 f"{self.folder} cannot be written: {error.strerror}; create it on that machine: "
                 f"sudo install -d -o {getpass.getuser()} -g cairn -m 2750 {base}"
             ) from error
@@ -67,7 +67,9 @@ class Robot:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
-                raise Refused("another push or rollback is in progress; wait for it") from error
+                raise RequestFailed(
+                    "another push or rollback is in progress; wait for it"
+                ) from error
             yield
         finally:
             os.close(descriptor)
@@ -130,7 +132,7 @@ class Robot:
         target = self.releases / release
         try:
             if unpack(sys.stdin.buffer, incoming) != count:
-                raise Refused("the connection was lost before all was copied")
+                raise RequestFailed("the connection was lost before all was copied")
             digest = environment["digest"]
             if digest:
                 self.install(digest, environment, incoming / "wheels")
@@ -143,7 +145,7 @@ class Robot:
             command = [str(place / "bin" / "cairn"), "check", str(target / f"{self.robot}.yaml")]
             succeeded, text = run(command, _CHECK_LIMIT_S)
             if not succeeded:
-                raise Refused(f"the check failed there, nothing has changed: {text}")
+                raise RequestFailed(f"the check failed there, nothing has changed: {text}")
             description = {**description, "environment": digest or environment["path"]}
             (target / "release.json").write_text(json.dumps(description, indent=2), "utf-8")
             os.sync()
@@ -169,14 +171,14 @@ class Robot:
         ):
             succeeded, text = run(command, _INSTALL_LIMIT_S)
             if not succeeded:
-                raise Refused(f"the packages could not be installed there: {text}")
+                raise RequestFailed(f"the packages could not be installed there: {text}")
         (place / "complete").touch()
 
     def activate(self, release: str, limit_s: float) -> str:
         """Make a release the current one, and restart the service; go back if that fails."""
         if release not in self.ids():
             known = ", ".join(self.ids()) or "none"
-            raise Refused(f"there is no release {release}; releases there: {known}")
+            raise RequestFailed(f"there is no release {release}; releases there: {known}")
         before = self.linked("current")
         self.service.check_rights()
         self.link("current", release)
@@ -188,10 +190,10 @@ class Robot:
         self.link("current", before)
         failed = f"release {release} did not become active: {reason}"
         if not before:
-            raise Refused(f"{failed}\nthere is no earlier release to go back to")
+            raise RequestFailed(f"{failed}\nthere is no earlier release to go back to")
         active, reason = self.service.restart(limit_s)
         state = "" if active else ", which is not active either"
-        raise Refused(f"{failed}\nrolled back to release {before}{state}: {reason}")
+        raise RequestFailed(f"{failed}\nrolled back to release {before}{state}: {reason}")
 
     def prune(self, keep: int) -> None:
         """Remove all but the newest releases and those in use, and what no release needs."""
@@ -209,7 +211,7 @@ class Robot:
                 shutil.rmtree(place, ignore_errors=True)
 
 
-class Service:
+class SystemdService:
     """The service of systemd that runs the current release, if it is installed."""
 
     def __init__(self, unit: str, current: Path) -> None:
@@ -234,7 +236,7 @@ class Service:
         return self._show("ActiveState").partition("=")[2].strip()
 
     def check_rights(self) -> None:
-        """Raise `Refused` if this user may not restart the service."""
+        """Raise `RequestFailed` if this user may not restart the service."""
         if self.state() in ("not installed", "runs another deployment", "inactive"):
             return
         command = self._privileged("restart")
@@ -243,7 +245,7 @@ class Service:
             if not allowed:
                 user = getpass.getuser()
                 program = shutil.which("systemctl")
-                raise Refused(
+                raise RequestFailed(
                     f"{user} may not restart {self.unit} there; allow it by a file in "
                     f"/etc/sudoers.d: {user} ALL=(root) NOPASSWD: {program} restart {self.unit}"
                 )
@@ -286,7 +288,9 @@ def unpack(stream: IO[bytes], folder: Path) -> int:
             for member in archive:
                 path = PurePosixPath(member.name)
                 if not member.isfile() or path.is_absolute() or ".." in path.parts:
-                    raise Refused(f"the archive holds {member.name!r}, which is not a plain file")
+                    raise RequestFailed(
+                        f"the archive holds {member.name!r}, which is not a plain file"
+                    )
                 target = folder / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 source = archive.extractfile(member)
@@ -295,7 +299,7 @@ def unpack(stream: IO[bytes], folder: Path) -> int:
                     shutil.copyfileobj(source, copy)
                 count += 1
     except tarfile.TarError as error:
-        raise Refused(f"the connection was lost before all was copied: {error}") from error
+        raise RequestFailed(f"the connection was lost before all was copied: {error}") from error
     return count
 
 
@@ -316,29 +320,29 @@ def run(command: list[str], limit_s: float) -> tuple[bool, str]:
 
 def answer(request: dict[str, Any]) -> dict[str, Any]:
     """Return the answer to a request."""
-    robot = Robot(request["folder"], request["robot"])
+    robot = ReleaseFolder(request["folder"], request["robot"])
     action = request["action"]
     if action == "state":
         return robot.state()
     if action == "push":
         return {"result": pushed(robot, request)}
     if not robot.folder.is_dir():
-        raise Refused(f"there is no folder {robot.folder}; push a release first")
+        raise RequestFailed(f"there is no folder {robot.folder}; push a release first")
     with robot.locked():
         return {"result": robot.activate(request["release"], request["limit_s"])}
 
 
-def pushed(robot: Robot, request: dict[str, Any]) -> str:
+def pushed(robot: ReleaseFolder, request: dict[str, Any]) -> str:
     """Receive a release and activate it; return how."""
     if sys.version_info < _OLDEST_PYTHON and request["environment"]["digest"]:
-        raise Refused(f"python3 there is {sys.version.split()[0]}; install 3.11 or later")
+        raise RequestFailed(f"python3 there is {sys.version.split()[0]}; install 3.11 or later")
     release = request["release"]
     robot.prepare()
     with robot.locked():
         robot.receive(release, request["description"], request["environment"], request["count"])
         try:
             result = robot.activate(release, request["limit_s"])
-        except Refused:
+        except RequestFailed:
             shutil.rmtree(robot.releases / release, ignore_errors=True)
             raise
         robot.prune(request["keep"])
@@ -351,7 +355,7 @@ def main() -> None:
     os.umask(0o027)
     try:
         found = answer(json.loads(sys.argv[1]))
-    except Refused as error:
+    except RequestFailed as error:
         found = {"error": str(error)}
     except OSError as error:
         found = {"error": f"{error.filename or 'a file'} there: {error.strerror}"}

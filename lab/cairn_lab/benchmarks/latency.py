@@ -5,10 +5,9 @@ import time
 
 import numpy as np
 
-from cairn import Supervisor
+from cairn import In, Out, Supervisor, every, on
 from cairn.bus.qos import RELIABLE, SENSOR
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header

@@ -11,7 +11,7 @@ from typing import Any
 
 from cairn_lab.benchmarks.result import Metric
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[3]
 DEPLOYMENT = ROOT / "deploy" / "replay_mrclam.yaml"
 DATASET = ROOT / "tests" / "data" / "mrclam" / "MRCLAM_Dataset6"
 DISPLACED = ("--displace", "11:-1.2,0.9", "--displace", "20:0.6,-1.6")

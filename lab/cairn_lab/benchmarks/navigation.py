@@ -12,11 +12,11 @@ from typing import Any
 import psutil
 import yaml
 
+from cairn import In, Out, on
 from cairn.bus.qos import SENSOR
 from cairn.components.motion_control.component import MotionControl
 from cairn.planar.scans import sweep_s
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, on
 from cairn.schemas.builtin_interfaces import from_ns, to_ns
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header

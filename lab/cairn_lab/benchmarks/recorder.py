@@ -27,7 +27,7 @@ from cairn.bus.qos import RELIABLE
 from cairn.bus.type_hash import type_hash
 from cairn.errors import CairnError
 from cairn.recording.mcap_file import McapFile
-from cairn.recording.recorder import Recorder, RecorderSettings
+from cairn.recording.recorder import McapRecorder, RecorderSettings
 from cairn.recording.tap import PublisherInfo, Sample
 from cairn.schemas.message import schema_messages, type_name
 from cairn.schemas.sensor_msgs import Image
@@ -185,7 +185,7 @@ class _KnownPublishers:
 def _record(path: Path) -> None:
     """Record generated messages until this process is killed."""
     settings = RecorderSettings(keep_free_mb=0)
-    recorder = Recorder(settings, path, {}, schema_messages().get)
+    recorder = McapRecorder(settings, path, {}, schema_messages().get)
     recorder.start(_KnownPublishers())
     noise = np.random.default_rng(0).integers(0, 60, _IMAGE_BYTES, np.uint8).tobytes()
     sent: Counter[str] = Counter()

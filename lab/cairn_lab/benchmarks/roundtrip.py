@@ -17,10 +17,10 @@ import numpy as np
 import zenoh
 from pydantic import Field
 
+from cairn import In, Out, on
 from cairn.bus.codec import Codec
 from cairn.runtime.component import Component
 from cairn.runtime.parameters import Config
-from cairn.runtime.ports import In, Out, on
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.schemas.std_msgs import Header, String
 from cairn_lab.benchmarks.result import Metric

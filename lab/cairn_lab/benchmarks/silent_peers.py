@@ -38,7 +38,8 @@ from cairn_lab.benchmarks.result import Metric
 PEERS = 40
 """Silent sessions, a fifth of them in processes that are stopped."""
 GHOSTS = 10_000
-"""Liveliness tokens of nodes and publishers that do not exist; see SECURITY.md for worse ones."""
+"""Liveliness tokens of nodes and publishers that do not exist; the worse ones are described in
+`docs/concepts/security.md`."""
 LIMIT_S = 1.0
 """Nothing may be delayed by more."""
 

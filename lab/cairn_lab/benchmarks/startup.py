@@ -19,8 +19,8 @@ import psutil
 import yaml
 from scipy import ndimage
 
+from cairn import Out, every
 from cairn.runtime.component import Component
-from cairn.runtime.ports import Out, every
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn_lab.benchmarks.result import Metric
 

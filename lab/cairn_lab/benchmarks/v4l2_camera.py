@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import simplejpeg
 
+from cairn import In, every, on
 from cairn.bus.qos import SENSOR
 from cairn.components.v4l2_camera.component import V4l2StereoCamera
 from cairn.components.v4l2_camera.decoding import ImageLayout
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, every, on
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn_lab.benchmarks.result import Metric
 from cairn_lab.benchmarks.running import results, run_deployment

@@ -21,6 +21,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from cairn import In, Out, every, on
 from cairn.bus.exclusive import Exclusive
 from cairn.bus.lockstep_bus import LockstepSubscription
 from cairn.bus.qos import SENSOR
@@ -31,7 +32,6 @@ from cairn.errors import CairnError
 from cairn.planar.messages import planar_pose, pose_message
 from cairn.planar.poses import Pose, compose
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, Out, every, on
 from cairn.schemas.builtin_interfaces import from_ns, to_ns
 from cairn.schemas.cairn_nav_msgs import Collision, TeleoperationCommand
 from cairn.schemas.cairn_sim_msgs import WorldState

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import yaml
 
+from cairn import In, on
 from cairn.bus.qos import RELIABLE
 from cairn.runtime.component import Component
-from cairn.runtime.ports import In, on
 from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.system.clock import SECOND

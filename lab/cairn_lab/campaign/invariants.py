@@ -34,39 +34,39 @@ class Invariant:
         """Take the parameters, an instance of `config_type`."""
         self.config = config
 
-    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
+    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:
         """All components are active, after each launch."""
         return ()
 
-    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:  # noqa: ARG002
+    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:
         """A message was published on one of `topics`."""
         return ()
 
-    def on_log(self, line: LogLine) -> Iterable[str]:  # noqa: ARG002
+    def on_log(self, line: LogLine) -> Iterable[str]:
         """`cairn up` has printed a line."""
         return ()
 
-    def on_processes(self, at_s: float, processes: Processes) -> Iterable[str]:  # noqa: ARG002
+    def on_processes(self, at_s: float, processes: Processes) -> Iterable[str]:
         """Once a second: the processes of the run."""
         return ()
 
-    def on_fault(self, at_s: float, kind: str, fault: Injection) -> Iterable[str]:  # noqa: ARG002
+    def on_fault(self, at_s: float, kind: str, fault: Injection) -> Iterable[str]:
         """A fault was injected."""
         return ()
 
-    def on_undo(self, at_s: float, kind: str, fault: Injection) -> Iterable[str]:  # noqa: ARG002
+    def on_undo(self, at_s: float, kind: str, fault: Injection) -> Iterable[str]:
         """A fault that lasted for some time was undone."""
         return ()
 
-    def on_goal(self, goal: GoalEnded) -> Iterable[str]:  # noqa: ARG002
+    def on_goal(self, goal: GoalEnded) -> Iterable[str]:
         """A goal has ended."""
         return ()
 
-    def on_end(self, end: DeploymentEnded) -> Iterable[str]:  # noqa: ARG002
+    def on_end(self, end: DeploymentEnded) -> Iterable[str]:
         """`cairn up` has ended; all its files can be read."""
         return ()
 
-    def on_finish(self, at_s: float) -> Iterable[str]:  # noqa: ARG002
+    def on_finish(self, at_s: float) -> Iterable[str]:
         """The campaign has ended."""
         return ()
 

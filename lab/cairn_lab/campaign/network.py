@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from types import TracebackType
 
 from cairn.deployment.model import Deployment
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import free_port
 from cairn_lab.campaign.link import HOST, Link
@@ -70,7 +70,7 @@ class Network:
 
     def _open(self, stack: ExitStack) -> None:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="cairn-campaign-")))
-        members = [Member(machine, None, (HOST,)) for machine in self.machines]
+        members = [AuthorityMember(machine, None, (HOST,)) for machine in self.machines]
         Authority.create(RobotFolder(self._robot, folder / self._robot), members)
         self.environment = {VARIABLE: str(folder)}
         self._ports = {machine: free_port() for machine in self.machines}

@@ -65,7 +65,7 @@ class NoOrphan(Invariant):
                 self._since[key] = float("inf")  # reported once
                 yield f"process {process.pid} ({process.name}) {key[2]}"
 
-    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
+    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:
         """Forget the launch before."""
         self._since.clear()
         return ()
@@ -119,7 +119,7 @@ class EndsHaveReasons(Invariant):
         self._reasons: dict[str, float] = {}
         self._supervisors: dict[str, str | None] = {}
 
-    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
+    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:
         """Forget the launch before."""
         self._supervisors = {member.name: member.parent for member in deployment.members()}
         self._running.clear()

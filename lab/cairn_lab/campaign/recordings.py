@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cairn.errors import CairnError
 from cairn.recording.reader import McapRecording
-from cairn.recording.recorder import Recorder, RecorderSettings
+from cairn.recording.recorder import McapRecorder, RecorderSettings
 from cairn.recording.run_attachments import MessageClasses, run_attachments, started_parameters
 from cairn.recording.tap import ZenohTap
 from cairn.rerun.files import input_attachments
@@ -26,7 +26,7 @@ class LaunchRecording:
         """Start; the file is `path`, or a numbered name beside it. Raises `CairnError`."""
         deployment = robot.deployment
         find = MessageClasses(deployment).find
-        self._recorder = Recorder(settings, path, attachments, find, robot=deployment.robot)
+        self._recorder = McapRecorder(settings, path, attachments, find, robot=deployment.robot)
         connection = robot.client.connection
         self._tap = ZenohTap(
             connection.session, connection.domain, self._recorder.receive, self._recorder.topics

@@ -30,7 +30,7 @@ class NoCollision(Invariant):
 
     topics: Mapping[str, type[Any]] = {"collisions": Collision}
 
-    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:  # noqa: ARG002
+    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:
         """Report a collision."""
         yield (
             f"the robot touched {message.obstacle} at {message.x:.2f}, {message.y:.2f} with "
@@ -81,12 +81,12 @@ class StandsWithReason(Invariant):
         self._status: NavigationStatus | None = None
         self._gate_reason = ""
 
-    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
+    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:
         """Forget the launch before."""
         self._moved_s, self._status, self._gate_reason = None, None, ""
         return ()
 
-    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:  # noqa: ARG002
+    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:
         """Note that the robot drives, or why it does not."""
         if isinstance(message, Odometry):
             twist = message.twist.twist
@@ -99,7 +99,7 @@ class StandsWithReason(Invariant):
             self._gate_reason = message.reason
         return ()
 
-    def on_processes(self, at_s: float, processes: Any) -> Iterable[str]:  # noqa: ARG002
+    def on_processes(self, at_s: float, processes: Any) -> Iterable[str]:
         """Judge, once a second."""
         status = self._status
         if (

@@ -49,17 +49,17 @@ class KeepsPublishing(Invariant):
         self.topics = self.config.topics
         self._arrived_s: dict[str, float] = {}
 
-    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:  # noqa: ARG002
+    def on_start(self, at_s: float, deployment: Deployment) -> Iterable[str]:
         """Expect messages from now on."""
         self._arrived_s = dict.fromkeys(self.topics, at_s)
         return ()
 
-    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:  # noqa: ARG002
+    def on_message(self, at_s: float, topic: str, message: Any) -> Iterable[str]:
         """Note that one has arrived."""
         self._arrived_s[topic] = at_s
         return ()
 
-    def on_processes(self, at_s: float, processes: Processes) -> Iterable[str]:  # noqa: ARG002
+    def on_processes(self, at_s: float, processes: Processes) -> Iterable[str]:
         """Judge, once a second."""
         for topic, arrived_s in self._arrived_s.items():
             if at_s - arrived_s > self.config.patience_s:

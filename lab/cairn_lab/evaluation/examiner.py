@@ -20,7 +20,6 @@ from cairn import (
     Config,
     In,
     Out,
-    ParameterRejected,
     every,
     on,
     to_ns,
@@ -101,6 +100,8 @@ class NavigationExaminer(Component):
     The robot contributes only its own estimate and the status of its goals.
     """
 
+    # The rules hold for the whole run.
+    live_parameters = frozenset()
     config: ExaminerConfig
 
     world_geometry: In[WorldGeometry] = In(qos=LATCHED)
@@ -134,10 +135,6 @@ class NavigationExaminer(Component):
         self._attempt: Attempt | None = None
         self._started_ns: int | None = None
         self._kidnap_requested_ns: int | None = None
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - no parameter can be changed
-        """Reject changes: the rules hold for the whole run."""
-        raise ParameterRejected("the examiner's parameters cannot be changed while it runs")
 
     @on("world_geometry")
     def on_world_geometry(self, geometry: WorldGeometry) -> None:

@@ -18,7 +18,8 @@ from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import load_plugin
 from cairn.runtime.child_spec import ChildSpec
-from cairn.runtime.ports import PortSpec, ports_of
+from cairn.runtime.ports import ports_of
+from cairn.runtime.topic_ports import In, Out
 
 WORLD, LOCALIZER, MAP_BUILDER = "world", "localizer", "map_builder"
 # The topic that a localizer reads when the robot is driven by scans alone: it has no publisher.
@@ -198,5 +199,5 @@ def _outputs(spec: ChildSpec) -> set[str]:
     return {name for name, port in _ports(spec.plugin).items() if port.direction == "out"}
 
 
-def _ports(plugin: str) -> dict[str, PortSpec]:
+def _ports(plugin: str) -> dict[str, In[Any] | Out[Any]]:
     return ports_of(load_plugin(plugin))

@@ -18,7 +18,6 @@ from cairn import (
     Component,
     Config,
     In,
-    ParameterRejected,
     on,
     to_ns,
 )
@@ -49,6 +48,8 @@ class ObserverConfig(Config):
 class Observer(Component):
     """Writes a series: lines of JSON, each [kind, stamp [s], values ...]."""
 
+    # A series is one file.
+    live_parameters = frozenset()
     config: ObserverConfig
 
     def on_configure(self) -> None:
@@ -60,10 +61,6 @@ class Observer(Component):
             raise CairnError(
                 f"the series {file} cannot be written: {error.strerror}; name another folder"
             ) from error
-
-    def on_parameters(self, new: Config) -> None:  # noqa: ARG002 - no parameter can be changed
-        """Reject changes: a series is one file."""
-        raise ParameterRejected("the file of an observer cannot be changed while it runs")
 
     def on_cleanup(self) -> None:
         """Close the file."""

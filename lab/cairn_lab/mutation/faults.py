@@ -80,8 +80,9 @@ def problems(faults: Sequence[Fault], root: Path = ROOT) -> Iterator[str]:
 class _Dumper(yaml.SafeDumper):
     """Dumper that writes code as literal blocks."""
 
-    def increase_indent(self, flow: bool = False, **_: bool) -> Any:
+    def increase_indent(self, flow: bool = False, indentless: bool = False) -> Any:
         """Indent lists within an entry."""
+        del indentless  # PyYAML sets it for lists, which then stand as far left as their key
         return super().increase_indent(flow, False)
 
 

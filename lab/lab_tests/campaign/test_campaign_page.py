@@ -8,17 +8,16 @@ import pytest
 
 from cairn_lab.campaign import CampaignReport
 from lab_tests.campaign.test_campaign import TREE
-from tests.docs.conftest import Block
+from tests.docs.conftest import blocks
 
 
 @pytest.mark.processes
 def test_example_of_the_guide_runs(
     campaign: Callable[..., CampaignReport],
-    page_blocks: Callable[[str], list[Block]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    example = next(one for one in page_blocks("docs/how-to/campaign.md") if "KeepsT" in one.text)
+    example = next(one for one in blocks("docs/how-to/campaign.md") if "KeepsT" in one.text)
     (tmp_path / "rover.yaml").write_text(TREE, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}

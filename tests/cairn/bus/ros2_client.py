@@ -34,12 +34,12 @@ class Client:
         self._subscribers: list[Any] = []
         self._services: dict[str, Any] = {}
 
-    def advertise(self, topic: str, type: str, node: str) -> None:  # noqa: A002
+    def advertise(self, topic: str, type: str, node: str) -> None:
         self._publishers[topic] = self._sdk.ROS2Publisher(
             topic, type, node_name=node, namespace="/ros", **self._where
         )
 
-    def subscribe(self, topic: str, type: str, node: str) -> None:  # noqa: A002
+    def subscribe(self, topic: str, type: str, node: str) -> None:
         received = self._received[topic] = queue.Queue()
         subscriber = self._sdk.ROS2Subscriber(
             topic, type, received.put, node_name=node, namespace="/ros", **self._where
@@ -56,7 +56,7 @@ class Client:
     def receive(self, topic: str) -> Any:
         return _plain(self._received[topic].get(timeout=LIMIT_S))
 
-    def service_client(self, name: str, type: str, node: str) -> None:  # noqa: A002
+    def service_client(self, name: str, type: str, node: str) -> None:
         self._services[name] = self._sdk.ROS2ServiceClient(
             name, type, node_name=node, namespace="/ros", timeout=LIMIT_S, **self._where
         )

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from cairn.bus.bus import Bus, Call, Node, Server, ServiceError
+from cairn.bus.bus import Bus, Call, Node, ServiceError, ServiceServer
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.services import MOST_PENDING
 from cairn.bus.session import open_client
@@ -65,7 +65,7 @@ class Serving:
 
     def __init__(self, node: Node, name: str = SERVICE, service: Any = AddTwoInts) -> None:
         self._waiting = threading.Semaphore(0)
-        self.server: Server = node.serve(name, service, self._waiting.release)
+        self.server: ServiceServer = node.serve(name, service, self._waiting.release)
 
     def next(self) -> Call:
         assert self._waiting.acquire(timeout=LIMIT_S), "no call came"

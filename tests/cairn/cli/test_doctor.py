@@ -24,7 +24,7 @@ from cairn.cli.doctor.machines import links
 from cairn.processes.orphan_cleanup import MARK
 from cairn.schemas.cairn_msgs import MachineLink, MachineStatus
 from cairn.schemas.std_msgs import Header
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import free_port, new_endpoint, new_socket
 from tests.cairn.cli.conftest import Command
@@ -365,7 +365,9 @@ def test_identities_of_machines_are_checked(
     missing = row_of(cairn("doctor", str(file), "--json"), str(folder.path))
     assert missing["state"] == "fail"
     assert_words(missing["remedy"], "cairn security init")
-    members = [Member(name, None, (f"10.9.0.{end}",)) for end, name in ((1, "base"), (3, "arm"))]
+    members = [
+        AuthorityMember(name, None, (f"10.9.0.{end}",)) for end, name in ((1, "base"), (3, "arm"))
+    ]
     Authority.create(folder, members, days=10)
     row = row_of(cairn("doctor", str(file), "--json"), "base")
     assert row["state"] == "warn"

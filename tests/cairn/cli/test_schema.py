@@ -118,7 +118,7 @@ def test_plugins_of_cairn_have_only_types_that_are_known_without_them() -> None:
     for plugin in plugins:
         if plugin.target.startswith("cairn."):
             for port in plugin.ports:
-                for message in classes_in(port.message):
+                for message in classes_in(port.interface):
                     assert find_defined_message(type_name(message)) is message
     assert all(find_defined_message(name) is None for name in messages_of_plugins())
 

@@ -20,7 +20,7 @@ from cairn.deployment.machine_access import machine_access
 from cairn.deployment.model import Deployment
 from cairn.processes.certified_router import AuthorityPoll, CertifiedRouter, machine_links
 from cairn.security import enrollment
-from cairn.security.authority import Authority, Member
+from cairn.security.authority import Authority, AuthorityMember
 from cairn.security.enrollment import write_url
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.testing.launching import Launching, free_port
@@ -36,9 +36,9 @@ def authority(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Authority:
     """The authority of robot `robot`, on this computer."""
     monkeypatch.setenv(VARIABLE, str(tmp_path / "security"))
     members = [
-        Member("base", None, ADDRESS),
-        Member("brain", None, ADDRESS),
-        Member("alice", "administer"),
+        AuthorityMember("base", None, ADDRESS),
+        AuthorityMember("brain", None, ADDRESS),
+        AuthorityMember("alice", "administer"),
     ]
     return Authority.create(RobotFolder.of("robot"), members)
 
@@ -137,8 +137,8 @@ def test_operators_of_the_roster_are_admitted_while_the_robot_runs(
     run.await_line("root: child active: beacon")
     assert alice.cairn(*get).code == 0
 
-    authority.add(Member("bob", "administer"))
-    authority.add(Member("wall", "view"))
+    authority.add(AuthorityMember("bob", "administer"))
+    authority.add(AuthorityMember("wall", "view"))
     wall, bob = (Operator(authority.folder, name, tmp_path / name, endpoint)
                  for name in ("wall", "bob"))  # fmt: skip
     authority.revoke("alice")

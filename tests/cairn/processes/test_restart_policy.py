@@ -5,7 +5,7 @@ from typing import get_args
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.processes.restart_policy import Decision, RestartPolicy
+from cairn.processes.restart_policy import RestartDecision, RestartPolicy
 from cairn.runtime.child_spec import ChildSpec, Restart, Strategy, Supervision
 from tests.wording import assert_words
 
@@ -35,24 +35,24 @@ def loaded(**children: ChildSpec) -> RestartPolicy:
 
 def test_one_for_one_restarts_only_the_child_that_ended() -> None:
     decision = policy().ended("scanner", normal=False, at_s=0.0, reason="crash")
-    assert decision == Decision(start=("scanner",))
+    assert decision == RestartDecision(start=("scanner",))
 
 
 def test_rest_for_one_also_restarts_children_started_after_it() -> None:
     decision = policy("rest_for_one").ended("scanner", normal=False, at_s=0.0, reason="crash")
-    assert decision == Decision(
+    assert decision == RestartDecision(
         stop=("planner", "localizer"), start=("scanner", "localizer", "planner")
     )
 
 
 def test_one_for_all_restarts_all_children_and_stops_them_in_reverse_order() -> None:
     decision = policy("one_for_all").ended("scanner", normal=False, at_s=0.0, reason="crash")
-    assert decision == Decision(stop=("planner", "localizer", "base"), start=NAMES)
+    assert decision == RestartDecision(stop=("planner", "localizer", "base"), start=NAMES)
 
 
 def test_transient_child_is_restarted_after_a_crash_but_not_after_a_normal_end() -> None:
     supervised = policy(base="transient", scanner="transient")
-    assert supervised.ended("base", normal=True, at_s=0.0, reason="done") == Decision()
+    assert supervised.ended("base", normal=True, at_s=0.0, reason="done") == RestartDecision()
     crashed = supervised.ended("scanner", normal=False, at_s=0.0, reason="crash")
     assert crashed.start == ("scanner",)
     assert supervised.required == ("scanner", "localizer", "planner")
@@ -123,7 +123,7 @@ def test_child_that_ran_before_is_restarted_even_if_it_refuses_to_start() -> Non
 def test_temporary_child_that_refuses_to_start_is_left_alone() -> None:
     supervised = loaded(base=child(), notes=child("temporary"))
     decision = supervised.start_failed("notes", at_s=0.0, reason="no file", refused=True)
-    assert decision == Decision()
+    assert decision == RestartDecision()
     assert supervised.required == ("base",)
 
 
@@ -193,7 +193,7 @@ def test_order_group_and_restart_limit_hold_for_random_events(
     for name, what, passed_s in history:
         now += passed_s
         before = set(supervised.required)
-        decision = Decision()
+        decision = RestartDecision()
         match what:
             case "load":
                 supervised.load(name)
@@ -237,7 +237,7 @@ def test_order_group_and_restart_limit_hold_for_random_events(
                 assert not decision.give_up
             assert (name in decision.start) == (restarted and not decision.give_up)
         elif is_end:
-            assert decision == Decision()
+            assert decision == RestartDecision()
         if decision.give_up:
             assert not after
             assert not decision.start

@@ -15,7 +15,7 @@ from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.bus.type_hash import type_hash
 from cairn.errors import CairnError
-from cairn.recording.recorder import Recorder, RecorderSettings
+from cairn.recording.recorder import McapRecorder, RecorderSettings
 from cairn.recording.tap import LockstepTap, PublisherInfo, Sample
 from cairn.recording.topics import TopicPatterns
 from cairn.schemas.cairn_msgs import ComponentStatus
@@ -52,7 +52,7 @@ class Bench:
         self.tap = FakeTap()
         self.sent: Counter[str] = Counter()
         self.path = path / "run.mcap"
-        self.recorder = Recorder(
+        self.recorder = McapRecorder(
             RecorderSettings.model_validate({"keep_free_mb": 0, **settings}),
             self.path,
             {"run.json": b"{}"},

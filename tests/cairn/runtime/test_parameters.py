@@ -6,7 +6,7 @@ import pytest
 from pydantic import Field, ValidationError, model_validator
 
 from cairn import CairnError, Config, ParameterRejected, ReadPath
-from cairn.runtime.parameters import Parameter, describe_parameters, with_changes
+from cairn.runtime.parameters import ParameterDescription, describe_parameters, with_changes
 from cairn.testing.lockstep import ComponentHarness
 from tests.cairn.runtime.base import Base, BaseConfig, Limits
 from tests.wording import assert_words, words_in_order
@@ -35,16 +35,22 @@ class Localizer(Config):
 
 def test_parameters_are_described_with_type_value_and_bounds() -> None:
     assert describe_parameters(Localizer(particles=20)) == [
-        Parameter(
+        ParameterDescription(
             "particles", 20, "int", "Number of particles [1].", ">= 10, <= 200000", (10, 200_000)
         ),
-        Parameter("mode", "paper", "Literal['paper', 'improved']", "Which equations.", ""),
-        Parameter("low", 0.0, "float", "Lower limit [m].", ""),
-        Parameter("high", None, "float | None", "Upper limit [m], or none.", "> 0", (0, None)),
-        Parameter("filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1", (0, 1)),
-        Parameter("gain", None, "int | None", "Gain [1].", ">= 0, <= 255", (0, 255)),
-        Parameter("map", None, "Path | None", "File of the map.", ""),
-        Parameter("beams", (), "tuple[float, ...]", "Bearings [rad].", ""),
+        ParameterDescription(
+            "mode", "paper", "Literal['paper', 'improved']", "Which equations.", ""
+        ),
+        ParameterDescription("low", 0.0, "float", "Lower limit [m].", ""),
+        ParameterDescription(
+            "high", None, "float | None", "Upper limit [m], or none.", "> 0", (0, None)
+        ),
+        ParameterDescription(
+            "filter.sigma", 0.1, "float", "Noise of a beam [m].", "> 0, <= 1", (0, 1)
+        ),
+        ParameterDescription("gain", None, "int | None", "Gain [1].", ">= 0, <= 255", (0, 255)),
+        ParameterDescription("map", None, "Path | None", "File of the map.", ""),
+        ParameterDescription("beams", (), "tuple[float, ...]", "Bearings [rad].", ""),
     ]
 
 

@@ -4,13 +4,14 @@ from typing import Annotated, Any, ClassVar
 
 import pytest
 
-from cairn import LATCHED, RELIABLE, SENSOR, CairnError, In, Out
-from cairn.runtime.ports import BoundIn, BoundOut, PortSpec, ports_of
+from cairn import LATCHED, RELIABLE, SECOND, SENSOR, CairnError, Component, In, Out, every
+from cairn.runtime.ports import ports_of
 from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.geometry_msgs import Twist
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import LaserScan
+from cairn.testing.lockstep import ComponentHarness
 from tests.wording import assert_words
 
 
@@ -35,16 +36,25 @@ class Tolerant(Localizer):
 
 
 def test_ports_are_collected_from_class_and_bases_in_order() -> None:
-    assert list(ports_of(Localizer).values()) == [
-        PortSpec("scan", "out", LaserScan, SENSOR),
-        PortSpec("odom", "in", Odometry, RELIABLE),
-        PortSpec("command", "in", Twist, LATCHED, optional=True),
-        PortSpec("pose", "out", Odometry, RELIABLE),
+    ports = ports_of(Localizer)
+
+    assert [(name, type(one), one.interface, one.qos) for name, one in ports.items()] == [
+        ("scan", Out, LaserScan, SENSOR),
+        ("odom", In, Odometry, RELIABLE),
+        ("command", In, Twist, LATCHED),
+        ("pose", Out, Odometry, RELIABLE),
+    ]
+    assert [one.name for one in ports.values()] == list(ports)
+    assert [name for name, one in ports.items() if isinstance(one, In) and one.optional] == [
+        "command"
     ]
 
 
 def test_subclass_can_override_the_default_of_a_port() -> None:
-    assert ports_of(Tolerant)["odom"] == PortSpec("odom", "in", Odometry, RELIABLE, optional=True)
+    odom = ports_of(Tolerant)["odom"]
+    assert isinstance(odom, In)
+    assert (odom.interface, odom.optional) == (Odometry, True)
+    assert ports_of(Localizer)["odom"] is not odom
 
 
 def test_class_without_ports_has_none() -> None:
@@ -78,35 +88,45 @@ def test_invalid_declaration_is_reported_by_name(cls: type, words: str) -> None:
     assert_words(str(caught.value), *words.split("; "))
 
 
+class Echo(Component):
+    """Publishes what it reads."""
+
+    since: In[Time]
+    until: Out[Time]
+
+    @every(hz=1)
+    def publish(self) -> None:
+        if self.since.latest is not None:
+            self.until.publish(self.since.latest)
+
+
 def test_bound_output_rejects_messages_of_another_type() -> None:
-    sent: list[Time] = []
-    spec = PortSpec("since", "out", Time, RELIABLE)
-    out: Out[Time] = BoundOut("base", spec, "go", sent.append, lambda: True)
-    message = Time(sec=1, nanosec=2)
+    harness = ComponentHarness(Echo, name="echo", topics={"until": "go"})
+    out, message = harness.component.until, Time(sec=1, nanosec=2)
 
     out.publish(message)
 
-    assert out.topic == "go"
-    assert sent == [message]
+    assert out.topic == "/robot/go"
     with pytest.raises(
-        CairnError, match="base: port since publishes builtin_interfaces/msg/Time, not rosg"
+        CairnError, match="echo: port until publishes builtin_interfaces/msg/Time, not rosg"
     ):
         out.publish(Clock(clock=message))  # type: ignore[arg-type]
     with pytest.raises(CairnError, match=r"not builtins\.str"):
         out.publish("stop")  # type: ignore[arg-type]
-    assert sent == [message]
+    harness.run_to(SECOND // 2)
+    assert harness.take("until") == [message]
 
 
-def test_bound_input_keeps_the_latest_message() -> None:
-    bound = BoundIn[Time](PortSpec("since", "in", Time, RELIABLE), "go")
-    message = Time(sec=1, nanosec=2)
+def test_bound_input_keeps_the_latest_message_of_its_own_component() -> None:
+    first, second = ComponentHarness(Echo), ComponentHarness(Echo)
+    assert first.component.since.latest is None
 
-    before = bound.latest
-    bound.set_latest(message)
+    first.publish("since", Time(sec=1, nanosec=2))
+    first.run_to(SECOND // 2)
 
-    assert before is None
-    assert bound.topic == "go"
-    assert bound.latest is message
+    assert first.component.since.topic == "/robot/since"
+    assert first.component.since.latest == Time(sec=1, nanosec=2)
+    assert second.component.since.latest is None
 
 
 def test_declaration_cannot_be_used_as_a_port() -> None:
@@ -114,3 +134,7 @@ def test_declaration_cannot_be_used_as_a_port() -> None:
         Timer.since.publish(Time(sec=1, nanosec=2))
     with pytest.raises(CairnError, match="this In port is a declaration"):
         _ = Localizer.command.latest
+    with pytest.raises(CairnError, match="this Out port is a declaration"):
+        _ = Timer.since.has_subscribers
+    with pytest.raises(CairnError, match="this In port is a declaration"):
+        _ = ports_of(Localizer)["odom"].topic

@@ -7,7 +7,7 @@ import pytest
 
 from cairn import CairnError, Out, every, on
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.runtime.ports import handlers_of
+from cairn.runtime.handlers import handlers_of
 from cairn.runtime.rosout import RosoutHandler
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.rcl_interfaces import Log

@@ -23,8 +23,9 @@ from cairn import (
     serve,
 )
 from cairn.bus.actions import MOST_ENDED, RESULT_OWED_S
+from cairn.runtime.handlers import handlers_of
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.runtime.ports import handlers_of, services_of
+from cairn.runtime.ports import services_of
 from cairn.schemas.action_msgs.msg import GoalStatus, GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.cairn_msgs import PortStatus
@@ -368,7 +369,7 @@ def test_server_needs_exactly_one_method() -> None:
     cls = type("Silent", (), {"__annotations__": {"add": services_annotation()}})
     with pytest.raises(CairnError, match='add: 0 methods are decorated @serve\\("add"\\)'):
         handlers_of(cls)
-    assert services_of(cls)["add"].service is AddTwoInts
+    assert services_of(cls)["add"].interface is AddTwoInts
 
 
 def services_annotation() -> Any:

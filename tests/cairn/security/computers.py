@@ -13,10 +13,10 @@ from pathlib import Path
 from unittest.mock import patch
 
 from cairn.security import certificates
-from cairn.security.authority import Authority, Member, members_of
+from cairn.security.authority import Authority, AuthorityMember, members_of
 from cairn.security.folder import VARIABLE, RobotFolder
 from cairn.security.identity import Identity
-from cairn.security.service import Service
+from cairn.security.service import AuthorityService
 from cairn.security.tokens import Token
 from tests.patience import LIMIT_S
 
@@ -31,7 +31,7 @@ def computer(home: Path) -> Iterator[RobotFolder]:
         yield RobotFolder.of(ROBOT)
 
 
-def new_authority(home: Path, *members: Member, days: int = 90) -> Authority:
+def new_authority(home: Path, *members: AuthorityMember, days: int = 90) -> Authority:
     """Make the robot's authority on a computer, by default with two machines and two operators."""
     known = members_of(MACHINES, {"alice": "operate", "wall": "view"})
     with computer(home) as folder:
@@ -52,10 +52,10 @@ def days_ago(days: float) -> Iterator[None]:
 
 
 @contextmanager
-def serving(authority: Authority, lines: list[str] | None = None) -> Iterator[Service]:
+def serving(authority: Authority, lines: list[str] | None = None) -> Iterator[AuthorityService]:
     """Run the authority's service in a thread."""
     report = (lambda _: None) if lines is None else lines.append
-    service = Service(authority, "127.0.0.1", 0, report=report)
+    service = AuthorityService(authority, "127.0.0.1", 0, report=report)
     thread = threading.Thread(target=lambda: asyncio.run(service.run()))
     thread.start()
     try:
@@ -65,7 +65,9 @@ def serving(authority: Authority, lines: list[str] | None = None) -> Iterator[Se
         thread.join(LIMIT_S)
 
 
-def token_for(authority: Authority, service: Service, name: str, valid_s: float = 900) -> Token:
+def token_for(
+    authority: Authority, service: AuthorityService, name: str, valid_s: float = 900
+) -> Token:
     """Make a token, as `cairn security token` does."""
     return Token(
         url=service.url,

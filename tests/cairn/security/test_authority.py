@@ -10,7 +10,7 @@ import pytest
 
 from cairn import CairnError
 from cairn.security import certificates
-from cairn.security.authority import Authority, Member, check_addresses, members_of
+from cairn.security.authority import Authority, AuthorityMember, check_addresses, members_of
 from cairn.security.bundle import export_identity, import_identity
 from cairn.security.folder import RobotFolder
 from cairn.security.identity import own_identity
@@ -66,7 +66,7 @@ def test_name_that_is_issued_again_has_another_common_name(authority: Authority)
     with pytest.raises(CairnError, match="no such file"):
         own_identity(authority.folder, "brain")
 
-    again = authority.add(Member("brain", addresses=("192.168.1.11",)))
+    again = authority.add(AuthorityMember("brain", addresses=("192.168.1.11",)))
 
     assert again.common_name != lost.common_name
     assert authority.roster().common_names("machine") == tuple(
@@ -159,7 +159,7 @@ def test_names_are_checked() -> None:
 
 def test_names_too_long_for_a_certificate_are_refused(authority: Authority) -> None:
     with pytest.raises(CairnError, match=words_in_order("together 47 characters, and may have 45")):
-        authority.add(Member("x" * 42, "view"))
+        authority.add(AuthorityMember("x" * 42, "view"))
 
 
 def test_exported_identity_is_imported_elsewhere(authority: Authority, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from cairn.security.enrollment import (
 )
 from cairn.security.identity import own_identity
 from cairn.security.roster import read_roster
-from cairn.security.service import Service, WrongAttempts
+from cairn.security.service import AuthorityService, WrongAttempts
 from cairn.security.tokens import Token, decode_token
 from tests.cairn.security.computers import (
     ROBOT,
@@ -43,7 +43,7 @@ from tests.wording import words_in_order
 
 
 @pytest.fixture
-def running(authority: Authority) -> Iterator[Service]:
+def running(authority: Authority) -> Iterator[AuthorityService]:
     with serving(authority) as running:
         yield running
 
@@ -53,7 +53,9 @@ def request_for(name: str) -> str:
     return certificates.new_request(certificates.new_key(), name).decode()
 
 
-def post(running: Service, path: str, body: Any, ca: Path, **headers: str) -> tuple[int, str]:
+def post(
+    running: AuthorityService, path: str, body: Any, ca: Path, **headers: str
+) -> tuple[int, str]:
     """Send a request without a certificate; return status and text of the answer."""
     address = running.url.removeprefix("https://")
     connection = http.client.HTTPSConnection(address, timeout=LIMIT_S, context=client_context(ca))
@@ -66,7 +68,7 @@ def post(running: Service, path: str, body: Any, ca: Path, **headers: str) -> tu
 
 
 def test_computer_enrolls_with_a_key_that_it_makes(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     before = own_identity(authority.folder, "brain").entry
     token = token_for(authority, running, "brain")
@@ -83,7 +85,7 @@ def test_computer_enrolls_with_a_key_that_it_makes(
 
 
 def test_token_is_used_once_also_at_the_same_time(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     token = token_for(authority, running, "brain")
     body = {
@@ -106,7 +108,7 @@ def test_token_is_used_once_also_at_the_same_time(
 
 
 def test_token_that_was_lost_counts_no_more_once_another_one_was_used(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     lost, other = (token_for(authority, running, name) for name in ("brain", "base"))
     with computer(tmp_path / "brain"):
@@ -130,7 +132,7 @@ WRONG: dict[str, Callable[[Token], str]] = {
 
 @pytest.mark.parametrize("what", WRONG)
 def test_wrong_token_is_refused(
-    authority: Authority, running: Service, tmp_path: Path, what: str
+    authority: Authority, running: AuthorityService, tmp_path: Path, what: str
 ) -> None:
     token = token_for(authority, running, "brain")
     version = authority.roster().version
@@ -143,7 +145,7 @@ def test_wrong_token_is_refused(
 
 
 def test_expired_token_and_token_of_a_revoked_identity_are_refused(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     revoked = token_for(authority, running, "alice")
     authority.revoke("alice")
@@ -167,7 +169,7 @@ def test_nothing_secret_is_sent_to_another_authority(authority: Authority, tmp_p
 
 
 def test_service_at_another_address_than_its_certificate_has_is_refused(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     token = token_for(authority, running, "brain")
     elsewhere = token.url.replace("127.0.0.1", "localhost")
@@ -177,7 +179,7 @@ def test_service_at_another_address_than_its_certificate_has_is_refused(
 
 
 def test_computer_that_knows_another_authority_keeps_it(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     other = new_authority(tmp_path / "other")
     with computer(tmp_path / "other"), pytest.raises(CairnError, match="knows another authority"):
@@ -187,7 +189,7 @@ def test_computer_that_knows_another_authority_keeps_it(
 
 
 def test_revoked_identity_gets_no_roster_and_the_others_get_the_new_one(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     with computer(tmp_path / "brain") as brain:
         enroll(token_for(authority, running, "brain").encode())
@@ -204,7 +206,7 @@ def test_revoked_identity_gets_no_roster_and_the_others_get_the_new_one(
 
 
 def test_machine_renews_its_certificate_while_the_earlier_one_counts(
-    authority: Authority, running: Service, tmp_path: Path
+    authority: Authority, running: AuthorityService, tmp_path: Path
 ) -> None:
     with computer(tmp_path / "brain") as folder:
         first = enroll(token_for(authority, running, "brain").encode())
@@ -235,7 +237,7 @@ def test_roster_remains_while_the_authority_does_not_answer(
 
 
 @pytest.mark.parametrize("path", ["/roster", "/renew"])
-def test_certificate_is_needed(authority: Authority, running: Service, path: str) -> None:
+def test_certificate_is_needed(authority: Authority, running: AuthorityService, path: str) -> None:
     status, text = post(running, path, {}, authority.folder.ca)
 
     assert (status, "certificate" in text) == ((405, False) if path == "/roster" else (401, True))
@@ -259,7 +261,7 @@ def test_certificate_that_does_not_count_is_refused_by_tls(tmp_path: Path, whose
         connection.close()
 
 
-def test_service_does_not_speak_older_tls(authority: Authority, running: Service) -> None:
+def test_service_does_not_speak_older_tls(authority: Authority, running: AuthorityService) -> None:
     context = client_context(authority.folder.ca)
     context.maximum_version = ssl.TLSVersion.TLSv1_2
     address = running.url.removeprefix("https://")
@@ -270,7 +272,9 @@ def test_service_does_not_speak_older_tls(authority: Authority, running: Service
     connection.close()
 
 
-def test_requests_that_are_not_valid_are_refused(authority: Authority, running: Service) -> None:
+def test_requests_that_are_not_valid_are_refused(
+    authority: Authority, running: AuthorityService
+) -> None:
     def answer(body: Any, **headers: str) -> int:
         return post(running, "/enroll", body, authority.folder.ca, **headers)[0]
 
@@ -290,7 +294,7 @@ def test_requests_that_are_not_valid_are_refused(authority: Authority, running: 
 
 
 def test_service_certificate_is_renewed_after_a_day_of_the_clock(
-    authority: Authority, running: Service
+    authority: Authority, running: AuthorityService
 ) -> None:
     file = authority.folder.path / "service.pem"
     before, now = file.read_bytes(), time.time()
@@ -302,11 +306,11 @@ def test_service_certificate_is_renewed_after_a_day_of_the_clock(
 
 def test_address_that_stands_for_all_needs_a_name(authority: Authority) -> None:
     with pytest.raises(CairnError, match=words_in_order("0.0.0.0", "by --name ADDRESS")):
-        Service(authority, "0.0.0.0", 0)
+        AuthorityService(authority, "0.0.0.0", 0)
 
 
 def test_request_that_does_not_arrive_is_given_up(
-    authority: Authority, running: Service, monkeypatch: pytest.MonkeyPatch
+    authority: Authority, running: AuthorityService, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(service, "_REQUEST_LIMIT_S", 0.05)
     declared = {"Content-Length": "100"}
@@ -314,7 +318,9 @@ def test_request_that_does_not_arrive_is_given_up(
     assert post(running, "/enroll", b"{", authority.folder.ca, **declared)[0] == 408
 
 
-def test_wrong_tokens_of_an_address_are_limited(authority: Authority, running: Service) -> None:
+def test_wrong_tokens_of_an_address_are_limited(
+    authority: Authority, running: AuthorityService
+) -> None:
     request = certificates.new_request(certificates.new_key(), "brain").decode()
     body = {"name": "brain", "secret": "0" * 64, "request": request}
 
@@ -341,7 +347,7 @@ def test_wrong_attempts_are_counted_for_a_minute_in_bounded_memory(
 
 
 def test_key_is_chosen_by_the_computer_and_nothing_else(
-    authority: Authority, running: Service
+    authority: Authority, running: AuthorityService
 ) -> None:
     """The authority takes no name, role or address from a request."""
     key = certificates.new_key()

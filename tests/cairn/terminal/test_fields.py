@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cairn import CairnError
-from cairn.cli.topic_plot import _drawn, _Series
+from cairn.cli.topic_plot import _drawn, _FieldSeries
 from cairn.cli.topics import _Refusals
 from cairn.schemas.cairn_msgs import ComponentStatus, PortStatus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist
@@ -82,7 +82,9 @@ def test_message_of_wrong_values_is_rejected_with_the_field(
 
 
 def test_plot_fits_the_terminal() -> None:
-    series = _Series([field_path(LaserScan, "range_max"), field_path(LaserScan, "ranges[3]")], 10.0)
+    series = _FieldSeries(
+        [field_path(LaserScan, "range_max"), field_path(LaserScan, "ranges[3]")], 10.0
+    )
     for _ in range(5):
         series.add(SCAN)
 

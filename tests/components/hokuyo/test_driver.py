@@ -156,7 +156,7 @@ def test_parameters_change_while_it_runs_or_are_rejected(tmp_path: Path) -> None
         setup.scans.wait_for(lambda scans: scans[-1].ranges.size == 109)
         changed = setup.scans.all()[-1]
         for change, reason in (
-            ({"port": "/dev/elsewhere"}, "port is fixed while"),
+            ({"port": "/dev/elsewhere"}, "port cannot change while"),
             ({"angle_min": 2.4, "angle_max": 2.5}, "no two rays of a UTM-30LX"),
             ({"cluster": 0}, "cluster = 0 rejected"),
             ({"angle_min": 3.0, "angle_max": 2.0}, "angle_min must be less"),

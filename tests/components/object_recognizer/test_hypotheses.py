@@ -11,8 +11,8 @@ from cairn.components.object_recognizer.hypotheses import (
     MOST_HYPOTHESES,
     Hypotheses,
     Hypothesis,
+    ObjectSighting,
     Requirements,
-    Sighting,
     sighting_of,
 )
 from cairn.planar.poses import Pose
@@ -29,8 +29,8 @@ def model(number: int) -> ObjectModel:
     return ObjectModel(number, f"hypothesis {number}", (0.4, 0.3), (VIEW,))
 
 
-def seen_from(robot: Pose, place: tuple[float, float] = PLACE, sd: float = 0.03) -> Sighting:
-    return Sighting(*place, sd**2 * np.eye(2), robot)
+def seen_from(robot: Pose, place: tuple[float, float] = PLACE, sd: float = 0.03) -> ObjectSighting:
+    return ObjectSighting(*place, sd**2 * np.eye(2), robot)
 
 
 def around(count: int, spread: float = 1.0) -> list[Pose]:

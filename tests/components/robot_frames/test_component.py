@@ -30,7 +30,7 @@ def test_frames_are_published_with_a_description_that_has_their_links() -> None:
 
     assert published(message) == {"mast": "base_link", "laser": "mast"}
     assert read_urdf(description.data).links == ("base_link", "mast", "laser")
-    with pytest.raises(CairnError, match="fixed while the robot runs"):
+    with pytest.raises(CairnError, match="cannot change while it runs"):
         component.set_parameters({"robot_description": "other.urdf"})
 
 

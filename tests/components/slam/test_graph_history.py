@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cairn.components.slam.graph_file import GraphFile, read_graph, write_graph
 from cairn.components.slam.graph_history import (
-    Difference,
+    ChangedBlock,
     GraphChange,
     GraphHistory,
     HistoryBudget,
@@ -249,7 +249,7 @@ def test_copy_has_no_differences_of_the_original_s_grid_map(original: Path, tmp_
     first, second = tmp_path / "first.graph", tmp_path / "second.graph"
     copy_graph(original, first)
     with GraphHistory(first) as history:
-        history.note_differences({(1, 2): Difference(5, frozenset({(3, 4)}))}, ())
+        history.note_differences({(1, 2): ChangedBlock(5, frozenset({(3, 4)}))}, ())
     copy_graph(first, second)
     with GraphHistory(second) as history:
         assert history.differences() == {}

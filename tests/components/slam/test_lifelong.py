@@ -10,7 +10,7 @@ import pytest
 
 from cairn.components.slam.graph_file import read_graph
 from cairn.components.slam.graph_history import (
-    Difference,
+    ChangedBlock,
     GraphHistory,
     draw_state,
     read_log,
@@ -170,8 +170,8 @@ def test_time_that_was_set_back_starts_the_wait_again(file: Path) -> None:
 
 def test_damaged_note_of_a_difference_is_reported(file: Path) -> None:
     with GraphHistory(file) as history:
-        history.note_differences({(1, 2): Difference(5, frozenset({(3, 4)}))}, ())
-        assert history.differences() == {(1, 2): Difference(5, frozenset({(3, 4)}))}
+        history.note_differences({(1, 2): ChangedBlock(5, frozenset({(3, 4)}))}, ())
+        assert history.differences() == {(1, 2): ChangedBlock(5, frozenset({(3, 4)}))}
     with closing(sqlite3.connect(file)) as connection, connection:
         connection.execute("UPDATE differences SET cells = x'0102030405'")
     with GraphHistory(file) as history, pytest.raises(CairnError, match="damaged graph"):

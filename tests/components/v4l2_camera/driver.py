@@ -41,7 +41,9 @@ class Driver(ThreadedComponent):
         self._arrived = threading.Event()
         test = bus.node("/robot/test", self.runtime.log.error)
         self._readers = {
-            port.name: test.subscribe(f"/robot/{port.name}", port.message, _ALL, self._arrived.set)
+            port.name: test.subscribe(
+                f"/robot/{port.name}", port.interface, _ALL, self._arrived.set
+            )
             for port in ports_of(V4l2StereoCamera).values()
         }
         self.activate()

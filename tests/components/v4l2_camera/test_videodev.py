@@ -15,7 +15,7 @@ from cairn.components.v4l2_camera import videodev
         (videodev.Format, 208),
         (videodev.StreamParameters, 204),
         (videodev.BufferRequest, 20),
-        (videodev.Buffer, 88),
+        (videodev.V4l2Buffer, 88),
         (videodev.ControlValue, 8),
         (videodev.ControlQuery, 68),
         (videodev.MenuQuery, 44),
@@ -59,7 +59,7 @@ def test_requests_have_the_numbers_of_the_kernel(request_: int, number: int) -> 
     ("field", "offset"), [("timestamp", 24), ("sequence", 56), ("m", 64), ("length", 72)]
 )
 def test_buffer_fields_have_the_offsets_of_the_kernel(field: str, offset: int) -> None:
-    assert getattr(videodev.Buffer, field).offset == offset
+    assert getattr(videodev.V4l2Buffer, field).offset == offset
 
 
 @pytest.mark.parametrize("name", ["GREY", "YUYV", "MJPG", "Y16"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.cli.releases.machine_side import Refused, unpack
+from cairn.cli.releases.machine_side import RequestFailed, unpack
 
 
 def archive(*members: tarfile.TarInfo) -> bytes:
@@ -30,7 +30,7 @@ def link(name: str) -> tarfile.TarInfo:
 def test_only_plain_files_below_the_folder_are_unpacked(
     tmp_path: Path, member: tarfile.TarInfo
 ) -> None:
-    with pytest.raises(Refused, match="not a plain file"):
+    with pytest.raises(RequestFailed, match="not a plain file"):
         unpack(io.BytesIO(archive(member)), tmp_path / "incoming")
 
 
@@ -41,6 +41,6 @@ def test_cut_off_archive_has_fewer_files_or_is_refused(tmp_path: Path) -> None:
     for length in (0, 1000, 2560, 4000):  # within a header or a file, and between two files
         try:
             count = unpack(io.BytesIO(whole[:length]), tmp_path / str(length))
-        except Refused:
+        except RequestFailed:
             continue
         assert count < 2
