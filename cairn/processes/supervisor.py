@@ -543,7 +543,10 @@ class ChildGroup:
             self._apply(decision, child)
 
     def _apply(
-        self, decision: RestartDecision, child: Child | RemoteChild, failure: type[Escalate] = Escalate
+        self,
+        decision: RestartDecision,
+        child: Child | RemoteChild,
+        failure: type[Escalate] = Escalate,
     ) -> None:
         if decision.give_up:
             self._give_up(decision.give_up, failure)
