@@ -83,7 +83,7 @@ COMMANDS = (
                 "Record what is on the bus, for analysis and for tools of ROS 2.", _RECORD),
     LazyCommand("recorder", "cairn.cli.record:recorder",
                 "Control the recorder of a running deployment.", _RECORD),
-    LazyCommand("recording", "cairn.components.replay.cli:app",
+    LazyCommand("recording", "cairn.components.replay_devices.cli:app",
                 "Show, cut, merge and export recordings.", _RECORD),
     LazyCommand("rerun", "cairn.rerun.cli:rerun",
                 "Re-run recorded components exactly; find the first difference.", _RECORD),
