@@ -10,9 +10,9 @@ import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
+from cairn.runtime.process_exit import end_process
 from cairn.system.compilation import before_compilation
 from cairn.system.files import private_files
-from cairn.system.process_exit import end_process
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""

@@ -18,9 +18,9 @@ from cairn.components.replay_devices.components import (
 from cairn.components.replay_devices.open_recording import open_recording
 from cairn.components.replay_devices.pacing import ReplayClock
 from cairn.errors import RecordingError
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock
-from cairn.system.process_exit import ExitReport
 from cairn.testing.lockstep import ComponentHarness, DeploymentHarness
 from tests.components.replay_devices.conftest import FR079, FR101, LEGS, Write, flaser, odom, start
 from tests.wording import words_in_order

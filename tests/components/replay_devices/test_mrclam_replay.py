@@ -10,8 +10,8 @@ from cairn import SECOND, from_ns, to_ns
 from cairn.components.replay_devices.components import ReplayOdometry, ReplayRecognizer, ReplayTruth
 from cairn.components.replay_devices.mrclam import MrclamDataset, integrate_commands
 from cairn.components.replay_devices.pacing import ReplayClock
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.rosgraph_msgs import Clock
-from cairn.system.process_exit import ExitReport
 from tests.components.replay_devices.conftest import start
 from tests.wording import assert_words
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.system.process_exit import WORK_NOT_DONE, ExitLog, ExitReport
+from cairn.runtime.process_exit import WORK_NOT_DONE, ExitLog, ExitReport
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
 
@@ -15,7 +15,7 @@ _BUSY = """
 import atexit, sys, threading
 import zenoh
 from cairn.bus.session import open_router
-from cairn.system.process_exit import end_process
+from cairn.runtime.process_exit import end_process
 from cairn.testing.launching import new_socket
 
 session = open_router(new_socket())
@@ -89,7 +89,7 @@ def test_reason_logged_by_a_process_is_reported(file: Path) -> None:
 def test_process_logs_its_reason_in_one_line(file: Path) -> None:
     log = ExitLog(file)
     program = (
-        "from cairn.system.process_exit import log_reason; "
+        "from cairn.runtime.process_exit import log_reason; "
         "log_reason('tick: ValueError:\\nno device')"
     )
     with (
