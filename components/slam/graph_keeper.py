@@ -44,7 +44,7 @@ from cairn.system.working_copy import is_reusable
 class GraphKeeper(Component):
     """Keeps the graph of the map up to date while localizer and map builder work on the grid map.
 
-    Where the map builder has repaired the grid map for good, scans of the place go into the graph,
+    Where the map builder has repaired the grid map permanently, scans of the place go into the graph,
     and what it had there is retired.
     """
 

@@ -36,7 +36,7 @@ class Topics(Config):
         ("empty", "garbage", "changed", "repeated"),
         min_length=1,
         description="What may be published: no bytes; random bytes; a message of the topic with "
-        "one byte changed; a message of the topic again. Without a message at hand: random bytes.",
+        "one byte changed; a message of the topic again. Before the first message: random bytes.",
     )
 
 

@@ -61,7 +61,7 @@ class SwapObjects(Fault):
 
     @contextmanager
     def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
-        """Exchange them for good."""
+        """Exchange them permanently."""
         try:
             rows = request_world(robot, "list", {})
             objects = sorted(
