@@ -44,8 +44,8 @@ from cairn.system.working_copy import is_reusable
 class GraphKeeper(Component):
     """Keeps the graph of the map up to date while localizer and map builder work on the grid map.
 
-    Where the map builder has repaired the grid map permanently, scans of the place go into the graph,
-    and what it had there is retired.
+    Where the map builder has repaired the grid map permanently, scans of the place go into the
+    graph, and what it had there is retired.
     """
 
     # A graph cannot be replaced while it is in use.
