@@ -14,7 +14,7 @@ from pydantic import Field
 
 from cairn.bus.keys import Attachment
 from cairn.runtime.parameters import Config
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.fault import Fault, Injection, SkippedFault
 from cairn_lab.campaign.parameters import Duration, Patterns
 from cairn_lab.campaign.robot import CampaignRobot
 
