@@ -140,7 +140,10 @@ class SimulatedRecognizerConfig(Config):
 
 
 class SimulatedRecognizer(Component):
-    """Recognize the objects of the simulated world by geometry, five times per second."""
+    """Recognize the objects of the simulated world by geometry, five times per second.
+
+    Simulated are field of view, occlusion, misses and false matches.
+    """
 
     config: SimulatedRecognizerConfig
 
