@@ -16,7 +16,7 @@ from cairn.errors import CairnError
 from cairn.processes.child_channel import Heartbeat, Verb
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 
 if TYPE_CHECKING:
     from cairn.processes.remote_child import Machines

@@ -18,9 +18,9 @@ from cairn.processes.child_channel import Heartbeat, Verb
 from cairn.processes.supervisor import Supervisor
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.system.clock import SECOND
-from cairn.system.process_exit import ExitReport
 
 T = TypeVar("T")
 

@@ -34,7 +34,7 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 
 if TYPE_CHECKING:
-    from cairn.processes.component_host import ComponentHost
+    from cairn.processes.component_process import ComponentHost
 
 LOST_AFTER_S: Final = 1.25
 """A machine counts as lost when nothing of it has arrived for so long: five of its messages."""

@@ -31,8 +31,8 @@ from cairn.processes.child import (
 )
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.cairn_msgs import MachineChild
-from cairn.system.process_exit import ExitReport
 
 _STEP_S = 0.05
 _SLOW_CHECKS = 3  # in a row, of two in a second: then the link is slow

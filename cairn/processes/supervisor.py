@@ -52,7 +52,7 @@ from cairn.runtime.component import Component
 from cairn.runtime.handlers import every
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 
 _STEP_S = 0.5
 """Longest time between two checks of the others while a child starts."""

@@ -27,13 +27,13 @@ from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.ports import actions_of, ports_of, services_of
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.runtime.timers import CLOCK_TOPIC
 from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.message import InvalidMessage, Service, type_name
 from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
 from cairn.system.clock import SECOND
-from cairn.system.process_exit import ExitReport
 
 _MOST_NOTES: Final = 20
 _log = logging.getLogger("cairn.rerun")

@@ -43,10 +43,10 @@ from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.runtime.ports import ports_of
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.schemas.message import Action, Service
 from cairn.system.clock import SECOND
-from cairn.system.process_exit import ExitReport
 
 C = TypeVar("C", bound=Component)
 Request = TypeVar("Request")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import CairnError, to_ns
-from cairn.components.replay.recording import (
+from cairn.components.replay_devices.recording import (
     ObservationStream,
     OdometryStream,
     Recording,

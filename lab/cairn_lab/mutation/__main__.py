@@ -60,7 +60,7 @@ class Result:
     """
 
     id: str
-    room: str
+    area: str
     caught_by: str
     unreliable: str
     seconds: float
@@ -109,7 +109,7 @@ class Scratch:
         ):
             failed, unreliable = NO_TEST, failed
         seconds = round(time.monotonic() - started, 1)
-        return Result(fault.id, fault.room, failed, unreliable, seconds)
+        return Result(fault.id, fault.area, failed, unreliable, seconds)
 
     @contextmanager
     def _applied(self, fault: Fault) -> Iterator[Path]:
@@ -197,7 +197,7 @@ def main() -> int:
     """Run the tests with each of the chosen faults."""
     parser = argparse.ArgumentParser("python -m cairn_lab.mutation", description=__doc__)
     parser.add_argument("ids", nargs="*", metavar="ID", help="faults to apply; by default all")
-    parser.add_argument("--room", help="only the faults of this room")
+    parser.add_argument("--area", help="only the faults of this area")
     parser.add_argument(
         "--jobs", type=int, default=1, help="number of faults tried at the same time"
     )
@@ -215,7 +215,7 @@ def main() -> int:
         fault
         for fault in faults
         if fault.id in (arguments.ids or [fault.id])
-        and fault.room == (arguments.room or fault.room)
+        and fault.area == (arguments.area or fault.area)
     ]
     unknown = sorted(set(arguments.ids) - {fault.id for fault in faults})
     errors = [
