@@ -22,12 +22,10 @@ class Publisher(Protocol):
     @property
     def gid(self) -> bytes:
         """Its identity on the bus: 16 bytes."""
-        ...
 
     @property
     def published(self) -> int:
         """Number of messages handed to the bus so far."""
-        ...
 
     @property
     def has_subscribers(self) -> bool:
@@ -35,18 +33,15 @@ class Publisher(Protocol):
 
         The last message of a latched topic is delivered to later subscribers, too.
         """
-        ...
 
     def publish(self, message: Any) -> int:
         """Send one message; never waits for a subscriber.
 
         Returns the message's sequence number; 0 if it was not sent, as nothing subscribes to it.
         """
-        ...
 
     def close(self) -> None:
         """Stop publishing and withdraw the publisher from the graph."""
-        ...
 
 
 class Subscription(Protocol):
@@ -55,38 +50,31 @@ class Subscription(Protocol):
     @property
     def received(self) -> int:
         """Number of messages taken so far."""
-        ...
 
     @property
     def dropped(self) -> int:
         """Number of messages sent after the first one received here, and never taken."""
-        ...
 
     @property
     def invalid(self) -> int:
         """Number of messages that were too long, or could not be decoded to a valid message."""
-        ...
 
     @property
     def refused(self) -> int:
         """Number of messages of publishers that are not entitled to an exclusive topic."""
-        ...
 
     @property
     def taken(self) -> MessageId | None:
         """Which message was taken last; None before, and if its publisher does not number them."""
-        ...
 
     def take(self) -> Any | None:
         """Remove and return the oldest pending message; None if there is none.
 
         Raises `InvalidMessage` for a message that does not decode, which is counted and discarded.
         """
-        ...
 
     def close(self) -> None:
         """Stop receiving and discard the pending messages."""
-        ...
 
 
 class ServiceError(CairnError):
@@ -105,11 +93,9 @@ class Call(Protocol):
 
     def reply(self, response: Any) -> None:
         """Answer; raises `TypeError` if it is not of the service's response class."""
-        ...
 
     def refuse(self, reason: str) -> None:
         """Answer with an error, which the client's program gets as `ServiceError`."""
-        ...
 
 
 class ServiceServer(Protocol):
@@ -118,28 +104,23 @@ class ServiceServer(Protocol):
     @property
     def received(self) -> int:
         """Number of calls taken so far."""
-        ...
 
     @property
     def invalid(self) -> int:
         """Number of calls whose request could not be decoded to a valid message."""
-        ...
 
     @property
     def refused(self) -> int:
         """Number of calls refused because they were too long, or too many waited."""
-        ...
 
     def take(self) -> Call | None:
         """Remove and return the oldest pending call; None if there is none.
 
         Raises `InvalidMessage` if its request is not valid, after having answered it.
         """
-        ...
 
     def close(self) -> None:
         """Stop serving; the pending calls are refused."""
-        ...
 
 
 class ServiceClient(Protocol):
@@ -148,17 +129,14 @@ class ServiceClient(Protocol):
     @property
     def gid(self) -> bytes:
         """Its identity on the bus: 16 bytes."""
-        ...
 
     @property
     def sent(self) -> int:
         """Number of calls so far."""
-        ...
 
     @property
     def is_available(self) -> bool:
         """Whether there is a server, as far as this process knows."""
-        ...
 
     def call(
         self,
@@ -172,11 +150,9 @@ class ServiceClient(Protocol):
         One of the functions is called later, through the client's `post`: with the response, or
         with what prevented it. After `close`, neither is.
         """
-        ...
 
     def close(self) -> None:
         """Stop calling; answers that arrive later are ignored."""
-        ...
 
 
 class Node(Protocol):
@@ -197,7 +173,6 @@ class Node(Protocol):
         a topic that is `shared`, on which every component publishes, it does not report nodes that
         use another type: a program that announces thousands there would burden all of them.
         """
-        ...
 
     def subscribe(
         self,
@@ -214,7 +189,6 @@ class Node(Protocol):
         `exclusive`, only the messages of the entitled writer become pending. A message longer than
         `max_bytes`, by default that of its class (`default_max_bytes`), is rejected as invalid.
         """
-        ...
 
     def serve(
         self,
@@ -235,7 +209,6 @@ class Node(Protocol):
         `/robot/localizer/get_parameters`, shares what it needs with the node's others of the same
         package: it is called rarely, and every node has many.
         """
-        ...
 
     def client(
         self,
@@ -249,11 +222,9 @@ class Node(Protocol):
         An answer may also arrive through `deliver`, from a thread that may make the call itself,
         which takes less time.
         """
-        ...
 
     def close(self) -> None:
         """Leave the bus and close all publishers, subscriptions, servers and clients."""
-        ...
 
 
 class Bus(Protocol):
@@ -273,14 +244,12 @@ class Bus(Protocol):
         `report`, is called likewise when the QoS of another node does not match, or it has the
         same name.
         """
-        ...
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until this process and all others on the bus know each other's declarations.
 
         Returns the processes that were not reached within the timeout, such as "process 4711".
         """
-        ...
 
 
 def full_name(robot: str, topic: str) -> str:

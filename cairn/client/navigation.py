@@ -53,7 +53,6 @@ class _Samples(Protocol):
 
     def get(self, *, timeout: float) -> Any:
         """Return the next one; `queue.Empty` if none arrives in time."""
-        ...
 
 
 def find_place(zones: Sequence[Zone], name: str) -> PlanarPose:

@@ -52,7 +52,6 @@ class RecordedMessages(Protocol):
 
     def find(self, message: MessageId) -> Payload | None:
         """Return a message; None if it was not recorded."""
-        ...
 
 
 @dataclass(frozen=True)
