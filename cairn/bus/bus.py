@@ -1,12 +1,16 @@
 """The contract of a bus, which the Zenoh bus and the lockstep bus both implement."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from cairn.bus.exclusive import Exclusive
+from cairn.bus.message_limits import default_max_bytes
 from cairn.bus.qos import Qos
 from cairn.errors import CairnError
 from cairn.schemas.message import Service
+
+End = TypeVar("End", bound="Publisher | Subscription | ServiceServer | ServiceClient")
 
 
 class MessageId(NamedTuple):
@@ -155,8 +159,52 @@ class ServiceClient(Protocol):
         """Stop calling; answers that arrive later are ignored."""
 
 
-class Node(Protocol):
+class PublisherOptions(NamedTuple):
+    """What a node publishes: the arguments of `Node.advertise`."""
+
+    topic: str
+    message: type[Any]
+    qos: Qos
+    exclusive: Exclusive | None
+    shared: bool
+
+
+class SubscriptionOptions(NamedTuple):
+    """What a node subscribes to: the arguments of `Node.subscribe`."""
+
+    topic: str
+    message: type[Any]
+    qos: Qos
+    wake: Callable[[], None]
+    exclusive: Exclusive | None
+    max_bytes: int
+
+
+class ServerOptions(NamedTuple):
+    """What a node serves: the arguments of `Node.serve`."""
+
+    name: str
+    service: type[Service[Any, Any]]
+    wake: Callable[[], None]
+    max_bytes: int
+    invalid_response: Any
+    is_private: bool
+
+
+class ClientOptions(NamedTuple):
+    """What a node calls: the arguments of `Node.client`."""
+
+    name: str
+    service: type[Service[Any, Any]]
+    post: Callable[[Callable[[], None]], None]
+    deliver: Callable[[Callable[[], None]], None]
+
+
+class Node(ABC):
     """One component on the bus; its name and ports are visible in the graph."""
+
+    def __init__(self) -> None:
+        self._ends: list[Publisher | Subscription | ServiceServer | ServiceClient] = []
 
     def advertise(
         self,
@@ -173,6 +221,8 @@ class Node(Protocol):
         a topic that is `shared`, on which every component publishes, it does not report nodes that
         use another type: a program that announces thousands there would burden all of them.
         """
+        options = PublisherOptions(topic, message, qos, exclusive, shared)
+        return self._opened(self._open_publisher(options))
 
     def subscribe(
         self,
@@ -189,6 +239,9 @@ class Node(Protocol):
         `exclusive`, only the messages of the entitled writer become pending. A message longer than
         `max_bytes`, by default that of its class (`default_max_bytes`), is rejected as invalid.
         """
+        limit = default_max_bytes(message) if max_bytes is None else max_bytes
+        options = SubscriptionOptions(topic, message, qos, wake, exclusive, limit)
+        return self._opened(self._open_subscription(options))
 
     def serve(
         self,
@@ -209,6 +262,9 @@ class Node(Protocol):
         `/robot/localizer/get_parameters`, shares what it needs with the node's others of the same
         package: it is called rarely, and every node has many.
         """
+        limit = default_max_bytes(service.Request) if max_bytes is None else max_bytes
+        options = ServerOptions(name, service, wake, limit, invalid_response, is_private)
+        return self._opened(self._open_server(options))
 
     def client(
         self,
@@ -222,9 +278,34 @@ class Node(Protocol):
         An answer may also arrive through `deliver`, from a thread that may make the call itself,
         which takes less time.
         """
+        options = ClientOptions(name, service, post, deliver or post)
+        return self._opened(self._open_client(options))
 
     def close(self) -> None:
         """Leave the bus and close all publishers, subscriptions, servers and clients."""
+        for end in self._ends:
+            end.close()
+        self._ends.clear()
+
+    def _opened(self, end: End) -> End:
+        self._ends.append(end)
+        return end
+
+    @abstractmethod
+    def _open_publisher(self, options: PublisherOptions) -> Publisher:
+        """Begin to publish."""
+
+    @abstractmethod
+    def _open_subscription(self, options: SubscriptionOptions) -> Subscription:
+        """Begin to receive."""
+
+    @abstractmethod
+    def _open_server(self, options: ServerOptions) -> ServiceServer:
+        """Begin to serve."""
+
+    @abstractmethod
+    def _open_client(self, options: ClientOptions) -> ServiceClient:
+        """Prepare calls."""
 
 
 class Bus(Protocol):

@@ -11,10 +11,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Protocol
 
-from cairn.bus.bus import MessageId, ServiceError, full_name
+from cairn.bus.bus import (
+    ClientOptions,
+    MessageId,
+    Node,
+    PublisherOptions,
+    ServerOptions,
+    ServiceError,
+    SubscriptionOptions,
+    full_name,
+)
 from cairn.bus.codec import Codec
-from cairn.bus.exclusive import Exclusive
-from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
@@ -31,7 +38,7 @@ from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.runtime.timers import CLOCK_TOPIC
 from cairn.schemas.builtin_interfaces import from_ns
-from cairn.schemas.message import InvalidMessage, Service, type_name
+from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
 from cairn.system.clock import SECOND
 
@@ -415,9 +422,9 @@ class Rerun:
         self._note(f"asks more often whether anything subscribes to {port}")
         return True
 
-    def open_input(self, topic: str, subscription: "_RerunSubscription") -> None:
+    def open_input(self, subscription: "_RerunSubscription") -> None:
         """Note the subscription of a port."""
-        self._subscriptions[self._ports[topic]] = subscription
+        self._subscriptions[self._ports[subscription.topic]] = subscription
 
     def close_input(self, topic: str) -> None:
         """Forget the subscription of a port."""
@@ -632,7 +639,7 @@ class _RerunScheduler:
 
 
 class _RerunBus:
-    """The bus and the node of the component."""
+    """The bus of the component."""
 
     def __init__(self, rerun: Rerun) -> None:
         self._rerun = rerun
@@ -642,60 +649,35 @@ class _RerunBus:
         name: str,
         report: Callable[[str], None],
         warn: Callable[[str], None] | None = None,
-    ) -> "_RerunBus":
-        return self
+    ) -> "_RerunNode":
+        return _RerunNode(self._rerun)
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         return []
 
-    def advertise(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        exclusive: Exclusive | None = None,
-        *,
-        shared: bool = False,
-    ) -> "_RerunPublisher | _NothingPublished":
-        if shared:  # of every node, and not logged
+
+class _RerunNode(Node):
+    """The component on its bus."""
+
+    def __init__(self, rerun: Rerun) -> None:
+        super().__init__()
+        self._rerun = rerun
+
+    def _open_publisher(self, options: PublisherOptions) -> "_RerunPublisher | _NothingPublished":
+        if options.shared:  # of every node, and not logged
             return _NothingPublished()
-        return _RerunPublisher(self._rerun, topic, message)
+        return _RerunPublisher(self._rerun, options.topic, options.message)
 
-    def subscribe(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        wake: Callable[[], None],
-        exclusive: Exclusive | None = None,
-        max_bytes: int | None = None,
-    ) -> "_RerunSubscription":
-        subscription = _RerunSubscription(self._rerun, topic, message, wake)
-        self._rerun.open_input(topic, subscription)
-        return subscription
+    def _open_subscription(self, options: SubscriptionOptions) -> "_RerunSubscription":
+        return _RerunSubscription(self._rerun, options)
 
-    def serve(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        wake: Callable[[], None],
-        max_bytes: int | None = None,
-        invalid_response: Any = None,
-        *,
-        is_private: bool = False,
-    ) -> "_RerunServer | _NothingServed":
-        if is_private:  # of every node, and not logged
+    def _open_server(self, options: ServerOptions) -> "_RerunServer | _NothingServed":
+        if options.is_private:  # of every node, and not logged
             return _NothingServed()
-        return _RerunServer(self._rerun, name, service, wake)
+        return _RerunServer(self._rerun, options)
 
-    def client(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None] | None = None,
-    ) -> "_RerunClient":
-        return _RerunClient(self._rerun, name, service)
+    def _open_client(self, options: ClientOptions) -> "_RerunClient":
+        return _RerunClient(self._rerun, options)
 
     def close(self) -> None:
         """Do nothing."""
@@ -726,13 +708,11 @@ class _NothingServed:
 class _RerunServer:
     received = invalid = refused = 0
 
-    def __init__(
-        self, rerun: Rerun, name: str, service: type[Service[Any, Any]], wake: Callable[[], None]
-    ) -> None:
-        self.name = name
-        self.service = service
+    def __init__(self, rerun: Rerun, options: ServerOptions) -> None:
+        self.name = options.name
+        self.service = options.service
         self._rerun = rerun
-        self._wake = wake
+        self._wake = options.wake
         self._next: _RerunCall | None = None
         self.port = rerun.open_server(self)
 
@@ -775,9 +755,9 @@ class _RerunCall:
 class _RerunClient:
     gid = bytes(16)
 
-    def __init__(self, rerun: Rerun, name: str, service: type[Service[Any, Any]]) -> None:
-        self.name = name
-        self.service = service
+    def __init__(self, rerun: Rerun, options: ClientOptions) -> None:
+        self.name = options.name
+        self.service = options.service
         self.sent = 0
         self.pending: dict[int, tuple[Callable[[Any], None], Callable[[ServiceError], None]]] = {}
         self._rerun = rerun
@@ -826,15 +806,14 @@ class _RerunPublisher:
 class _RerunSubscription:
     received = dropped = invalid = refused = 0
 
-    def __init__(
-        self, rerun: Rerun, topic: str, message: type[Any], wake: Callable[[], None]
-    ) -> None:
-        self.topic = topic
-        self.message = message
+    def __init__(self, rerun: Rerun, options: SubscriptionOptions) -> None:
+        self.topic = options.topic
+        self.message = options.message
         self.taken: MessageId | None = None
         self._rerun = rerun
-        self._wake = wake
+        self._wake = options.wake
         self._next: tuple[Any, MessageId] | None = None
+        rerun.open_input(self)
 
     def deliver(self, message: Any, identity: MessageId) -> None:
         """Have the component take a message."""
