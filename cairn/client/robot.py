@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Self, TypeVar, overload
+from typing import Any, TypeVar, overload
 
 from cairn.bus import keys
 from cairn.bus.codec import Codec
@@ -38,6 +38,7 @@ from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import VelocityGateStatus
 from cairn.schemas.message import Action, InvalidMessage, Service, type_name
 from cairn.schemas.rcl_interfaces import Log
+from cairn.system.closing import Closing
 from cairn.tf import Buffer
 
 M = TypeVar("M")
@@ -131,7 +132,7 @@ def connect(
     return Robot(Connection.open(endpoint, domain), robot, notify)
 
 
-class Robot:
+class Robot(Closing):
     """A robot on the bus. Components and topics may be given by short or by full name."""
 
     def __init__(
@@ -143,17 +144,12 @@ class Robot:
         """Take over a connection; `close` closes it."""
         self.connection = connection
         self._robot = robot
+        self._prefix = f"/{robot}/" if robot else "/"  # of all names of the robot, or of any
         self._notify = notify
         self._codec = Codec()
         self._publishers = Publishers(connection)
         self._subscriptions: set[Subscription[Any]] = set()
         self._listeners: set[TransformListener] = set()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """End all subscriptions and the connection."""
@@ -194,7 +190,7 @@ class Robot:
         running = [
             full
             for full, status in self.connection.statuses().items()
-            if status.plugin == plugin and (not self._robot or full.startswith(f"/{self._robot}/"))
+            if status.plugin == plugin and full.startswith(self._prefix)
         ]
         if not running:
             return None
@@ -203,9 +199,8 @@ class Robot:
     def topics(self) -> list[Topic]:
         """Return all topics, sorted; those of the given robot alone if one was given."""
         by_name: defaultdict[str, list[keys.EndpointEntity]] = defaultdict(list)
-        prefix = f"/{self._robot}/" if self._robot else "/"
         for end in self.connection.endpoints():
-            if end.topic.startswith(prefix) or end.node.name.startswith(prefix):
+            if end.topic.startswith(self._prefix) or end.node.name.startswith(self._prefix):
                 by_name[end.topic].append(end)
         return [one for _, ends in sorted(by_name.items()) for one in _topics_of(ends)]
 
@@ -222,8 +217,7 @@ class Robot:
 
     def nodes(self) -> list[NodeInfo]:
         """Return all nodes on the bus, of ROS 2, too; with a given robot only those in its name."""
-        prefix = f"/{self._robot}/" if self._robot else "/"
-        return [one for one in read_nodes(self.connection) if one.name.startswith(prefix)]
+        return [one for one in read_nodes(self.connection) if one.name.startswith(self._prefix)]
 
     def find_topic(self, topic: str) -> keys.EndpointEntity:
         """Return a publisher of a topic, or a subscription if nothing publishes it.
@@ -343,8 +337,7 @@ class Robot:
         return sent
 
     def _of_robot(self, found: list[ServiceInfo]) -> list[ServiceInfo]:
-        prefix = f"/{self._robot}/" if self._robot else "/"
-        return [one for one in found if one.name.startswith(prefix)]
+        return [one for one in found if one.name.startswith(self._prefix)]
 
     def transforms(
         self, cache_s: float = 10.0, *, on_problem: Callable[[str], None] | None = None

@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import zenoh
 
@@ -15,6 +15,7 @@ from cairn.bus.codec import Codec
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.client.connection import KEPT_BYTES, Connection
 from cairn.errors import CairnError
+from cairn.system.closing import Closing
 
 M = TypeVar("M")
 
@@ -25,7 +26,7 @@ class NoMessageError(CairnError):
     """No message arrived within the time limit."""
 
 
-class Subscription(Generic[M]):
+class Subscription(Closing, Generic[M]):
     """The messages of one topic; a context manager and an iterator."""
 
     def __init__(
@@ -59,12 +60,6 @@ class Subscription(Generic[M]):
     def dropped(self) -> int:
         """Number of messages that were dropped because the reader was slow."""
         return self._payloads.dropped
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __iter__(self) -> Iterator[M]:
         """Yield messages; `NoMessageError` if none arrives within `timeout_s`."""

@@ -32,7 +32,7 @@ from cairn.recording.writer import Compression, FindMessage, RecordingFile
 from cairn.runtime.parameters import Config
 from cairn.system.bell import Bell
 from cairn.system.clock import SECOND, has_passed
-from cairn.system.files import explain_os_error
+from cairn.system.files import explain_os_error, explained
 
 _log = logging.getLogger("cairn.recording")
 
@@ -280,12 +280,8 @@ class McapRecorder:
         if not folder.is_dir():
             raise CairnError(f"{folder}: no such folder for the recording; create it")
         if self.continuous:
-            try:
+            with explained(f"{self._path}: the recording cannot be created"):
                 self._open("").save()  # also an early end leaves a file that can be read
-            except OSError as error:
-                raise CairnError(
-                    f"{self._path}: the recording cannot be created: {explain_os_error(error)}"
-                ) from error
         if self._threaded:
             self._thread = threading.Thread(target=self._run, name="cairn recorder", daemon=True)
             self._thread.start()
