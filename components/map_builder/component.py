@@ -43,7 +43,7 @@ from cairn.components.map_builder.landmark_messages import (
     landmark_of,
     map_message,
 )
-from cairn.components.map_builder.landmark_verdicts import rule_named
+from cairn.components.map_builder.landmark_verdicts import Rule, judge
 from cairn.components.map_builder.other_robots import OtherRobots
 from cairn.components.map_builder.record_exchange import contributor_messages
 from cairn.components.map_builder.why import explain
@@ -584,12 +584,16 @@ class MapBuilder(Component):
                 config.working_copy,
                 now if self.time_may_repeat else None,
                 config.max_landmarks if config.learn_unknown else 0,
-                rule_named(config.rule),
+                self.rule(),
                 config.undo_s,
                 None if self._exchange is None else self.robot,
             )
             self._publish(now, True, [])
         return self._landmarks
+
+    def rule(self) -> Rule:
+        """Return how evidence changes the landmarks."""
+        return judge
 
     def _open_grid(self) -> GridKeeper | None:
         config = self.config
