@@ -36,6 +36,7 @@ from cairn.components.replay_devices.recording import (
     ObservationStream,
     OdometryStream,
     RecordedTopic,
+    Recording,
     ScannerMount,
     ScanStream,
     TimedPoses,
@@ -66,7 +67,7 @@ Received = Sequence[tuple[int, Any]]
 """Messages with their times of receipt [ns]."""
 
 
-class BagRecording:
+class BagRecording(Recording):
     """The bag at `path`; `topics` names its topics for `scan`, `odom`, `truth` if ambiguous.
 
     Of several topics of a type, the one with the default name is replayed, of any robot:
