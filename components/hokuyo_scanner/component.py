@@ -104,7 +104,7 @@ class HokuyoScanner(Component):
         """Disconnect the sensor."""
         self._measurement.disconnect()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for any error
+    def on_error(self, _: Exception) -> bool:
         """Switch the laser off and disconnect the sensor; the supervisor decides what follows."""
         if "_measurement" in vars(self):  # otherwise it was not even configured
             try:

@@ -71,7 +71,7 @@ class PbsScanner(Component):
         """Stop measuring and end the link."""
         self._feed.stop()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - whatever it was
+    def on_error(self, _: Exception) -> bool:
         """Close the line; the supervisor decides what follows."""
         if "_feed" in vars(self):  # otherwise it was not even configured
             self._feed.stop()

@@ -101,7 +101,7 @@ class Ros2Base(Component):
         """Command rest."""
         self._send(*REST)
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for every error
+    def on_error(self, _: Exception) -> bool:
         """Command rest, if it was active."""
         self._send(*REST)
         return False

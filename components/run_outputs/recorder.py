@@ -107,7 +107,7 @@ class Recorder(Component):
         """Close the file if it could not be configured completely."""
         self._close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for every error
+    def on_error(self, _: Exception) -> bool:
         """Close the file; a restart continues in another one."""
         self._close()
         return False

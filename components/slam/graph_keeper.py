@@ -85,7 +85,7 @@ class GraphKeeper(Component):
         """Close the graph; all changes are in it."""
         self._close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
+    def on_error(self, _: Exception) -> bool:
         """Close the graph; committed changes are safe."""
         self._close()
         return False
