@@ -15,6 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from cairn.errors import CairnError
+from cairn.system.extras import missing_library
 
 _OF_OTHER_PACKAGES = "Installed by other packages"
 _MAX_CHOICES = 50  # for a missing argument
@@ -132,6 +133,11 @@ class _LazyGroup(TyperGroup):
         try:
             return command.load()
         except Exception as error:  # a package's module may fail in any way
+            if missing := missing_library(error):
+                raise CairnError(
+                    f"{self._kind} {cmd_name} needs {missing[0]}, which is not installed; "
+                    f"{missing[1]}"
+                ) from error
             remedy = (
                 "install what it needs, or install Cairn again"
                 if cmd_name in self._own

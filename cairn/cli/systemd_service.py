@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
-import platformdirs
 import typer
 
 from cairn.deployment.load import load_deployment
@@ -29,6 +28,7 @@ from cairn.processes.systemd_unit import (
 )
 from cairn.system.compilation import deferred_compilation
 from cairn.system.files import explained, replace_file
+from cairn.system.user_folders import config_folder, state_folder
 from cairn.terminal.options import File, Json, Machine, Overlay, Set
 from cairn.terminal.output import line, note, show
 
@@ -186,12 +186,8 @@ class _Manager:
         self.unit = unit_name(name)
         self._for_user = for_user
         self._options = ["--user"] if for_user else []
-        self.units = (
-            platformdirs.user_config_path("systemd") / "user" if for_user else _SYSTEM_UNITS
-        )
-        self.state = (
-            platformdirs.user_state_path("cairn") / "services" if for_user else _SYSTEM_STATE
-        )
+        self.units = config_folder("systemd") / "user" if for_user else _SYSTEM_UNITS
+        self.state = state_folder("cairn") / "services" if for_user else _SYSTEM_STATE
         self.drop_in = self.units / f"{self.unit}.d" / DROP_IN
 
     @property

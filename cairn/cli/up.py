@@ -14,7 +14,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-import platformdirs
 import typer
 
 from cairn.bus.endpoints import DOMAIN_VARIABLE, default_domain, socket_path
@@ -39,6 +38,7 @@ from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.rcl_interfaces import Log
 from cairn.system.signal_handlers import signal_handlers
+from cairn.system.user_folders import state_folder
 from cairn.terminal.options import File, Machine, Overlay, Set
 from cairn.terminal.output import RunOutput, note
 
@@ -332,7 +332,7 @@ def _folder_of_run(file: Path) -> Path:
 
 
 def _runs_folder() -> Path:
-    return platformdirs.user_state_path("cairn") / "runs"
+    return state_folder("cairn") / "runs"
 
 
 def _report_setting(documents: Iterable[Any], folder: Path) -> list[str]:

@@ -16,6 +16,7 @@ from cairn.deployment.problems import suggestion
 from cairn.errors import CairnError
 from cairn.runtime.ports import ports_of
 from cairn.runtime.topic_ports import In, Out
+from cairn.system.extras import missing_library
 
 if TYPE_CHECKING:
     from cairn.runtime.component import Component
@@ -57,9 +58,10 @@ def load_plugin(reference: str) -> "type[Component]":
     """Return the component class for an entry point's name or `package.module:Class`.
 
     Raises `PluginError` if there is none, if two packages offer it, if its module cannot be
-    imported, or if it is not a subclass of `Component`.
+    imported, which names the extra of Cairn that it needs, or if it is not a subclass of
+    `Component`.
     """
-    return _component(find_plugin(reference))
+    return _component(find_plugin(reference), reference)
 
 
 def find_plugin(reference: str) -> str:
@@ -131,11 +133,18 @@ def plugin_modules(document: object) -> list[str]:
     return list(found)
 
 
-def _component(target: str) -> "type[Component]":
+def _component(target: str, name: str) -> "type[Component]":
     from cairn.runtime.component import Component
 
     module_name, _, class_name = target.partition(":")
-    module = _imported(module_name)
+    try:
+        module = _imported(module_name)
+    except PluginError as error:
+        missing = missing_library(error.__cause__) if error.__cause__ is not None else None
+        if missing is None:
+            raise
+        library, command = missing
+        raise PluginError(f"{name} needs {library}, which is not installed", command) from error
     found = getattr(module, class_name, None)
     if found is None:
         classes = [name for name, value in vars(module).items() if _is_component(value, Component)]
@@ -181,7 +190,7 @@ def _not_importable(name: str, error: BaseException) -> PluginError:
 
 def _listed(point: EntryPoint) -> Plugin:
     try:
-        cls = _component(point.value)
+        cls = _component(point.value, point.name)
         ports = tuple(ports_of(cls).values())
     except CairnError as error:
         return Plugin(point.name, point.value, _package(point), error=str(error))

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-import platformdirs
 from pydantic import Field, TypeAdapter, ValidationError
 
 from cairn.bus.credentials import check_secret
@@ -17,6 +16,7 @@ from cairn.errors import CairnError
 from cairn.limits.files import read_bounded
 from cairn.system.files import explained, replacing
 from cairn.system.runtime_folder import check_private, locked, private_folder
+from cairn.system.user_folders import config_folder
 
 VARIABLE: Final = "CAIRN_SECURITY_DIR"
 """The environment variable that names the security folder."""
@@ -41,7 +41,7 @@ def security_folder() -> Path:
     """
     if named := os.environ.get(VARIABLE):
         return Path(named).absolute()
-    return platformdirs.user_config_path("cairn") / "security"
+    return config_folder("cairn") / "security"
 
 
 def check_name(name: str, what: str) -> str:

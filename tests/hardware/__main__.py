@@ -9,8 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-import platformdirs
-
+from cairn.system.user_folders import cache_folder
 from tests.hardware.kernel import Kernel
 from tests.hardware.machine import run_in_guest
 from tests.hardware.needs import CannotRun, meet
@@ -28,7 +27,7 @@ def main() -> int:
     """
     in_ci = os.environ.get("CI") == "true"
     began = time.monotonic()
-    cache = platformdirs.user_cache_path("cairn") / "hardware-tests"
+    cache = cache_folder("cairn") / "hardware-tests"
     try:
         meet(install=in_ci)
         kernel = Kernel(cache)

@@ -16,13 +16,12 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
-import platformdirs
-
 import cairn
 from cairn.cli.doctor import Finding
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
 from cairn.system.runtime_folder import VARIABLE, check_private, runtime_folder
+from cairn.system.user_folders import state_folder
 
 _SOFTWARE, _TOPIC = "software", "computer"
 _PACKAGE = "cairn-robotics"
@@ -177,7 +176,7 @@ def _runtime_folder() -> Finding:
 
 
 def _disk_space() -> Finding:
-    folder = platformdirs.user_state_path("cairn")
+    folder = state_folder("cairn")
     above = next(one for one in (folder, *folder.parents) if one.exists())
     subject = "folder of reports"
     if not os.access(above, os.W_OK | os.X_OK):

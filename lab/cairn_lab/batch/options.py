@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Annotated
 from urllib.parse import urlsplit
 
-import platformdirs
 import typer
 
 from cairn.errors import CairnError
+from cairn.system.user_folders import cache_folder
 from cairn_lab.batch.cache import ResultCache
 from cairn_lab.batch.workers import LocalWorkers, Workers
 
@@ -73,7 +73,7 @@ class BatchOptions:
         """Return the cache; None if there is to be none."""
         if self.no_cache:
             return None
-        return ResultCache(self.cache or platformdirs.user_cache_path("cairn") / "runs")
+        return ResultCache(self.cache or cache_folder("cairn") / "runs")
 
     def open_workers(self, tasks: int) -> Workers:
         """Return the workers for so many tasks."""
