@@ -78,7 +78,7 @@ LOCK = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generat
     --no-emit-index-url --no-annotate --no-header $(UPGRADE)
 lock: $(VENV)/ready
 	$(LOCKED) requirements/lock.txt
-	$(LOCK) pyproject.toml --group dev --group interop --output-file requirements/dev.txt
+	$(LOCK) pyproject.toml --extra all --group dev --group interop --output-file requirements/dev.txt
 	$(LOCK) --group docs --constraint requirements/dev.txt --output-file requirements/docs.txt
 	$(LOCK) --group lock --output-file requirements/lock.txt
 	$(LOCK) --group pip --output-file requirements/pip.txt

@@ -8,7 +8,9 @@ import shutil
 import subprocess
 import sys
 import venv
+from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.metadata import Distribution
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -77,8 +79,12 @@ def build_wheels(folder: Path, *projects: Path) -> list[Path]:
     return sorted(folder.glob("*.whl"))
 
 
-def fresh_environment(folder: Path) -> Environment:
-    """Create an environment that finds all that is installed here, but Cairn and its plugins."""
+def fresh_environment(folder: Path, packages: Iterable[Distribution] | None = None) -> Environment:
+    """Create an environment that finds what is installed here, but not Cairn and its plugins.
+
+    It finds only the given `packages`; all, if none are given.
+    """
+    entries = None if packages is None else {name for one in packages for name in _entries(one)}
     venv.create(folder, symlinks=True)
     working_folder = folder / "work"
     working_folder.mkdir()
@@ -87,9 +93,15 @@ def fresh_environment(folder: Path) -> Environment:
         for installed in here.iterdir():
             link = environment.site / installed.name
             ours = "cairn" in installed.name.lower()
-            if not ours and installed.suffix != ".pth" and not link.exists():
+            wanted = entries is None or installed.name in entries
+            if wanted and not ours and installed.suffix != ".pth" and not link.exists():
                 link.symlink_to(installed)
     return environment
+
+
+def _entries(package: Distribution) -> set[str]:
+    """Return what a package has in the folder of packages."""
+    return {file.parts[0] for file in package.files or ()} - {".."}
 
 
 def _pip(*words: str) -> None:

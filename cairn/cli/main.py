@@ -12,6 +12,7 @@ from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
 from cairn.runtime.process_exit import end_process
 from cairn.system.compilation import before_compilation
+from cairn.system.extras import missing_library
 from cairn.system.files import private_files
 
 COMMANDS_GROUP = "cairn.commands"
@@ -143,6 +144,12 @@ def main() -> None:
             build()()
     except CairnError as error:
         _print_error(str(error))
+        sys.exit(1)
+    except ModuleNotFoundError as error:  # of an import where the library is used
+        missing = missing_library(error)
+        if missing is None:
+            raise
+        _print_error(f"the command needs {missing[0]}, which is not installed; {missing[1]}")
         sys.exit(1)
     except KeyboardInterrupt:
         sys.exit(130)

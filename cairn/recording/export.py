@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, Final, Protocol, TextIO, cast
 from urllib.parse import quote
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
@@ -25,7 +24,6 @@ from rosbags.interfaces.typing import FieldDesc
 
 from cairn.bus.codec import to_plain
 from cairn.errors import CairnError, RecordingError
-from cairn.limits.images import check_pixels, decode_image, read_header
 from cairn.recording.decoding import Definition, MessageDecoder
 from cairn.recording.mcap_file import Progress, RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording
@@ -462,6 +460,8 @@ class _Images(_Sheet):
         return True
 
     def _recoded(self, name: str, data: bytes) -> bytes:
+        from cairn.limits.images import decode_image, read_header  # which need OpenCV
+
         header = read_header(name, BytesIO(data))
         if header.format.lower() == self._format:
             return data
@@ -473,6 +473,8 @@ class _Images(_Sheet):
         return self._encode(name, pixels)
 
     def _encode(self, name: str, pixels: NDArray[Any]) -> bytes:
+        import cv2  # an extra: only exporting images needs it
+
         if self._format == "jpeg":
             if pixels.dtype != np.uint8:
                 raise RecordingError(f"{name}: has 16 bits, which JPEG cannot hold; export PNG")
@@ -492,6 +494,10 @@ def _field(message: Any, name: str) -> Any:
 
 def _pixels(name: str, message: Any, data: NDArray[np.uint8]) -> NDArray[Any]:
     """Return the pixels of an image message, in OpenCV's order of colors."""
+    import cv2
+
+    from cairn.limits.images import check_pixels
+
     encoding = str(_field(message, "encoding"))
     width, height = int(_field(message, "width")), int(_field(message, "height"))
     step = int(_field(message, "step"))

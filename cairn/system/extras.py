@@ -14,21 +14,26 @@ from typing import Final
 
 PACKAGE: Final = "cairn-robotics"
 
-_EXTRA = re.compile(r"""(?P<name>[\w.-]+).*\bextra == ['"](?P<extra>[\w-]+)['"]""")
+_REQUIREMENT = re.compile(r"""(?P<name>[\w.-]+).*\bextra == ['"](?P<extra>[\w-]+)['"]""")
+_ALL: Final = "all"
 _IMPORTED_AS: Final = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 """Import names that differ from the names of the packages."""
 
 
-@cache
 def extras() -> Mapping[str, tuple[str, ...]]:
     """Return the libraries of each extra, by the names under which they are imported."""
-    found: dict[str, list[str]] = {}
-    for requirement in requires(PACKAGE) or ():
-        match = _EXTRA.match(requirement)
-        if match is not None and match["name"] != PACKAGE:
-            library = _IMPORTED_AS.get(match["name"], match["name"])
-            found.setdefault(match["extra"], []).append(library)
-    return {extra: tuple(libraries) for extra, libraries in found.items()}
+    return {extra: libraries for extra, libraries in _table().items() if extra != _ALL}
+
+
+def robot_extras() -> list[str]:
+    """Return the extras that `all` comprises: what a single robot uses."""
+    libraries = set(_table()[_ALL])
+    return [extra for extra, names in extras().items() if libraries.issuperset(names)]
+
+
+def installed_extras() -> list[str]:
+    """Return those of `robot_extras` whose libraries are all installed."""
+    return [extra for extra in robot_extras() if not missing_libraries(extra)]
 
 
 def missing_libraries(extra: str) -> list[str]:
@@ -53,3 +58,13 @@ def missing_library(error: BaseException) -> tuple[str, str] | None:
 def install_command(extra: str) -> str:
     """Return the command that installs an extra."""
     return f"pip install '{PACKAGE}[{extra}]'"
+
+
+@cache
+def _table() -> Mapping[str, tuple[str, ...]]:
+    found: dict[str, list[str]] = {}
+    for requirement in requires(PACKAGE) or ():
+        if match := _REQUIREMENT.match(requirement):
+            library = _IMPORTED_AS.get(match["name"], match["name"])
+            found.setdefault(match["extra"], []).append(library)
+    return {extra: tuple(libraries) for extra, libraries in found.items()}

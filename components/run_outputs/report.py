@@ -20,6 +20,7 @@ from cairn import (
     on,
     to_ns,
 )
+from cairn.components.run_outputs.drawing import draw_pictures
 from cairn.components.run_outputs.run_journal import RunJournal, Value
 from cairn.components.run_outputs.run_record import RunRecord
 from cairn.components.run_outputs.table import render_table
@@ -212,9 +213,6 @@ class Report(Component):
         """Write the report."""
         if self._journal is None:
             return
-        # Matplotlib takes half a second and 40 MB: it is imported after the run.
-        from cairn.components.run_outputs.pictures import draw_map, draw_reliability
-
         for trajectory in self._trajectories.values():
             trajectory.close()
         if self.clock.now():  # a report that was restarted at the very end
@@ -223,11 +221,11 @@ class Report(Component):
         summary = self._record.summary(None if self._virtual else time.monotonic())
         text = json.dumps(summary, indent=1, sort_keys=False, allow_nan=False)
         with _disk_errors_explained(folder):
-            draw_map(self._record, self._grids, folder / "map.png")
-            draw_reliability(self._record, folder / "reliability.png")
             (folder / "report.txt").write_text(render_table(summary), encoding="utf-8")
             (folder / "report.json").write_text(text + "\n", encoding="utf-8")
             self._journal.remove()
+        if reason := draw_pictures(self._record, self._grids, folder):
+            self.log.warning("the report has no pictures: %s", reason)
         self.log.info("report written to %s", folder)
 
     def _add_pose(self, name: str, stamp: int, pose: Pose) -> None:

@@ -10,6 +10,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.packaging.third_party import (
+    CAIRN,
     LIBRARIES,
     NOTICES,
     ROOT,
@@ -40,6 +41,8 @@ def test_lock_file_satisfies_the_ranges_of_pyproject_on_each_python(lock: str) -
     ]
     if lock == "dev":
         wanted += map(Requirement, PROJECT["project"]["dependencies"])
+        for extra in PROJECT["project"]["optional-dependencies"].values():
+            wanted += (one for one in map(Requirement, extra) if one.name != CAIRN)
     for environment in _environments():
         locked = _locked(_file(lock), environment)
         for requirement in wanted:
@@ -84,6 +87,10 @@ def test_all_packages_of_a_robot_are_locked_and_in_the_notices() -> None:
         assert row in text, f"{NOTICES.name} lacks {row}; run `make lock`"
         for library in libraries_of(package).values():
             assert f"{library.project} ({library.license})" in text
+
+
+def test_base_has_few_direct_dependencies() -> None:
+    assert len(PROJECT["project"]["dependencies"]) <= 15
 
 
 def test_lgpl_libraries_of_opencv_and_shapely_are_in_the_notices() -> None:

@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[2]
 NOTICES = ROOT / "THIRD_PARTY.md"
 LOCK = ROOT / "requirements" / "dev.txt"
 OLDEST_PYTHON = (3, 11)
+CAIRN = "cairn-robotics"
 
 LICENSES = {
     "apsw": "any license that the OSI approves",
@@ -102,8 +103,8 @@ console's page needs it](#javascript-of-the-consoles-page). The interface defini
 `schemas` are under Apache-2.0 and BSD-3-Clause: `schemas/SOURCES.md` has their sources, copyright
 holders and license texts. Pictures and
 recordings of others are in `deploy/worlds/textures` and `deploy/recordings`, each with its source
-and license in `SOURCE.md`. `pip install` adds the packages below from their own wheels. Each wheel
-brings its license texts in its folder `*.dist-info`. Development tools are not listed: they are not
+and license in `SOURCE.md`. `pip install` with the extra `all` adds the packages below from their own
+wheels. Each wheel brings its license texts in its folder `*.dist-info`. Development tools are not listed: they are not
 part of a robot.
 
 This file is generated: `make lock` renews it. The versions are those of `requirements/dev.txt`.
@@ -150,16 +151,19 @@ needs no internet:
 """
 
 
-def run_time_packages() -> dict[str, Distribution]:
-    """Return the packages that Cairn needs on this Python, directly or not, by canonical name."""
+def run_time_packages(extra: str = "all") -> dict[str, Distribution]:
+    """Return the packages that Cairn needs with an extra, "" for none, on this Python.
+
+    Directly or not, by canonical name.
+    """
     found: dict[str, Distribution] = {}
-    waiting = ["cairn-robotics"]
+    waiting = [CAIRN]
     while waiting:
         name = canonicalize_name(waiting.pop())
         if name not in found:
             found[name] = distribution(name)
-            waiting += _requirements(found[name])
-    del found["cairn-robotics"]
+            waiting += _requirements(found[name], extra if name == CAIRN else "")
+    del found[CAIRN]
     return dict(sorted(found.items()))
 
 
@@ -202,10 +206,10 @@ def notices() -> str:
     return _HEAD + "\n".join(rows) + "\n" + _LGPL.format(lines="\n".join(lgpl)) + _JAVASCRIPT
 
 
-def _requirements(package: Distribution) -> Iterator[str]:
+def _requirements(package: Distribution, extra: str) -> Iterator[str]:
     for line in package.requires or ():
         requirement = Requirement(line)
-        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+        if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
             yield requirement.name
 
 

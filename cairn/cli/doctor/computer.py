@@ -20,12 +20,12 @@ import cairn
 from cairn.cli.doctor import Finding
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
+from cairn.system.extras import PACKAGE, missing_libraries, robot_extras
 from cairn.system.runtime_folder import VARIABLE, check_private, runtime_folder
 from cairn.system.user_folders import state_folder
 
 _SOFTWARE, _TOPIC = "software", "computer"
-_PACKAGE = "cairn-robotics"
-_LISTED = ("eclipse-zenoh", "numpy", "opencv-python-headless", "pydantic", "pyserial")
+_LISTED = ("eclipse-zenoh", "numpy", "pydantic", "pyserial")
 _OLDEST_PYTHON = (3, 11)
 _RULES = "70-cairn.rules"
 _RULES_FOLDERS = (
@@ -58,17 +58,27 @@ def software() -> Iterator[Finding]:
     missing = [name for name in _required_packages() if not _is_installed(name)]
     for name in missing:
         remedy = (
-            f"install Cairn again, with its packages: {sys.executable} -m pip install {_PACKAGE}"
+            f"install Cairn again, with its packages: {sys.executable} -m pip install {PACKAGE}"
         )
         yield Finding(_SOFTWARE, name, "fail", "is not installed", remedy)
-    listed = [f"{name} {version(name)}" for name in (_PACKAGE, *_LISTED) if name not in missing]
+    listed = [f"{name} {version(name)}" for name in (PACKAGE, *_LISTED) if name not in missing]
     yield Finding(_SOFTWARE, "packages", "ok", ", ".join(listed))
+    yield _extras()
     encoding = locale.getpreferredencoding(do_setlocale=False)
     if encoding.upper().replace("-", "") == "UTF8":
         yield Finding(_SOFTWARE, "locale", "ok", encoding)
     else:
         remedy = "set LANG=C.UTF-8; otherwise some names and units are not displayed correctly"
         yield Finding(_SOFTWARE, "locale", "warn", encoding, remedy)
+
+
+def _extras() -> Finding:
+    missing = {extra: missing_libraries(extra) for extra in robot_extras()}
+    installed = [extra for extra, names in missing.items() if not names]
+    lacks = [f"{extra} lacks {', '.join(names)}" for extra, names in missing.items() if names]
+    found = f"installed: {', '.join(installed) or 'none'}"
+    # A robot that needs no more is without fault: `cairn check` names what a component needs.
+    return Finding(_SOFTWARE, "extras", "ok", "; ".join([found, *lacks]))
 
 
 def computer(root: Path = Path("/")) -> Iterator[Finding]:
@@ -204,7 +214,7 @@ def _udev_rules(root: Path) -> Finding:
 
 
 def _required_packages() -> list[str]:
-    lines = [line for line in requires(_PACKAGE) or () if "extra ==" not in line]
+    lines = [line for line in requires(PACKAGE) or () if "extra ==" not in line]
     return [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in lines]
 
 

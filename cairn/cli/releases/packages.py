@@ -1,7 +1,8 @@
 """The packages of a release: Cairn, and those of the plugins that its deployment names.
 
 A package that was installed from a folder, as a source checkout is, becomes a wheel of that folder.
-One from an index is installed from there on the machine, in the same version.
+One from an index is installed from there on the machine, in the same version. Cairn has the same
+extras there as here.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from urllib.parse import unquote, urlsplit
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import plugin_distribution
 from cairn.errors import CairnError
+from cairn.system.extras import PACKAGE, installed_extras
 
-_CAIRN: Final = "cairn-robotics"
 _BUILD_LIMIT_S: Final = 600.0
 
 
@@ -33,17 +34,19 @@ _BUILD_LIMIT_S: Final = 600.0
 class Packages:
     """What pip installs on the machine: requirements from its index, and wheels that are copied.
 
-    `digest` names the environment that has them.
+    `cairn` is Cairn with its extras, of whatever version the wheel has, if there is one. `digest`
+    names the environment that has them.
     """
 
     requirements: tuple[str, ...]
     wheels: tuple[Path, ...]
+    cairn: str
     no_index: bool
 
     @property
     def digest(self) -> str:
         """One of the requirements, and of the contents of the wheels."""
-        words = sorted([*self.requirements, *map(_wheel_digest, self.wheels)])
+        words = sorted([self.cairn, *self.requirements, *map(_wheel_digest, self.wheels)])
         text = "\n".join([*words, "no index" if self.no_index else ""])
         return blake2b(text.encode(), digest_size=8).hexdigest()
 
@@ -70,11 +73,13 @@ def packages_of(
             requirements.append(source)
         else:
             wheels[name] = _built(source, folder / name) if source.is_dir() else source
-    return Packages(tuple(requirements), tuple(wheels.values()), no_index)
+    extras = installed_extras()
+    cairn = f"{PACKAGE}[{','.join(extras)}]" if extras else PACKAGE
+    return Packages(tuple(requirements), tuple(wheels.values()), cairn, no_index)
 
 
 def _names(deployment: Deployment) -> Iterable[str]:
-    names = {_CAIRN: None}
+    names = {PACKAGE: None}
     for plugin in dict.fromkeys(member.spec.plugin for member in deployment.members()):
         found = plugin_distribution(plugin)
         if found is None:

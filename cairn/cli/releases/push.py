@@ -107,7 +107,7 @@ def push(
         environment={
             "digest": "" if packages is None else packages.digest,
             "path": pushed.environment,
-            "requirements": [] if packages is None else packages.requirements,
+            "requirements": [] if packages is None else [packages.cairn, *packages.requirements],
             "no_index": packages is not None and packages.no_index,
         },
         keep=keep,
