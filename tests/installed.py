@@ -73,6 +73,15 @@ class Environment:
                     shutil.copy2(source, target)
 
 
+def build_source(folder: Path) -> Path:
+    """Build the source distribution of Cairn into a folder."""
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(folder)]
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (source,) = folder.glob("*.tar.gz")
+    return source
+
+
 def build_wheels(folder: Path, *projects: Path) -> list[Path]:
     """Build the wheels of projects into a folder."""
     _pip("wheel", *_LOCAL, "--no-build-isolation", "-w", str(folder), *map(str, projects))

@@ -1,5 +1,9 @@
 """The built wheel, installed where this source tree is not seen, beside a user's own packages."""
 
+import os
+import shutil
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from textwrap import dedent
@@ -7,7 +11,8 @@ from textwrap import dedent
 import pytest
 
 from cairn.testing.launching import new_socket
-from tests.installed import ROOT, Environment, build_wheels, fresh_environment
+from tests.installed import ROOT, Environment, build_source, build_wheels, fresh_environment
+from tests.packaging.third_party import run_time_packages
 from tests.wording import words_in_order
 
 pytestmark = [pytest.mark.processes, pytest.mark.timeout(600)]
@@ -60,11 +65,55 @@ DEPLOYMENT = """
       greeter: {plugin: "components.greeter:Greeter", restart: transient, significant: true}
     """
 
+BASE_DEPLOYMENT = """
+    cairn: 1
+    storage: {least_free_mb: 0}
+    components:
+      scanner: {plugin: hokuyo_scanner, parameters: {port: "tcp://127.0.0.1:9", mount: [0, 0, 0]}}
+    """
+BASE_COMPONENT = """
+    from cairn import Component, In, Out, every, on
+    from cairn.schemas.std_msgs import String
+
+    class Talker(Component):
+        chatter: Out[String]
+
+        @every(hz=20)
+        def talk(self):
+            self.chatter.publish(String(data="hello"))
+
+    class Listener(Component):
+        chatter: In[String]
+
+        @on("chatter")
+        def hear(self, message):
+            self.finish(f"heard {message.data}")
+    """
+BASE_CHATTER = """
+    cairn: 1
+    components:
+      recorder: {plugin: recorder, parameters: {file: chatter.mcap}}
+      talker: {plugin: "chatter:Talker"}
+      listener: {plugin: "chatter:Listener", restart: transient, significant: true}
+    """
+BASE_LIMIT_MB = 150
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    (wheel,) = build_wheels(tmp_path_factory.mktemp("wheels"), ROOT)
+    folder = tmp_path_factory.mktemp("wheels")
+    (wheel,) = build_wheels(folder, build_source(folder))
     return wheel
+
+
+@pytest.fixture(scope="module")
+def base(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """An environment with the wheel and what it needs without an extra."""
+    folder = tmp_path_factory.mktemp("base")
+    environment = fresh_environment(folder / "venv", run_time_packages("").values())
+    environment.install(wheel)
+    return environment
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +159,68 @@ def test_wheel_contains_one_package_with_its_data(wheel: Path) -> None:
     }
     assert len(definitions) > 300
     assert definitions <= set(names)
+
+
+def test_base_is_small(base: Environment) -> None:
+    sizes = [
+        Path(folder, file).stat().st_size
+        for folder, _, files in os.walk(base.site, followlinks=True)
+        for file in files
+        if not {"pip", "__pycache__"}.intersection(Path(folder).parts)
+    ]
+
+    assert sum(sizes) / 1e6 <= BASE_LIMIT_MB
+
+
+def test_base_runs_components_and_records(base: Environment, tmp_path: Path) -> None:
+    (tmp_path / "chatter.py").write_text(dedent(BASE_COMPONENT), encoding="utf-8")
+    (tmp_path / "chatter.yaml").write_text(dedent(BASE_CHATTER), encoding="utf-8")
+    shutil.copy2(tmp_path / "chatter.py", base.site)
+    router = ("--set", f"bus.socket={new_socket()}")
+
+    assert "Run a robot" in base.run("cairn", "--help")
+    assert "no problem" in base.run("cairn", "check", "chatter.yaml", folder=tmp_path)
+    ran = base.run("cairn", "up", "chatter.yaml", *router, "--report", "report", folder=tmp_path)
+    recordings = sorted(tmp_path.rglob("*.mcap"))
+
+    assert "heard hello" in ran
+    assert "chatter" in base.run("cairn", "recording", "info", str(recordings[0]))
+
+
+def test_base_names_what_a_component_and_a_command_lack(base: Environment, tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("cairn: 1\ncomponents: {pose: {plugin: localizer}}\n", encoding="utf-8")
+    navigation = "which is not installed; pip install 'cairn-robotics[navigation]'"
+
+    with pytest.raises(AssertionError, match=words_in_order("localizer needs numba", navigation)):
+        base.run("cairn", "check", str(file))
+    with pytest.raises(AssertionError, match=words_in_order("command map needs", navigation)):
+        base.run("cairn", "map", "build", "recording")
+    with pytest.raises(AssertionError, match=words_in_order("installed: none", "security lacks")):
+        base.run("cairn", "doctor", str(file))
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("installer", ["pip", "uv", "pipx"])
+@pytest.mark.parametrize("version", PYTHONS)
+def test_wheel_is_installed_by(installer: str, version: str, wheel: Path, tmp_path: Path) -> None:
+    python = _python(version)
+    command = "" if installer == "pip" else _program(installer)
+    _skip_without_index(tmp_path)
+    venv, cairn = tmp_path / "venv", tmp_path / "venv" / "bin" / "cairn"
+    if installer == "pip":
+        _call(python, "-m", "venv", str(venv))
+        _call(str(venv / "bin" / "python"), "-m", "pip", "install", "--quiet", str(wheel))
+    elif installer == "uv":
+        _call(command, "venv", "--quiet", "--python", python, str(venv))
+        _call(command, "pip", "install", "--quiet", "--python", str(venv), str(wheel))
+    else:
+        folders = {"PIPX_HOME": str(tmp_path / "pipx"), "PIPX_BIN_DIR": str(tmp_path / "bin")}
+        _call(command, "install", "--python", python, str(wheel), **folders)
+        cairn = tmp_path / "bin" / "cairn"
+
+    assert "Run a robot" in _call(str(cairn), "--help")
+    assert "hokuyo_scanner" in _call(str(cairn), "plugins")
 
 
 def test_installed_package_finds_definitions_and_their_sources(
@@ -169,6 +280,43 @@ def test_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path
         "cairn", "plugins", "my_robot_gauge", folder=tmp_path
     )
     assert "no problem" in installed.run("cairn", "check", "deploy/my_robot.yaml", folder=project)
+
+
+def _python(version: str) -> str:
+    """Return the path of a Python of this version; skip the test if there is none."""
+    names = (sys.executable, _found(f"python{version}"))
+    for name in filter(None, names):
+        code = "import sys; print('%d.%d' % sys.version_info[:2], sys._base_executable)"
+        done = subprocess.run([name, "-c", code], capture_output=True, text=True, check=False)
+        if done.returncode == 0 and done.stdout.split()[0] == version:
+            return done.stdout.split()[1]
+    pytest.skip(f"this computer has no Python {version}")
+
+
+def _program(name: str) -> str:
+    return _found(name) or pytest.skip(f"{name} is not installed")
+
+
+def _found(name: str) -> str | None:
+    beside = shutil.which(name, path=str(Path(sys.executable).parent))
+    return beside or shutil.which(name)
+
+
+def _skip_without_index(folder: Path) -> None:
+    small = ("pip", "download", "--quiet", "--no-deps", "--dest", str(folder), "shellingham")
+    command = [sys.executable, "-m", *small]
+    if subprocess.run(command, capture_output=True, timeout=120, check=False).returncode:
+        pytest.skip("no package index can be reached")
+
+
+def _call(*words: str, **variables: str) -> str:
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(
+        words, env=environment | variables, capture_output=True, text=True, timeout=500,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def _files(folder: Path) -> set[Path]:

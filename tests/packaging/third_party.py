@@ -101,11 +101,10 @@ _HEAD = """# Third-party software
 Cairn itself is licensed under [Apache-2.0](LICENSE). Code of others is in it only [where the
 console's page needs it](#javascript-of-the-consoles-page). The interface definitions of ROS 2 in
 `schemas` are under Apache-2.0 and BSD-3-Clause: `schemas/SOURCES.md` has their sources, copyright
-holders and license texts. Pictures and
-recordings of others are in `deploy/worlds/textures` and `deploy/recordings`, each with its source
-and license in `SOURCE.md`. `pip install` with the extra `all` adds the packages below from their own
-wheels. Each wheel brings its license texts in its folder `*.dist-info`. Development tools are not listed: they are not
-part of a robot.
+holders and license texts. Pictures and recordings of others are in `deploy/worlds/textures` and
+`deploy/recordings`, each with its source and license in `SOURCE.md`. `pip install` with the extra
+`all` adds the packages below from their own wheels. Each wheel brings its license texts in its
+folder `*.dist-info`. Development tools are not listed: they are not part of a robot.
 
 This file is generated: `make lock` renews it. The versions are those of `requirements/dev.txt`.
 
