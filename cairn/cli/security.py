@@ -135,11 +135,12 @@ def init(
     }
     loaded = _loaded(deployment, overlay, set_)
     if loaded is not None:
-        if robot not in ("", loaded.robot):
+        if robot not in ("", loaded.robot.name):
             raise CairnError(
-                f"--robot {robot}: the robot of {deployment} is {loaded.robot}; leave out --robot"
+                f"--robot {robot}: the robot of {deployment} is {loaded.robot.name}; leave out "
+                "--robot"
             )
-        robot = loaded.robot
+        robot = loaded.robot.name
         of_deployment: dict[str, tuple[str, ...]] = {
             name: (one.address,) for name, one in loaded.machines.items()
         }
@@ -215,7 +216,7 @@ def _add_machines(deployment: Deployment, days: int) -> None:
     """Add the machines of a deployment that have no identity, and note what else differs."""
     from cairn.security.authority import members_of
 
-    authority = _authority(deployment.robot)
+    authority = _authority(deployment.robot.name)
     roster = authority.roster()
     machines = {name: one.address for name, one in deployment.machines.items()}
     known = {name: entry for name in machines if (entry := roster.current(name)) is not None}

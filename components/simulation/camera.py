@@ -18,6 +18,7 @@ from cairn import (
     SENSOR,
     CairnError,
     Config,
+    FromRobot,
     Mount,
     Out,
     SensorFrame,
@@ -116,12 +117,16 @@ class SimulatedStereoCameraConfig(Config):
         le=1,
         description="Delay from the exposure to the publication of the images [s].",
     )
-    mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
-    mount_frame: SensorFrame = Field(
+    mount: Annotated[Mount, FromRobot("mounts.camera")] = Field(
+        Mount(), description="Pose of the left camera on the robot."
+    )
+    mount_frame: Annotated[SensorFrame, FromRobot("mounts.camera.frame")] = Field(
         "camera",
         description="Frame of that pose on the robot; the optical frames are published in it.",
     )
-    z: float = Field(1.0, ge=0.05, le=10, description="Height above the floor [m].")
+    z: Annotated[float, FromRobot("mounts.camera.z")] = Field(
+        1.0, ge=0.05, le=10, description="Height above the floor [m]."
+    )
     distortion: Annotated[list[Coefficient], Field(max_length=5)] = Field(
         [],
         description="Distortion of both lenses: k1, k2, p1, p2, k3 of plumb_bob [1]; empty: "
