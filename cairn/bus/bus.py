@@ -8,7 +8,7 @@ from cairn.bus.exclusive import Exclusive
 from cairn.bus.message_limits import default_max_bytes
 from cairn.bus.qos import Qos
 from cairn.errors import CairnError
-from cairn.schemas.message import Service
+from cairn.schemas.message import Service, type_name
 
 End = TypeVar("End", bound="Publisher | Subscription | ServiceServer | ServiceClient")
 
@@ -331,6 +331,14 @@ class Bus(Protocol):
 
         Returns the processes that were not reached within the timeout, such as "process 4711".
         """
+
+
+def check_response(response: Any, expected: type[Any]) -> None:
+    """Raise `TypeError` unless the answer to a call is of the service's response class."""
+    if type(response) is not expected:
+        raise TypeError(
+            f"the answer is a {type(response).__qualname__}, not a {type_name(expected)}"
+        )
 
 
 def full_name(robot: str, topic: str) -> str:

@@ -13,10 +13,9 @@ from cairn.bus.bus import (
     ServerOptions,
     SubscriptionOptions,
 )
-from cairn.bus.conflicts import type_conflict
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.exclusive import RefusalLog
-from cairn.bus.lockstep_services import LockstepClient, LockstepServer
+from cairn.bus.lockstep_services import LockstepClient, LockstepServer, report_conflict
 from cairn.bus.message_limits import (
     FIXED_BYTES,
     PENDING_BYTES,
@@ -25,7 +24,6 @@ from cairn.bus.message_limits import (
     length_of,
     too_long,
 )
-from cairn.schemas.message import type_name
 
 End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
 
@@ -226,11 +224,7 @@ class _LockstepTopic:
             *self.publishers, *self.subscriptions,
         ]  # fmt: skip
         for other in others:
-            if other.message is not end.message:
-                ours, theirs = type_name(end.message), type_name(other.message)
-                first, second = end.node, other.node
-                first.report(type_conflict(self.name, second.name, theirs, first.name, ours))
-                second.report(type_conflict(self.name, first.name, ours, second.name, theirs))
+            report_conflict(self.name, end.node, end.message, other.node, other.message)
         ends.append(end)
 
     def leave(self, end: End, ends: list[End]) -> None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import zenoh
 
 from cairn.bus import keys
-from cairn.bus.bus import ServerOptions, ServiceError
+from cairn.bus.bus import ServerOptions, ServiceError, check_response
 from cairn.bus.codec import Codec
 from cairn.bus.message_limits import (
     PENDING_BYTES,
@@ -252,10 +252,7 @@ class ZenohCall:
 
     def reply(self, response: Any) -> None:
         """Answer with a message of the service's response class; `TypeError` for another one."""
-        if type(response) is not self._response:
-            raise TypeError(
-                f"the answer is a {type(response).__qualname__}, not a {type_name(self._response)}"
-            )
+        check_response(response, self._response)
         payload = self._codec.encode(response)
         query, self._query = self._query, None
         if query is None:

@@ -18,7 +18,7 @@ import yaml
 
 from cairn.bus import keys
 from cairn.bus.codec import to_plain
-from cairn.cli.nodes import marked
+from cairn.cli.nodes import AllTopics, marked
 from cairn.cli.topic_plot import plot_topic
 from cairn.client import NoMessageError, Robot, Subscription
 from cairn.client import connect as connect_to
@@ -58,10 +58,7 @@ def list_topics(
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
-    all_: Annotated[
-        bool,
-        typer.Option("--all", help="Also those that every component has, such as /rosout."),
-    ] = False,
+    all_: AllTopics = False,
     json: Json = False,
 ) -> None:
     """List the topics with message type and numbers of publishers and subscribers."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from cairn.bus.bus import ClientOptions, ServerOptions, ServiceError
+from cairn.bus.bus import ClientOptions, ServerOptions, ServiceError, check_response
 from cairn.rerun.call_environment import Sent
 
 if TYPE_CHECKING:
@@ -54,8 +54,7 @@ class RerunCall:
 
     def reply(self, response: Any) -> None:
         """Compare a response; `TypeError` if it is not of the service's response class."""
-        if type(response) is not self._server.service.Response:
-            raise TypeError(f"the answer is a {type(response).__qualname__}")
+        check_response(response, self._server.service.Response)
         self._send("an answer", self._server.codec.encode(response))
 
     def refuse(self, reason: str) -> None:
