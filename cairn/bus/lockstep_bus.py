@@ -10,6 +10,7 @@ from cairn.bus.bus import (
     MessageId,
     Node,
     PublisherOptions,
+    Report,
     ServerOptions,
     SubscriptionOptions,
 )
@@ -39,12 +40,7 @@ class LockstepBus:
         """Called with every message and its publisher, before it is handed over."""
         self._topics: dict[str, _LockstepTopic] = {}
 
-    def node(
-        self,
-        name: str,
-        report: Callable[[str], None],
-        warn: Callable[[str], None] | None = None,
-    ) -> "LockstepNode":
+    def node(self, name: str, report: Report, warn: Report | None = None) -> "LockstepNode":
         """Join the bus under a full name; `report` receives errors about conflicting types."""
         return LockstepNode(self, name, report)
 
@@ -67,7 +63,7 @@ class LockstepBus:
 class LockstepNode(Node):
     """One component on the lockstep bus."""
 
-    def __init__(self, bus: LockstepBus, name: str, report: Callable[[str], None]) -> None:
+    def __init__(self, bus: LockstepBus, name: str, report: Report) -> None:
         super().__init__()
         self.name = name
         self.report = report

@@ -6,7 +6,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from cairn.bus import keys
-from cairn.bus.bus import ClientOptions, ServerOptions, ServiceError, check_response
+from cairn.bus.bus import (
+    ClientOptions,
+    OnFailure,
+    OnReply,
+    ServerOptions,
+    ServiceError,
+    check_response,
+)
 from cairn.bus.conflicts import type_conflict
 from cairn.bus.message_limits import length_of
 from cairn.bus.services import MOST_PENDING
@@ -108,11 +115,7 @@ class LockstepClient:
         return not self._closed and self._server() is not None
 
     def call(
-        self,
-        request: Any,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
+        self, request: Any, on_reply: OnReply, on_failure: OnFailure, timeout_s: float
     ) -> None:
         """Hand over a request; one of the functions is posted later."""
         if self._closed:

@@ -1,9 +1,8 @@
 """The services of a re-run: recorded calls, and answers and requests that are compared."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from cairn.bus.bus import ClientOptions, ServerOptions, ServiceError, check_response
+from cairn.bus.bus import ClientOptions, OnFailure, OnReply, ServerOptions, check_response
 from cairn.rerun.call_environment import Sent
 
 if TYPE_CHECKING:
@@ -74,7 +73,7 @@ class RerunClient:
         self.name = options.name
         self.service = options.service
         self.sent = 0
-        self.pending: dict[int, tuple[Callable[[Any], None], Callable[[ServiceError], None]]] = {}
+        self.pending: dict[int, tuple[OnReply, OnFailure]] = {}
         self._rerun = rerun
         self._port = rerun.open_client(self)
 
@@ -84,11 +83,7 @@ class RerunClient:
         return self._rerun.saw_server(self._port)
 
     def call(
-        self,
-        request: Any,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
+        self, request: Any, on_reply: OnReply, on_failure: OnFailure, timeout_s: float
     ) -> None:
         """Compare the request with the recording; the log says when it is answered."""
         del timeout_s
