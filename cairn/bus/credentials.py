@@ -83,7 +83,7 @@ class Credentials(BaseModel):
                 login["dictionary_file"] = str(own_dictionary)
             settings["transport/auth/usrpwd"] = login
             # In zenoh 1.10 two sessions that authenticate each other and connect at the same time
-            # may both close the other's link, for good; so only one of the two connects.
+            # may both close the other's link permanently; so only one of the two connects.
             one_side = {"peer": {"to_router": "always", "to_peer": "greater-zid"}}
             settings["scouting/gossip/autoconnect_strategy"] = one_side
         if self.ca is not None:

@@ -26,8 +26,8 @@ from cairn.client import Connection, ControlError, NoReplyError, Robot
 from cairn.client.velocity_gate import find_gate
 from cairn.console.browser import Browser
 from cairn.console.monitoring import ProcessMonitor, StateEvents
+from cairn.console.operator_lease import Operator, OperatorLeases
 from cairn.console.protocol import WARNING
-from cairn.console.steering import Operator, OperatorLeases
 from cairn.console.teleoperation import STILL, Driver
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_ZONE_NAME

@@ -159,7 +159,7 @@ class EmulatedScip:
         self._measuring = None
         self.sensor.powered_on(now)
 
-    def disconnected(self, now: float) -> None:  # noqa: ARG002 - of the protocol
+    def disconnected(self, _: float) -> None:
         """Discard an incomplete command; on Ethernet, stop measuring."""
         self._rest = b""
         if self.model.line == "ethernet":

@@ -89,7 +89,7 @@ class EmulatedPbs:
         """Return infinity: it only replies."""
         return math.inf
 
-    def tick(self, now: float) -> list[bytes]:  # noqa: ARG002 - of the protocol
+    def tick(self, _: float) -> list[bytes]:
         """Return nothing."""
         return []
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from pydantic import Field
 
-from cairn import SENSOR, CairnError, Out, RateLimitedLog, ReadPath, every, from_ns
+from cairn import SENSOR, CairnError, Out, RateLimitedLog, ReadPath, from_ns
 from cairn.components.replay_devices.components import ReplayComponent
 from cairn.components.replay_devices.config import RecordingConfig
 from cairn.components.replay_devices.recording import ImageStream
@@ -60,12 +60,8 @@ class ReplayCamera(ReplayComponent):
         self._infos = self._calibrations(images)
         self.select(recording, images.stamps)
 
-    @every(hz=100)
-    def replay(self) -> None:
-        """Publish the records that are due."""
-        self.publish_due(self._publish)
-
-    def _publish(self, index: int) -> None:
+    def publish(self, index: int) -> None:
+        """Publish the images with an index."""
         try:
             views = self._images.load(index)
         except CairnError as error:

@@ -35,10 +35,9 @@ from cairn.components.replay_devices.record_times import (
     wrong_times,
 )
 from cairn.components.replay_devices.recording import (
-    ImageStream,
-    ObservationStream,
     OdometryStream,
     RecordedTopic,
+    Recording,
     ScannerMount,
     ScanStream,
     TimedPoses,
@@ -52,7 +51,6 @@ from cairn.components.replay_devices.wheel_odometry import (
 )
 from cairn.errors import RecordingError
 from cairn.planar.poses import Pose
-from cairn.schemas.cairn_msgs import VisualMap
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -77,7 +75,7 @@ class _Track(Generic[Message]):
     quality: TimeQuality
 
 
-class CarmenRecording:
+class CarmenRecording(Recording):
     """The log at `path`: wheel odometry, one front laser, and corrected poses if it has them.
 
     If the poses in its laser records are odometry, the odometry at the time of a scan is that of
@@ -221,14 +219,6 @@ class CarmenRecording:
         x, y, yaw = (_parse_number(value or "0") for value in values)
         return ScannerMount((x, y, yaw), False, "base_link", "PARAM robot_frontlaser_offset")
 
-    def observations(self) -> ObservationStream | None:
-        """Return None: CARMEN logs have no observations of landmarks."""
-        return None
-
-    def images(self) -> ImageStream | None:
-        """Return None: CARMEN logs have no images."""
-        return None
-
     def truth(self) -> TimedPoses | None:
         """Return a simulator's true poses, or the robot's corrected poses at its scans."""
         if self._true_poses:
@@ -237,10 +227,6 @@ class CarmenRecording:
         if self._corrected is None:
             return None
         return TimedPoses(self._laser_stamps, self._corrected)
-
-    def landmark_map(self) -> VisualMap | None:
-        """Return None: CARMEN logs have no landmarks."""
-        return None
 
     def topics(self) -> Sequence[RecordedTopic]:
         """Return the kinds of the log's lines."""

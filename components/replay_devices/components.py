@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -54,13 +54,18 @@ class ReplayComponent(Component):
         self.log.warning("%s holds no %s: nothing to replay", self.config.recording, stream)
         self.records = PacedRecords(())
 
-    def publish_due(self, publish: Callable[[int], None]) -> None:
-        """Call `publish` with the index of each record that is due."""
+    def publish(self, index: int) -> None:
+        """Publish the record with an index."""
+        raise NotImplementedError
+
+    @every(hz=100)
+    def replay(self) -> None:
+        """Publish the records that are due."""
         due, skipped = self.records.due(self.clock.now())
         if skipped:
             self.log.warning("skipped records from before the start of this component: %d", skipped)
         for index in due:
-            publish(index)
+            self.publish(index)
 
 
 class ReplayOdometry(ReplayComponent):
@@ -86,15 +91,16 @@ class ReplayOdometry(ReplayComponent):
 
     @every(hz=100)
     def replay(self) -> None:
-        """Publish the records that are due."""
-        self.publish_due(self._publish)
+        """Publish the records that are due, and the time."""
+        super().replay()
         now = self.clock.now()
         if now - self._last_reached >= REACHED_INTERVAL:
             # Latched for a clock that is restarted, which continues from this time.
             self._last_reached = now
             self.reached.publish(Clock(clock=from_ns(now)))
 
-    def _publish(self, index: int) -> None:
+    def publish(self, index: int) -> None:
+        """Publish the record with an index."""
         x, y, theta = self._odometry.poses[index].tolist()
         forward, turn = self._odometry.twists[index].tolist()
         self.odom.publish(
@@ -124,10 +130,9 @@ class ReplayScanner(ReplayComponent):
         self._messages = scans.messages
         self.select(recording, scans.stamps)
 
-    @every(hz=100)
-    def replay(self) -> None:
-        """Publish the records that are due."""
-        self.publish_due(lambda index: self.scan.publish(self._messages[index]))
+    def publish(self, index: int) -> None:
+        """Publish a scan."""
+        self.scan.publish(self._messages[index])
 
 
 class ReplayRecognizer(ReplayComponent):
@@ -146,17 +151,13 @@ class ReplayRecognizer(ReplayComponent):
         self._observations: ObservationStream = observations
         self.select(recording, observations.stamps)
 
-    @every(hz=100)
-    def replay(self) -> None:
-        """Publish the records that are due."""
-        self.publish_due(self._publish)
-
     def on_deactivate(self) -> None:
         """Log how many observations had a barcode that the data set does not list."""
         if self._unknown:
             self.log.info("ignored observations of unknown barcodes, by barcode: %s", self._unknown)
 
-    def _publish(self, index: int) -> None:
+    def publish(self, index: int) -> None:
+        """Publish the record with an index."""
         if self._observations.messages is not None:
             self.objects.publish(self._observations.messages[index])
             return
@@ -222,12 +223,8 @@ class ReplayTruth(ReplayComponent):
         if self._landmark_map is not None:
             self.true_map.publish(self._landmark_map)
 
-    @every(hz=100)
-    def replay(self) -> None:
-        """Publish the records that are due."""
-        self.publish_due(self._publish)
-
-    def _publish(self, index: int) -> None:
+    def publish(self, index: int) -> None:
+        """Publish the record with an index."""
         x, y, theta = self._poses[index].tolist()
         header = Header(stamp=from_ns(self._stamps[index]), frame_id="map")
         self.truth.publish(PoseStamped(header=header, pose=pose_message((x, y, theta))))

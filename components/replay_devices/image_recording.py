@@ -17,17 +17,12 @@ from cairn.components.replay_devices.record_times import TimeQuality, time_quali
 from cairn.components.replay_devices.recording import (
     Gray,
     ImageStream,
-    ObservationStream,
-    OdometryStream,
     RecordedTopic,
-    ScannerMount,
-    ScanStream,
-    TimedPoses,
+    Recording,
 )
 from cairn.errors import RecordingError
 from cairn.limits.files import open_regular
 from cairn.limits.images import check_pixels
-from cairn.schemas.cairn_msgs import VisualMap
 from cairn.vision.image_files import (
     SUFFIXES,
     assign_cameras,
@@ -39,7 +34,7 @@ from cairn.vision.image_files import (
 from cairn.vision.images import read_image, upright_size
 
 
-class ImageRecording:
+class ImageRecording(Recording):
     """The images of one camera or of a stereo camera.
 
     At `path` is a video, a folder of images, or a folder with a video of each camera. `rate_hz` is
@@ -62,30 +57,6 @@ class ImageRecording:
     def images(self) -> ImageStream | None:
         """Return the images."""
         return self._images
-
-    def odometry(self) -> OdometryStream | None:
-        """Return None: there are only images."""
-        return None
-
-    def scans(self) -> ScanStream | None:
-        """Return None: there are only images."""
-        return None
-
-    def mount(self) -> ScannerMount | None:
-        """Return None: there are only images."""
-        return None
-
-    def observations(self) -> ObservationStream | None:
-        """Return None: there are only images."""
-        return None
-
-    def truth(self) -> TimedPoses | None:
-        """Return None: there are only images."""
-        return None
-
-    def landmark_map(self) -> VisualMap | None:
-        """Return None: there are only images."""
-        return None
 
     def topics(self) -> Sequence[RecordedTopic]:
         """Return the cameras."""

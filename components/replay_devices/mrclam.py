@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 from cairn.components.replay_devices.bounded_streams import text_lines
 from cairn.components.replay_devices.record_times import TimeQuality, time_quality
 from cairn.components.replay_devices.recording import (
-    ImageStream,
     ObservationStream,
     OdometryStream,
     RecordedObservation,
     RecordedTopic,
-    ScannerMount,
-    ScanStream,
+    Recording,
     TimedPoses,
     covariances_of,
     damaged_line,
@@ -37,7 +35,7 @@ from cairn.schemas.std_msgs import Header
 Array = NDArray[np.float64]
 
 
-class MrclamRecording:
+class MrclamRecording(Recording):
     """Commanded velocities, observations and motion-capture poses of `robot` in `folder`."""
 
     def __init__(self, folder: Path, robot: int) -> None:
@@ -56,14 +54,6 @@ class MrclamRecording:
         reckoned = integrate_commands(rows)
         covariances = covariances_of(reckoned.deviations)
         return OdometryStream(nanoseconds(rows[:, 0]), reckoned.poses, covariances, rows[:, 1:])
-
-    def scans(self) -> ScanStream | None:
-        """Return None: the robots had no laser scanner."""
-        return None
-
-    def mount(self) -> ScannerMount | None:
-        """Return None: the robots had no laser scanner."""
-        return None
 
     def observations(self) -> ObservationStream:
         """Return the observations of landmarks, those of one time as one frame.
@@ -87,10 +77,6 @@ class MrclamRecording:
                     RecordedObservation(barcode, subject, range_m, bearing, *variances)
                 )
         return ObservationStream(stamps, frames)
-
-    def images(self) -> ImageStream | None:
-        """Return None: the data set has no images."""
-        return None
 
     def truth(self) -> TimedPoses:
         """Return the motion-capture poses."""
@@ -121,10 +107,6 @@ class MrclamRecording:
             "truth": data.truth(self._robot)[:, 0],
         }
         return {kind: time_quality(nanoseconds(of)) for kind, of in times.items()}
-
-    def notes(self) -> Sequence[str]:
-        """Return nothing: these files are read completely or rejected."""
-        return ()
 
 
 def read_landmarks(folder: Path) -> VisualMap:

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from cairn.components.replay_devices.bag_files import BagFile, BagTopic
-from cairn.components.replay_devices.recording import ScannerMount
-from cairn.components.replay_devices.ros_bag import (
+from cairn.components.replay_devices.bag_messages import (
     ODOMETRY_TYPE,
     SCAN_TYPE,
     TRANSFORM_TYPES,
@@ -20,9 +19,9 @@ from cairn.components.replay_devices.ros_bag import (
     deserialize,
     error_text,
     is_description,
-    scan_of,
-    usual_topic,
 )
+from cairn.components.replay_devices.recording import ScannerMount
+from cairn.components.replay_devices.ros_bag import scan_of, usual_topic
 from cairn.components.replay_devices.scanner_mount import (
     FrameLink,
     find_mount,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,44 +136,55 @@ class RecordedTopic:
     count: int
 
 
-class Recording(Protocol):
+class Recording:
     """A recording; each method reads what it needs and raises `RecordingError`.
 
-    A method returns None for a stream that the recording does not hold.
+    A method returns None for a stream that the recording does not hold, as the methods here do.
     """
 
     def span(self) -> tuple[int, int]:
         """Return the times [ns] of the first and the last record that a replay publishes."""
+        raise NotImplementedError
 
     def odometry(self) -> OdometryStream | None:
         """Return the wheel odometry."""
+        return None
 
     def scans(self) -> ScanStream | None:
         """Return the scans of the laser scanner."""
+        return None
 
     def mount(self) -> ScannerMount | None:
         """Return where the scanner is on the robot."""
+        return None
 
     def observations(self) -> ObservationStream | None:
         """Return the observations of landmarks."""
+        return None
 
     def images(self) -> ImageStream | None:
         """Return the images of the cameras."""
+        return None
 
     def truth(self) -> TimedPoses | None:
         """Return the robot's true poses, measured from outside or corrected afterwards."""
+        return None
 
     def landmark_map(self) -> VisualMap | None:
         """Return the surveyed landmarks."""
+        return None
 
     def topics(self) -> Sequence[RecordedTopic]:
         """Return everything that was recorded, replayed or not."""
+        raise NotImplementedError
 
     def time_quality(self) -> Mapping[str, TimeQuality]:
         """Return how good the recorded times of the streams are, by their kind (`scan`)."""
+        raise NotImplementedError
 
     def notes(self) -> Sequence[str]:
         """Return what was lost, left out or assumed, as sentences."""
+        return ()
 
 
 def nanoseconds(time_s: Array) -> list[int]:

@@ -114,7 +114,7 @@ class RoboclawBase(Component):
         """Do the same, if it was active."""
         self._stop_thread()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for every error
+    def on_error(self, _: Exception) -> bool:
         """Stop the wheels."""
         self._stop_thread()
         return False

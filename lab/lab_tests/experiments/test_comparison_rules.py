@@ -3,14 +3,26 @@
 import itertools
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cairn.components.localizer.observations import Landmark, innovation
 from cairn.components.map_builder.landmark_map import LandmarkMap
-from cairn.components.map_builder.paper_rule import equation_2, judge_by_paper
-from cairn.components.map_builder.persistence_filter import PersistenceFilter
+from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.visual_map.landmarks import ChangeKind, EvidenceVerdict, LandmarkEvidence, LandmarkState
+from cairn_lab.experiments.comparison import (
+    Comparison,
+    ComparisonEvaluator,
+    gate_similarity,
+    paper_rule_radius,
+    paper_rule_similarity,
+)
+from cairn_lab.experiments.paper_rule import equation_2, judge_by_paper
+from cairn_lab.experiments.persistence_filter import PersistenceFilter
+from tests.components.localizer.test_landmark_evidence import evidence_of
+from tests.components.localizer.test_landmark_similarity import observed, pose
 from tests.components.map_builder.evidence import HERE, THERE, observation, surveyed
 
 PROBABILITIES = st.floats(0.0, 1.0)
@@ -122,3 +134,40 @@ def test_comparison_rules_register_new_objects() -> None:
             visual_map.apply([observation(0.9, step, HERE)], 0.0)
 
         assert visual_map.landmarks[7].state is LandmarkState.LIVE
+
+
+def test_paper_rule_similarity_is_not_bounded() -> None:
+    assert paper_rule_similarity(0.2, 0.1) == 1.0
+    assert paper_rule_similarity(0.2, 0.0) == 1.0
+    assert paper_rule_similarity(0.2, 4.0) == pytest.approx(0.05)
+    assert paper_rule_similarity(0.0, 1.0) == 0.0
+    assert paper_rule_radius(pose(sd=0.001)) == pytest.approx(0.002)
+
+
+def test_gate_decides_by_one_observation() -> None:
+    landmark = Landmark(1, 2.0, 0.0)
+
+    assert gate_similarity(innovation(pose(), observed(2.1), landmark)) == 0.9
+    assert gate_similarity(innovation(pose(), observed(3.0), landmark)) == 0.1
+
+
+def evaluator_of(comparison: Comparison) -> ComparisonEvaluator:
+    return ComparisonEvaluator(comparison, 300, np.random.default_rng(0))
+
+
+def test_gate_and_paper_rule_need_no_corroboration() -> None:
+    assert (
+        evidence_of(evaluator_of("chi_square"), 1, 0, (4.0, 2.0)).verdict
+        == ObjectEvidence.DISAGREES
+    )
+    assert evidence_of(evaluator_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(
+        0.1
+    )
+    assert (
+        evidence_of(evaluator_of("chi_square"), 1, 0, (3.0, 1.0)).verdict == ObjectEvidence.AGREES
+    )
+    # Without anything else seen, samples on a ring do not converge: no evidence.
+    assert (
+        evidence_of(evaluator_of("paper_rule"), 1, 0, (4.0, 2.0)).verdict
+        == ObjectEvidence.NOT_CONVERGED
+    )
