@@ -244,9 +244,9 @@ class Operations:
             "stop": ConsoleMethod(StopRequest, self._stop, is_service=True),
             "release_stop": ConsoleMethod(OfRobot, self._release_stop, is_service=True),
             "drive": ConsoleMethod(DriveRequest, self._drive),
-            "restart": self._managing(Robot.restart),
-            "load": self._managing(Robot.load),
-            "unload": self._managing(Robot.unload),
+            "restart": ConsoleMethod(OfComponent, self._restart, is_service=True),
+            "load": ConsoleMethod(OfComponent, self._load, is_service=True),
+            "unload": ConsoleMethod(OfComponent, self._unload, is_service=True),
             "parameters": ConsoleMethod(OfComponent, self._parameters, changes=False),
             "set_parameters": ConsoleMethod(ParameterChanges, self._set_parameters),
             "logs": ConsoleMethod(OfRobot, self._logs, changes=False),
@@ -428,13 +428,14 @@ class Operations:
 
     # Components
 
-    def _managing(self, manage: Callable[[Robot, str], str]) -> ConsoleMethod:
-        """Return the method that starts or stops a component."""
+    async def _restart(self, browser: Browser, of: OfComponent) -> Any:
+        return await self._steer(browser, of.robot, lambda robot: robot.restart(of.component))
 
-        async def call(browser: Browser, of: OfComponent) -> Any:
-            return await self._steer(browser, of.robot, lambda robot: manage(robot, of.component))
+    async def _load(self, browser: Browser, of: OfComponent) -> Any:
+        return await self._steer(browser, of.robot, lambda robot: robot.load(of.component))
 
-        return ConsoleMethod(OfComponent, call, is_service=True)
+    async def _unload(self, browser: Browser, of: OfComponent) -> Any:
+        return await self._steer(browser, of.robot, lambda robot: robot.unload(of.component))
 
     async def _parameters(self, browser: Browser, of: OfComponent) -> Any:
         return await self._call(
