@@ -48,6 +48,7 @@ TopicName = Annotated[
         autocompletion=completion.topics,
     ),
 ]
+Count = Annotated[int | None, typer.Option(min=1, help="Stop after this number of messages.")]
 Wait = Annotated[
     float, typer.Option(min=0.1, help="Give up after this time without a message [s].")
 ]
@@ -132,9 +133,7 @@ def echo_topic(
             autocompletion=completion.fields,
         ),
     ] = None,
-    count: Annotated[
-        int | None, typer.Option(min=1, help="Stop after this number of messages.")
-    ] = None,
+    count: Count = None,
     full: Annotated[
         bool, typer.Option("--full", help="Print long sequences completely, as JSON always does.")
     ] = False,
@@ -189,9 +188,7 @@ def publish_topic(
         float | None,
         typer.Option(min=0.001, max=_MAX_HZ, help="Publish again and again [Hz], until Ctrl-C."),
     ] = None,
-    count: Annotated[
-        int | None, typer.Option(min=1, help="Stop after this number of messages.")
-    ] = None,
+    count: Count = None,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
