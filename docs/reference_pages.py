@@ -1,13 +1,15 @@
-"""Generates the reference pages of the site from the code: commands, messages, parameters.
+"""Generates the reference pages of the site from the code: commands, messages, parameters, files.
 
 A hook of MkDocs (`hooks:` in mkdocs.yml). The pages exist only in the built site.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from importlib.metadata import entry_points
 from inspect import cleandoc, getdoc
 from itertools import groupby
+from typing import Any, get_args, get_origin
 
 import click
 import typer
@@ -19,6 +21,7 @@ from pydantic.fields import FieldInfo
 from cairn import Component
 from cairn.bus.type_hash import definition, type_hash
 from cairn.cli.main import build
+from cairn.components.simulation.world_file import WorldFile
 from cairn.deployment.plugins import installed_plugins, load_plugin
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import ports_of
@@ -34,6 +37,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "reference/cli.md": _commands_page(),
         "reference/messages.md": _messages_page(),
         "reference/plugins.md": _plugins_page(),
+        "reference/campaigns.md": _campaigns_page(),
+        "reference/worlds.md": _worlds_page(),
     }
     for path, text in pages.items():
         files.append(File.generated(config, path, content=text))
@@ -120,6 +125,49 @@ def _plugin_section(name: str, cls: type[Component]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _campaigns_page() -> str:
+    parts = [
+        "# Campaigns\n\nThe faults and invariants of [campaigns](../how-to/campaign.md), with "
+        "their parameters.\n"
+    ]
+    for title, group in (("Faults", "cairn.faults"), ("Invariants", "cairn.invariants")):
+        parts.append(f"\n## {title}\n")
+        parts.extend(
+            _kind_section(entry.name, entry.load())
+            for entry in sorted(entry_points(group=group), key=lambda one: one.name)
+            if entry.dist is not None and entry.dist.name in PACKAGES
+        )
+    return "".join(parts)
+
+
+def _kind_section(name: str, cls: type[Any]) -> str:
+    lines = [f"\n### {name}\n", getdoc(cls) or ""]
+    rows = list(_parameters(cls.config_type, ""))
+    if rows:
+        lines += ["", *_table(("parameter", "default", "bounds", "meaning"), rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _worlds_page() -> str:
+    header = ("key", "default", "bounds", "meaning")
+    intro = (
+        "# World files\n\nThe keys of [files of simulated worlds]"
+        "(../how-to/simulation.md#write-a-world-file); `[]` is each element of a list.\n\n"
+    )
+    header = ("key", "default", "bounds", "meaning")
+    return intro + "\n".join(_table(header, list(_keys(WorldFile, "")))) + "\n"
+
+
+def _keys(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, str, str, str]]:
+    """Yield a row for each key of a model, and for those of the models in its lists."""
+    for name, field in model.model_fields.items():
+        yield f"`{prefix}{name}`", _default(field), bounds_text(field), field.description or ""
+        if get_origin(field.annotation) is list:
+            (element,) = get_args(field.annotation)
+            if isinstance(element, type) and issubclass(element, BaseModel):
+                yield from _keys(element, f"{prefix}{name}[].")
+
+
 def _parameters(config: type[BaseModel], prefix: str) -> Iterator[tuple[str, str, str, str]]:
     for name, field in config.model_fields.items():
         group = field.annotation
@@ -136,7 +184,7 @@ def _default(field: FieldInfo) -> str:
     return f"`{value:.7g}`" if isinstance(value, float) else f"`{value}`"
 
 
-def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> list[str]:
     cells = [
         [cleandoc(cell).replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows
     ]

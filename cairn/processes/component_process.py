@@ -437,7 +437,7 @@ class ComponentHost:
         """Ask the component to shut down."""
         self.send_request("shutdown")
 
-    def kill(self, log_limit_s: float) -> None:  # noqa: ARG002 - nothing is killed
+    def kill(self, _: float) -> None:
         """Raise `CairnError`: a thread cannot be killed; its whole process has to end."""
         raise CairnError(
             f"{self._name}: it runs in its supervisor's process and cannot be killed; "

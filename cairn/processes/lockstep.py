@@ -212,13 +212,7 @@ class LockstepScheduler:
         """Make `call` now, after what was posted before."""
         self._executor.at(self._executor.now(), partial(self._make, call))
 
-    def deliver(self, call: Callable[[], None]) -> None:
-        """Make `call` as `post` does."""
-        self.post(call)
-
-    def receive(self, call: Callable[[], None]) -> None:
-        """Make `call` as `post` does."""
-        self.post(call)
+    deliver = receive = post
 
     def wake_at(self, time: int) -> None:
         """Run the timers that are due at virtual time `time` [ns]."""

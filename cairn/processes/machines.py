@@ -25,7 +25,7 @@ from cairn.deployment.machines import (
 from cairn.deployment.model import Deployment, root_name
 from cairn.errors import CairnError
 from cairn.processes.child import ChildUnavailable
-from cairn.processes.clock_offset import ClockOffset, ClockOffsetFilter
+from cairn.processes.machine_clocks import ClockOffset, ClockOffsetFilter
 from cairn.processes.supervisor import ChildGroup, Supervisor
 from cairn.runtime.launch_request import RunContext
 from cairn.schemas.builtin_interfaces import from_ns, to_ns

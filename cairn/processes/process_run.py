@@ -71,11 +71,9 @@ class RunView(Protocol):
 
     def refresh(self) -> None:
         """Update what is shown; called every quarter of a second, or sooner."""
-        ...
 
     def finish(self) -> None:
         """Show the last events."""
-        ...
 
 
 @contextmanager

@@ -47,11 +47,9 @@ class Machines(Protocol):
 
     def silence(self, machine: str) -> str:
         """Return why a machine counts as lost, "" if it is up."""
-        ...
 
     def child(self, machine: str, name: str) -> MachineChild | None:
         """Return what the root of a machine has last reported of its child of that name."""
-        ...
 
     def request(
         self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
@@ -60,15 +58,12 @@ class Machines(Protocol):
 
         The future raises `ChildUnavailable` if it does not answer, `CairnError` if it refuses.
         """
-        ...
 
     def round_trip_s(self, machine: str) -> float | None:
         """Return how long the last exchange with a machine took [s]; None before the first."""
-        ...
 
     def wait_for_news(self, timeout_s: float) -> None:
         """Wait until a root reports something, at most `timeout_s` [s]."""
-        ...
 
 
 class RemoteChild:

@@ -147,7 +147,7 @@ class Supervisor(Component):
         """Stop the children that are left."""
         self.children.stop_all()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002
+    def on_error(self, _: Exception) -> bool:
         """Stop all children; do not recover."""
         self.children.stop_all()
         return False

@@ -117,7 +117,8 @@ class ExitLog:
 def log_reason(reason: str) -> None:
     """Write to standard error why this process ends, so that `ExitLog` finds it in its log."""
     try:
-        print(_closing_line(os.getpid(), reason), file=sys.stderr, flush=True)  # noqa: T201
+        sys.stderr.write(f"{_closing_line(os.getpid(), reason)}\n")
+        sys.stderr.flush()
     except OSError:  # a full disk; nothing may be flushed at exit, or the exit code would be lost
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 

@@ -31,6 +31,23 @@ class HokuyoScanner(Component):
 
     Configured, the sensor is connected and its laser off; active, it measures. If the sensor is
     unplugged, falls silent or sends impossible replies, the driver reports that and opens it again.
+
+    Angles: 0 is ahead, they increase to the left (REP 103).
+
+    Ranges follow REP 117. Beyond the sensor's limit or `range_max`: `+inf`. Values below the
+    sensor's minimum are error codes: on UTM and UST, 1 becomes `+inf` (nothing hit) and 2 becomes
+    `-inf` (too near); others become NaN. With `short_distances`, 4095 mm means "at least" and
+    becomes `+inf`.
+
+    The stamp is the time of the first ray in the message, in system time; ray i was measured `i *
+    time_increment` later. `calibrate_time` measures the sensor's computing time at each start
+    (command TM, 0.1 s, laser off). For a sensor without TM, set `time_offset_s`. A SCIP 1.1 sensor
+    has no clock: its stamps are accurate to about one turn.
+
+    A change of parameters restarts the stream. If a sensor lacks `intensity`, `multi_echo` or
+    `short_distances`, the driver continues without it. `diagnostics` reports that, damage, silence,
+    and a rate that differs by more than `rate_tolerance`. SCIP checksums have six bits: they miss
+    one of 64 lines with several wrong bytes. SCIP 1.1 has none.
     """
 
     live_parameters = frozenset(LIVE)

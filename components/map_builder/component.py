@@ -32,6 +32,7 @@ from cairn.components.map_builder.cell_messages import (
 )
 from cairn.components.map_builder.cell_record import Tiles
 from cairn.components.map_builder.config import MapBuilderConfig
+from cairn.components.map_builder.evidence_chain import explain
 from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates, grid_digest
 from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedChange
 from cairn.components.map_builder.landmark_messages import (
@@ -46,7 +47,6 @@ from cairn.components.map_builder.landmark_messages import (
 from cairn.components.map_builder.landmark_verdicts import Rule, judge
 from cairn.components.map_builder.other_robots import OtherRobots
 from cairn.components.map_builder.record_exchange import contributor_messages
-from cairn.components.map_builder.why import explain
 from cairn.components.map_builder.zone_keeper import CHANGES, ZoneKeeper
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map

@@ -78,6 +78,9 @@ class ObjectFinder(Component):
 
     A proposal becomes an object when an operator accepts it, or at once by the parameter `accept`.
     It needs two cameras, and the robot's pose.
+
+    A thing is proposed if it was recognized from at least `least_poses` poses, on `least_visits`
+    visits with `away_s` between them, always at one place, and never twice in an image.
     """
 
     live_parameters = frozenset({"accept"})

@@ -20,6 +20,19 @@ class PbsScanner(Component):
 
     Configured, the sensor has replied once; active, it measures. If it is unplugged or falls
     silent, the driver reports that and opens it again.
+
+    After eight unanswered requests the driver reports an error and opens the port again.
+
+    Ranges: below 0.2 m `-inf`, beyond `range_max` `+inf`, 0 is NaN. Rays run from right to left;
+    the 61st points ahead. Sellers state a step of 1.8 degrees (the default); Player's driver uses
+    360/204 degrees: `resolution: 0.0308`.
+
+    Answers contain no time. The driver assumes that the first ray is 0.15 s older than the request.
+    The error is at most 0.05 s plus the sensor's computing time; `time_offset_s` corrects a known
+    one.
+
+    Hokuyo has not published the protocol. The driver follows what Player's and Synapticon's drivers
+    agree on.
     """
 
     live_parameters = frozenset()

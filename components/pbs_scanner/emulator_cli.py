@@ -36,6 +36,8 @@ def pbs_03jn(
     """Emulate a PBS-03JN, which sends 121 distances over a link.
 
     For example: cairn emulate pbs-03jn --pty /tmp/scanner
+
+    It sends link code, link (three seconds) and distances.
     """
     with recording(record) as write:
         device = EmulatedPbs(

@@ -64,6 +64,9 @@ def roboclaw(
     """Emulate a Basicmicro RoboClaw with two motors and their encoders.
 
     For example: cairn emulate roboclaw --pty /tmp/base
+
+    Emulated are also a battery, the serial timeout, the packet timeout (10 ms), checksums and
+    32-bit counters; not buffered commands. Unplugging interrupts the line, not the motors.
     """
     device = EmulatedRoboclaw(
         version=version,

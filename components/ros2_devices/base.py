@@ -35,6 +35,24 @@ class Ros2Base(Component):
 
     The deployment names the base's topics: `topics: {base_cmd_vel: /cmd_vel, base_odom: /odom}`.
     While no odometry arrives, the base is not driven.
+
+    Commands are limited to `speed` and `turn` and repeated 20 times per second while they are
+    fresh. After `command_timeout_s` the driver commands rest for `rest_s`, then sends nothing, so
+    that a joystick can control the base. Without valid odometry for `odom_timeout_s` it commands
+    rest. After a restart, the base moves only after one command to rest, or after commands have
+    ceased once.
+
+    The log and `diagnostics` report odometry that is rejected:
+
+    - frames other than `odom_frame` and `base_frame`; `odom` and `base_link` are published;
+    - messages older than `odom_age_s` or from the future: synchronize the clocks, or set
+      `stamp_on_arrival: true` for a base without a clock;
+    - duplicates; late messages that contradict the poses of their time or are more than 0.5 s late;
+    - values that are not finite, and orientations that are not of length 1; a tilted orientation is
+      projected to the plane.
+
+    Jumps faster than twice `speed` or `turn`, or a return to the origin after silence, mean that
+    the base was restarted; poses continue from the last one.
     """
 
     live_parameters = frozenset()

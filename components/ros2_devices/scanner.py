@@ -25,6 +25,16 @@ class Ros2Scanner(Component):
     """Publishes the checked scans of a scanner that a ROS 2 node drives.
 
     The deployment names the node's topic: `topics: {source_scan: /scan}`.
+
+    Ranges are as in REP 117; 0 counts as NaN. The driver rejects scans
+
+    - of another frame than `source_frame`;
+    - without ranges, with more than 10,000, over more than a full turn, or with fields that
+      contradict each other;
+    - whose sweep takes more than 1 s: correct `time_increment`;
+    - older than `age_s` or from the future: synchronize the clocks, or set `stamp_on_arrival: true`
+      for a node without a clock;
+    - that arrive twice or out of order: a second node publishes the topic.
     """
 
     live_parameters = frozenset()

@@ -35,6 +35,13 @@ class Recorder(Component):
 
     Requests: `trigger` (with `reason`, if it keeps only the last seconds), `split`, `pause`,
     `resume`, `status`. Whatever happens to its disk, it fails no other component.
+
+    The file has a channel for each topic and publisher, with the metadata `node`, `gid`,
+    `type_hash`, `offered_qos_profiles` and `latched`. A message's `sequence` counts the publisher's
+    messages from 1; `publish_time` is when it was sent, `log_time` when it arrived, at most 20 ms
+    late. Schemas are `ros2msg`, empty for a type that Cairn does not know. Attachments:
+    `deployment.json`, `parameters.json`, `run.json` (seed, robot, domain), `versions.json`.
+    Metadata: `cairn` (version of this format; trigger), `cairn_losses`.
     """
 
     live_parameters = frozenset()

@@ -186,6 +186,9 @@ class SimulatedBase(Component):
 
     Publishes odometry and the transform from `odom` to `base_link`; stamps are the times of the
     measurements, also of messages that are delayed. The wheels stop when commands become stale.
+
+    Simulated are limits, the delay of commands, and odometry with scale errors and random walks,
+    late (`odometry_delay_s`) or lost (`odometry_loss`).
     """
 
     # The errors are drawn when the base is configured.

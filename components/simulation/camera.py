@@ -197,6 +197,11 @@ class SimulatedStereoCamera(WorldSensor):
     """Photograph the simulated world in perspective, as a stereo pair with a horizontal view.
 
     Both images of a pair and their camera infos have the time of the middle of the exposure.
+
+    Images are gray, with lens distortion, changing light, blur, noise and faults. `light`, `sensor`
+    and `fault` can change at run time. Not simulated: motion blur of straight driving, rolling
+    shutter, pitch, roll, shadows, reflections and color. Objects of 0.5 m are recognized up to
+    about 5 m from the front, and up to 3 m at 60 degrees.
     """
 
     live_parameters = frozenset(LIVE)

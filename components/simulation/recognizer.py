@@ -120,7 +120,10 @@ def _is_visible(
 
 
 class SimulatedRecognizer(WorldSensor):
-    """Recognize the objects of the simulated world by geometry, five times per second."""
+    """Recognize the objects of the simulated world by geometry, five times per second.
+
+    Simulated are field of view, occlusion, misses and false matches.
+    """
 
     config: SimulatedRecognizerConfig
 

@@ -126,6 +126,9 @@ class SimulatedWorld(Component):
 
     Publishes the layout (`world_geometry`) and what moves (`world_state`) for the drivers; reports
     collisions.
+
+    The robot is round, its wheels may slip, and contacts stop it. People stop before the robot, and
+    walk around it after 4 s; they do not avoid each other.
     """
 
     # A world is changed by requests, not by parameters.

@@ -44,8 +44,16 @@ from cairn.system.working_copy import is_reusable
 class GraphKeeper(Component):
     """Keeps the graph of the map up to date while localizer and map builder work on the grid map.
 
-    Where the map builder has repaired the grid map for good, scans of the place go into the graph,
-    and what it had there is retired.
+    Where the map builder has repaired the grid map permanently, scans of the place go into the
+    graph, and what it had there is retired.
+
+    If the obstacles of the grid map differ from those of the graph for `permanent_s`, and scans
+    with reliable poses still show the difference, these scans become part of the graph. The time
+    goes on while the robot is off. There, only these and later scans count, in patches of 0.1 m. An
+    obstacle that a user has drawn into the grid map, such as glass, stays in the grid map alone.
+
+    The graph has at most `keyframes_per_m2` keyframes per known square meter, and as many retired
+    ones.
     """
 
     # A graph cannot be replaced while it is in use.

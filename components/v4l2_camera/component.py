@@ -49,6 +49,19 @@ class V4l2StereoCamera(Component):
 
     It publishes the newest images, gray and not rectified. Both images of a pair have the stamp of
     the left one: its capture time by the kernel. It waits for a camera that is unplugged.
+
+    `diagnostics` reports, in addition to what all drivers report:
+
+    - no usable image for `silence_s`, at least 4 periods (error): the driver restarts the stream,
+      and after three failures opens the device again;
+    - damaged or incomplete images: `marked`, `short`, `damaged`; a damaged JPEG that still decodes
+      to its end is not detected;
+    - gaps in the image numbers: `lost`; images that this computer was too slow for: `dropped`;
+    - a missing camera (error): without the right one, left images are published;
+    - another camera that returns, with other formats, sizes or controls (error): no images;
+    - a rate a tenth below the agreed one (warning): in the dark, set `exposure_dynamic_framerate:
+      0`;
+    - images whose kernel time is not usable: `unstamped`; they have the arrival time.
     """
 
     live_parameters = frozenset(LIVE)

@@ -22,8 +22,8 @@ import yaml
 from numpy.typing import NDArray
 
 from cairn import In, Out, every, on
+from cairn.bus.bus import Subscription
 from cairn.bus.exclusive import Exclusive
-from cairn.bus.lockstep_bus import LockstepSubscription
 from cairn.bus.qos import SENSOR
 from cairn.components.simulation.base import SimulatedBaseConfig
 from cairn.components.velocity_gate.collision_monitor import allowed_share
@@ -87,7 +87,7 @@ class GatedRobot(DeploymentHarness):
         self.collisions = self.read("collisions", Collision).messages
         self.scans = self.read("scan", LaserScan).messages
         self.commands: list[tuple[int, float, float]] = []
-        self._gate: LockstepSubscription | None = None
+        self._gate: Subscription | None = None
         self._gate = self.bus.node("/robot/reader", _ignore).subscribe(
             "/robot/cmd_vel", Twist, SENSOR, self._note, Exclusive("/robot/velocity_gate")
         )

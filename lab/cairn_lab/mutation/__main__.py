@@ -38,6 +38,18 @@ from cairn_lab.mutation.faults import (
 )
 
 _MARK = "CAIRN_MUTATION"
+_PYTEST = [
+    sys.executable,
+    "-m",
+    "pytest",
+    "-x",
+    "-q",
+    "-p",
+    "no:cacheprovider",
+    "-m",
+    "not accuracy",
+]
+"""Only the tests of `make test` count."""
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.*?)(?:\[.*| - .*)?$", re.MULTILINE)
 # `cairn` contains components, schemas, supervisors and deploy by symbolic links to folders next to
 # it; the copy keeps these links.
@@ -130,13 +142,14 @@ class Scratch:
 
     def _first_failed(self, tests: Sequence[str], cache: Path) -> str:
         """Return the first test that fails, `timeout` or `none`."""
-        pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
         try:
-            output = self._run(pytest, str(self.root), cache)
+            output = self._run([*_PYTEST, *tests], str(self.root), cache)
         except subprocess.TimeoutExpired:
             return "timeout"
         found = _FAILED.search(output)
-        if found is None and not re.search(r"^\d+ (passed|skipped)", output, re.MULTILINE):
+        if found is None and not re.search(
+            r"^\d+ (passed|skipped|deselected)", output, re.MULTILINE
+        ):
             return tests[0]  # pytest itself crashed
         return NO_TEST if found is None else found[1]
 

@@ -2,7 +2,7 @@
 
 A small library, preloaded into `cairn up` and so into all its processes, adds an offset to the
 system time that they read. The computer's clock stays as it is, and so does the monotonic clock.
-It is compiled here from `clock_offset.c`, because libfaketime, which does the same, has
+It is compiled here from `stepped_clock.c`, because libfaketime, which does the same, has
 `time.sleep` fail if it leaves the monotonic clock as it is (0.9.10: clock_nanosleep with an
 absolute time returns EINVAL).
 """
@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Final
 
 from cairn.system.clock import SECOND
-from cairn_lab.campaign.faults import SkippedFault
+from cairn_lab.campaign.fault import SkippedFault
 
-_SOURCE: Final = Path(__file__).with_name("clock_offset.c")
+_SOURCE: Final = Path(__file__).with_name("stepped_clock.c")
 _COMPILER: Final = "cc"
 _LIMIT_S: Final = 60.0
 _PRELOAD: Final = "LD_PRELOAD"
@@ -36,7 +36,7 @@ class Clocks:
         """
         self._offsets_ns = dict.fromkeys(machines, 0)
         self._folder = folder.absolute()
-        self._library = self._folder / "clock_offset.so"
+        self._library = self._folder / "stepped_clock.so"
         self._problem = _compile(self._library) if machines else "no fault has `needs_clocks`"
         for machine in machines:
             self._write(machine)

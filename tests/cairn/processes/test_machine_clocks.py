@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cairn.processes.clock_offset import ClockOffset, ClockOffsetFilter
+from cairn.processes.machine_clocks import ClockOffset, ClockOffsetFilter
 
 MS = 1_000_000
 delays = st.integers(0, 200 * MS)

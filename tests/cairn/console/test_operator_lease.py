@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import pytest
 
 from cairn import SECOND, CairnError
-from cairn.console.steering import ANSWER_S, Operator, OperatorLeases
+from cairn.console.operator_lease import ANSWER_S, Operator, OperatorLeases
 from cairn.console.teleoperation import END_AFTER_NS, LATEST_NS, STOP_AFTER_NS, DeadMan, Driver
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order

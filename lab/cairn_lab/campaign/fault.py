@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
-from cairn_lab.campaign.kinds import KindGroup
+from cairn_lab.campaign.entry_points import KindGroup
 
 if TYPE_CHECKING:
     from cairn_lab.campaign.robot import CampaignRobot
