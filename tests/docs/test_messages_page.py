@@ -41,7 +41,7 @@ def test_commands_of_the_page_print_what_it_shows(
     user = shell(tmp_path, tmp_path)
 
     consoles = [block.text for block in page_blocks(PAGE) if block.language == "console"]
-    assert len(consoles) == 3
+    assert len(consoles) == 2
     for text in consoles:
         command, _, expected = text.removeprefix("$ cairn ").partition("\n")
         status = int(expected.startswith("cairn:"))
