@@ -35,7 +35,7 @@ MOST_SECONDS: Final = 5.0
 _ADDRESS_SPACE: Final = 4 << 30  # libraries and threads take 1.5 GB of it, a bomb the rest
 _KILLED_AFTER_S: Final = 12 * MOST_SECONDS  # of real time, also on a machine that is busy
 _MODULES: Final = (
-    "components.replay.open_recording",
+    "components.replay_devices.open_recording",
     "components.simulation.textures",
     "components.slam.graph_history",
     "components.simulation.world_file",
@@ -121,7 +121,7 @@ def _picture(file: Path) -> None:
 
 
 def _video(file: Path) -> None:
-    from cairn.components.replay.open_recording import open_recording
+    from cairn.components.replay_devices.open_recording import open_recording
 
     images = open_recording(file, image_rate_hz=25.0).images()
     assert images is not None
@@ -130,7 +130,7 @@ def _video(file: Path) -> None:
 
 
 def _recording(path: Path) -> None:
-    from cairn.components.replay.open_recording import open_recording
+    from cairn.components.replay_devices.open_recording import open_recording
 
     recording = open_recording(path)
     recording.scans()

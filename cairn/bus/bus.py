@@ -1,12 +1,16 @@
 """The contract of a bus, which the Zenoh bus and the lockstep bus both implement."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from cairn.bus.exclusive import Exclusive
+from cairn.bus.message_limits import default_max_bytes
 from cairn.bus.qos import Qos
 from cairn.errors import CairnError
 from cairn.schemas.message import Service
+
+End = TypeVar("End", bound="Publisher | Subscription | ServiceServer | ServiceClient")
 
 
 class MessageId(NamedTuple):
@@ -22,12 +26,10 @@ class Publisher(Protocol):
     @property
     def gid(self) -> bytes:
         """Its identity on the bus: 16 bytes."""
-        ...
 
     @property
     def published(self) -> int:
         """Number of messages handed to the bus so far."""
-        ...
 
     @property
     def has_subscribers(self) -> bool:
@@ -35,18 +37,15 @@ class Publisher(Protocol):
 
         The last message of a latched topic is delivered to later subscribers, too.
         """
-        ...
 
     def publish(self, message: Any) -> int:
         """Send one message; never waits for a subscriber.
 
         Returns the message's sequence number; 0 if it was not sent, as nothing subscribes to it.
         """
-        ...
 
     def close(self) -> None:
         """Stop publishing and withdraw the publisher from the graph."""
-        ...
 
 
 class Subscription(Protocol):
@@ -55,38 +54,31 @@ class Subscription(Protocol):
     @property
     def received(self) -> int:
         """Number of messages taken so far."""
-        ...
 
     @property
     def dropped(self) -> int:
         """Number of messages sent after the first one received here, and never taken."""
-        ...
 
     @property
     def invalid(self) -> int:
         """Number of messages that were too long, or could not be decoded to a valid message."""
-        ...
 
     @property
     def refused(self) -> int:
         """Number of messages of publishers that are not entitled to an exclusive topic."""
-        ...
 
     @property
     def taken(self) -> MessageId | None:
         """Which message was taken last; None before, and if its publisher does not number them."""
-        ...
 
     def take(self) -> Any | None:
         """Remove and return the oldest pending message; None if there is none.
 
         Raises `InvalidMessage` for a message that does not decode, which is counted and discarded.
         """
-        ...
 
     def close(self) -> None:
         """Stop receiving and discard the pending messages."""
-        ...
 
 
 class ServiceError(CairnError):
@@ -105,11 +97,9 @@ class Call(Protocol):
 
     def reply(self, response: Any) -> None:
         """Answer; raises `TypeError` if it is not of the service's response class."""
-        ...
 
     def refuse(self, reason: str) -> None:
         """Answer with an error, which the client's program gets as `ServiceError`."""
-        ...
 
 
 class ServiceServer(Protocol):
@@ -118,28 +108,23 @@ class ServiceServer(Protocol):
     @property
     def received(self) -> int:
         """Number of calls taken so far."""
-        ...
 
     @property
     def invalid(self) -> int:
         """Number of calls whose request could not be decoded to a valid message."""
-        ...
 
     @property
     def refused(self) -> int:
         """Number of calls refused because they were too long, or too many waited."""
-        ...
 
     def take(self) -> Call | None:
         """Remove and return the oldest pending call; None if there is none.
 
         Raises `InvalidMessage` if its request is not valid, after having answered it.
         """
-        ...
 
     def close(self) -> None:
         """Stop serving; the pending calls are refused."""
-        ...
 
 
 class ServiceClient(Protocol):
@@ -148,17 +133,14 @@ class ServiceClient(Protocol):
     @property
     def gid(self) -> bytes:
         """Its identity on the bus: 16 bytes."""
-        ...
 
     @property
     def sent(self) -> int:
         """Number of calls so far."""
-        ...
 
     @property
     def is_available(self) -> bool:
         """Whether there is a server, as far as this process knows."""
-        ...
 
     def call(
         self,
@@ -172,15 +154,57 @@ class ServiceClient(Protocol):
         One of the functions is called later, through the client's `post`: with the response, or
         with what prevented it. After `close`, neither is.
         """
-        ...
 
     def close(self) -> None:
         """Stop calling; answers that arrive later are ignored."""
-        ...
 
 
-class Node(Protocol):
+class PublisherOptions(NamedTuple):
+    """What a node publishes: the arguments of `Node.advertise`."""
+
+    topic: str
+    message: type[Any]
+    qos: Qos
+    exclusive: Exclusive | None
+    shared: bool
+
+
+class SubscriptionOptions(NamedTuple):
+    """What a node subscribes to: the arguments of `Node.subscribe`."""
+
+    topic: str
+    message: type[Any]
+    qos: Qos
+    wake: Callable[[], None]
+    exclusive: Exclusive | None
+    max_bytes: int
+
+
+class ServerOptions(NamedTuple):
+    """What a node serves: the arguments of `Node.serve`."""
+
+    name: str
+    service: type[Service[Any, Any]]
+    wake: Callable[[], None]
+    max_bytes: int
+    invalid_response: Any
+    is_private: bool
+
+
+class ClientOptions(NamedTuple):
+    """What a node calls: the arguments of `Node.client`."""
+
+    name: str
+    service: type[Service[Any, Any]]
+    post: Callable[[Callable[[], None]], None]
+    deliver: Callable[[Callable[[], None]], None]
+
+
+class Node(ABC):
     """One component on the bus; its name and ports are visible in the graph."""
+
+    def __init__(self) -> None:
+        self._ends: list[Publisher | Subscription | ServiceServer | ServiceClient] = []
 
     def advertise(
         self,
@@ -197,7 +221,8 @@ class Node(Protocol):
         a topic that is `shared`, on which every component publishes, it does not report nodes that
         use another type: a program that announces thousands there would burden all of them.
         """
-        ...
+        options = PublisherOptions(topic, message, qos, exclusive, shared)
+        return self._opened(self._open_publisher(options))
 
     def subscribe(
         self,
@@ -214,7 +239,9 @@ class Node(Protocol):
         `exclusive`, only the messages of the entitled writer become pending. A message longer than
         `max_bytes`, by default that of its class (`default_max_bytes`), is rejected as invalid.
         """
-        ...
+        limit = default_max_bytes(message) if max_bytes is None else max_bytes
+        options = SubscriptionOptions(topic, message, qos, wake, exclusive, limit)
+        return self._opened(self._open_subscription(options))
 
     def serve(
         self,
@@ -235,7 +262,9 @@ class Node(Protocol):
         `/robot/localizer/get_parameters`, shares what it needs with the node's others of the same
         package: it is called rarely, and every node has many.
         """
-        ...
+        limit = default_max_bytes(service.Request) if max_bytes is None else max_bytes
+        options = ServerOptions(name, service, wake, limit, invalid_response, is_private)
+        return self._opened(self._open_server(options))
 
     def client(
         self,
@@ -249,11 +278,34 @@ class Node(Protocol):
         An answer may also arrive through `deliver`, from a thread that may make the call itself,
         which takes less time.
         """
-        ...
+        options = ClientOptions(name, service, post, deliver or post)
+        return self._opened(self._open_client(options))
 
     def close(self) -> None:
         """Leave the bus and close all publishers, subscriptions, servers and clients."""
-        ...
+        for end in self._ends:
+            end.close()
+        self._ends.clear()
+
+    def _opened(self, end: End) -> End:
+        self._ends.append(end)
+        return end
+
+    @abstractmethod
+    def _open_publisher(self, options: PublisherOptions) -> Publisher:
+        """Begin to publish."""
+
+    @abstractmethod
+    def _open_subscription(self, options: SubscriptionOptions) -> Subscription:
+        """Begin to receive."""
+
+    @abstractmethod
+    def _open_server(self, options: ServerOptions) -> ServiceServer:
+        """Begin to serve."""
+
+    @abstractmethod
+    def _open_client(self, options: ClientOptions) -> ServiceClient:
+        """Prepare calls."""
 
 
 class Bus(Protocol):
@@ -273,14 +325,12 @@ class Bus(Protocol):
         `report`, is called likewise when the QoS of another node does not match, or it has the
         same name.
         """
-        ...
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until this process and all others on the bus know each other's declarations.
 
         Returns the processes that were not reached within the timeout, such as "process 4711".
         """
-        ...
 
 
 def full_name(robot: str, topic: str) -> str:

@@ -10,7 +10,7 @@ follow, and sequences of messages that are much larger in memory than on the wir
 import struct
 import threading
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any, Final, TypeVar, cast
 
@@ -226,23 +226,18 @@ class _Store:
         return message
 
 
+@dataclass(eq=False)
 class _Definition:
     """The code for CDR of one type, generated when it is first used.
 
     Its names are those of `rosbags.interfaces.Msgdef`, which has code for more formats.
     """
 
-    def __init__(
-        self,
-        name: str,
-        fields: list[tuple[str, FieldDesc]],
-        make: Callable[..., Any],
-        store: _Store,
-    ) -> None:
-        self.name = name
-        self.fields = fields
-        self.cls: Any = make
-        self._store: Any = store
+    name: str
+    fields: list[tuple[str, FieldDesc]]
+    cls: Any
+    """Makes a message of its fields in order."""
+    _store: Any
 
     @cached_property
     def _size(self) -> tuple[CDRSerSize, int]:

@@ -10,7 +10,7 @@ from typing import Any, Final
 from pydantic import BaseModel, ConfigDict
 
 from cairn.errors import CairnError
-from cairn.system.files import explain_os_error
+from cairn.system.files import explain_os_error, explained
 
 _LONGEST_PASSWORD: Final = 1024  # bytes
 _TLS_BUFFER: Final = 16 << 20
@@ -83,7 +83,7 @@ class Credentials(BaseModel):
                 login["dictionary_file"] = str(own_dictionary)
             settings["transport/auth/usrpwd"] = login
             # In zenoh 1.10 two sessions that authenticate each other and connect at the same time
-            # may both close the other's link, for good; so only one of the two connects.
+            # may both close the other's link permanently; so only one of the two connects.
             one_side = {"peer": {"to_router": "always", "to_peer": "greater-zid"}}
             settings["scouting/gossip/autoconnect_strategy"] = one_side
         if self.ca is not None:
@@ -137,13 +137,11 @@ def write_dictionary(path: Path, passwords: dict[str, str]) -> None:
 
 def check_readable(path: Path) -> None:
     """Raise `CairnError` unless a path is a file that this user may read."""
-    try:
+    with explained(f"{path}: it cannot be read"):
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             raise CairnError(f"{path}: it is not a file; name the file")
         os.close(os.open(path, os.O_RDONLY | os.O_NONBLOCK))
-    except OSError as error:
-        raise CairnError(f"{path}: it cannot be read: {explain_os_error(error)}") from error
 
 
 def check_pair(certificate: Path, key: Path) -> None:

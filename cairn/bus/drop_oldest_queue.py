@@ -20,7 +20,7 @@ class DropOldestQueue(Generic[T]):
 
     `put` and `take` are atomic, for two threads: if a take came between the removal of the oldest
     message and the arrival of the newest, it would use up the last wake-up, and the topic would
-    stall for good.
+    stall forever.
     """
 
     def __init__(self, depth: int, max_bytes: int) -> None:

@@ -1,26 +1,31 @@
 """The bus in memory: hands over messages as objects, in order, for lockstep runs and tests."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 from cairn.bus import keys
-from cairn.bus.bus import MessageId
+from cairn.bus.bus import (
+    ClientOptions,
+    MessageId,
+    Node,
+    PublisherOptions,
+    ServerOptions,
+    SubscriptionOptions,
+)
 from cairn.bus.conflicts import type_conflict
 from cairn.bus.drop_oldest_queue import DropOldestQueue
-from cairn.bus.exclusive import Exclusive, RefusalLog
+from cairn.bus.exclusive import RefusalLog
 from cairn.bus.lockstep_services import LockstepClient, LockstepServer
 from cairn.bus.message_limits import (
     FIXED_BYTES,
     PENDING_BYTES,
     PublisherLog,
-    default_max_bytes,
     has_fixed_size,
     length_of,
     too_long,
 )
-from cairn.bus.qos import Qos
-from cairn.schemas.message import Service, type_name
+from cairn.schemas.message import type_name
 
 End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
 
@@ -61,105 +66,45 @@ class LockstepBus:
         return self._topics.setdefault(name, _LockstepTopic(name))
 
 
-class LockstepNode:
+class LockstepNode(Node):
     """One component on the lockstep bus."""
 
     def __init__(self, bus: LockstepBus, name: str, report: Callable[[str], None]) -> None:
+        super().__init__()
         self.name = name
         self.report = report
         self.bus = bus
-        self._ends: list[
-            LockstepPublisher | LockstepSubscription | LockstepServer | LockstepClient
-        ] = []
 
-    def advertise(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        exclusive: Exclusive | None = None,
-        *,
-        shared: bool = False,
-    ) -> "LockstepPublisher":
-        """Return a publisher of class `message` on `topic`."""
-        end = LockstepPublisher(self, self.bus.topic(topic), message, qos, self.bus.taps)
-        self._ends.append(end)
-        return end
+    def _open_publisher(self, options: PublisherOptions) -> "LockstepPublisher":
+        return LockstepPublisher(self, options)
 
-    def subscribe(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        wake: Callable[[], None],
-        exclusive: Exclusive | None = None,
-        max_bytes: int | None = None,
-    ) -> "LockstepSubscription":
-        """Return a subscription to class `message` on `topic`; latched messages pend at once."""
-        limit = default_max_bytes(message) if max_bytes is None else max_bytes
-        end = LockstepSubscription(
-            self, self.bus.topic(topic), message, qos, wake, exclusive, limit
-        )
-        self._ends.append(end)
-        return end
+    def _open_subscription(self, options: SubscriptionOptions) -> "LockstepSubscription":
+        return LockstepSubscription(self, options)
 
-    def serve(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        wake: Callable[[], None],
-        max_bytes: int | None = None,
-        invalid_response: Any = None,
-        *,
-        is_private: bool = False,
-    ) -> LockstepServer:
-        """Return a server of the service `name`."""
-        server = LockstepServer(self, name, service, wake, max_bytes)
-        self._ends.append(server)
-        return server
+    def _open_server(self, options: ServerOptions) -> LockstepServer:
+        return LockstepServer(self, options)
 
-    def client(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None] | None = None,
-    ) -> LockstepClient:
-        """Return a client of the service `name`."""
-        client = LockstepClient(self, name, service, post)
-        self._ends.append(client)
-        return client
-
-    def close(self) -> None:
-        """Leave the bus and close all publishers, subscriptions, servers and clients."""
-        for end in self._ends:
-            end.close()
-        self._ends.clear()
+    def _open_client(self, options: ClientOptions) -> LockstepClient:
+        return LockstepClient(self, options)
 
 
 class LockstepPublisher:
     """Publishes on one topic in memory."""
 
-    def __init__(
-        self,
-        node: LockstepNode,
-        topic: "_LockstepTopic",
-        message: type[Any],
-        qos: Qos,
-        taps: Sequence[Callable[["LockstepPublisher", Any], None]],
-    ) -> None:
+    def __init__(self, node: LockstepNode, options: PublisherOptions) -> None:
         self.node = node
-        self.topic = topic.name
-        self.message = message
-        self.qos = qos
+        self.topic = options.topic
+        self.message = options.message
+        self.qos = options.qos
         self.published = 0
-        self.gid = keys.gid(f"{node.name} {topic.name}")
+        self.gid = keys.gid(f"{node.name} {self.topic}")
         self.sequence = 0  # of the last message
-        self._taps = taps
+        self._taps = node.bus.taps
         self._closed = False
-        self.latched: deque[tuple[Any, MessageId]] = deque(maxlen=qos.depth if qos.latched else 0)
-        self._topic = topic
-        topic.join(self, topic.publishers)
+        kept = self.qos.depth if self.qos.latched else 0
+        self.latched: deque[tuple[Any, MessageId]] = deque(maxlen=kept)
+        self._topic = node.bus.topic(self.topic)
+        self._topic.join(self, self._topic.publishers)
 
     @property
     def has_subscribers(self) -> bool:
@@ -193,21 +138,13 @@ class LockstepPublisher:
 class LockstepSubscription:
     """Receives from one topic in memory."""
 
-    def __init__(
-        self,
-        node: LockstepNode,
-        topic: "_LockstepTopic",
-        message: type[Any],
-        qos: Qos,
-        wake: Callable[[], None],
-        exclusive: Exclusive | None,
-        max_bytes: int,
-    ) -> None:
+    def __init__(self, node: LockstepNode, options: SubscriptionOptions) -> None:
+        name, message, qos, self._wake, exclusive, max_bytes = options
         self.node = node
         self.message = message
         self.received = 0
         self.invalid = 0
-        self._topic = topic
+        self._topic = topic = node.bus.topic(name)
         self._max_bytes = max_bytes
         self._always_fits = has_fixed_size(message) and max_bytes >= FIXED_BYTES
         self._long_messages = PublisherLog(node.report)
@@ -215,7 +152,6 @@ class LockstepSubscription:
         self._pending: DropOldestQueue[tuple[Any, MessageId]] = DropOldestQueue(
             qos.depth, PENDING_BYTES
         )
-        self._wake = wake
         self._refusals = RefusalLog(topic.name, exclusive, node.report) if exclusive else None
         topic.join(self, topic.subscriptions)
         if qos.latched:

@@ -6,11 +6,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cairn.bus import keys
-from cairn.bus.bus import ServiceError
+from cairn.bus.bus import ClientOptions, ServerOptions, ServiceError
 from cairn.bus.conflicts import type_conflict
-from cairn.bus.message_limits import default_max_bytes, length_of
+from cairn.bus.message_limits import length_of
 from cairn.bus.services import MOST_PENDING
-from cairn.schemas.message import Service, type_name
+from cairn.schemas.message import type_name
 from cairn.system.clock import SECOND
 
 if TYPE_CHECKING:
@@ -20,24 +20,17 @@ if TYPE_CHECKING:
 class LockstepServer:
     """Receives the calls of one service in memory."""
 
-    def __init__(
-        self,
-        node: "LockstepNode",
-        name: str,
-        service: type[Service[Any, Any]],
-        wake: Callable[[], None],
-        max_bytes: int | None,
-    ) -> None:
+    def __init__(self, node: "LockstepNode", options: ServerOptions) -> None:
         self.node = node
-        self.name = name
-        self.service = service
+        self.name = options.name
+        self.service = options.service
         self.received = 0
         self.invalid = 0
         self.refused = 0
-        self._max_bytes = default_max_bytes(service.Request) if max_bytes is None else max_bytes
-        self._wake = wake
+        self._max_bytes = options.max_bytes
+        self._wake = options.wake
         self._pending: deque[LockstepCall] = deque()
-        self._servers = node.bus.servers.setdefault(name, [])
+        self._servers = node.bus.servers.setdefault(self.name, [])
         for other in self._servers:
             report_conflict(self, other)
         self._servers.append(self)
@@ -100,22 +93,16 @@ class LockstepCall:
 class LockstepClient:
     """Calls one service in memory."""
 
-    def __init__(
-        self,
-        node: "LockstepNode",
-        name: str,
-        service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],
-    ) -> None:
+    def __init__(self, node: "LockstepNode", options: ClientOptions) -> None:
         self.node = node
-        self.name = name
-        self.service = service
+        self.name = options.name
+        self.service = options.service
         self.sent = 0
-        self.gid = keys.gid(f"{node.name} {name} client")
+        self.gid = keys.gid(f"{node.name} {self.name} client")
         self._bus: LockstepBus = node.bus
-        self._post = post
+        self._post = options.post
         self._closed = False
-        for server in self._bus.servers.get(name, ()):
+        for server in self._bus.servers.get(self.name, ()):
             report_conflict(self, server)
 
     @property

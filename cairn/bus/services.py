@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import zenoh
 
 from cairn.bus import keys
-from cairn.bus.bus import ServiceError
+from cairn.bus.bus import ServerOptions, ServiceError
 from cairn.bus.codec import Codec
 from cairn.bus.message_limits import (
     PENDING_BYTES,
@@ -50,17 +50,8 @@ _MANY_REPLIES: Final = "too many answers wait to be sent; call again later"
 class ZenohServer:
     """Receives the calls of one service; keeps them in order until the component takes them."""
 
-    def __init__(
-        self,
-        node: "ZenohNode",
-        name: str,
-        service: type[Service[Any, Any]],
-        wake: Callable[[], None],
-        max_bytes: int | None,
-        invalid_response: Any,
-        *,
-        is_private: bool,
-    ) -> None:
+    def __init__(self, node: "ZenohNode", options: ServerOptions) -> None:
+        name, service, wake, max_bytes, invalid_response, is_private = options
         self.received = 0
         self.invalid = 0
         self.refused = 0
@@ -70,7 +61,7 @@ class ZenohServer:
         self._codec = node.bus.codec
         self._wake = wake
         self._invalid_response = invalid_response
-        self._max_bytes = default_max_bytes(self._request) if max_bytes is None else max_bytes
+        self._max_bytes = max_bytes
         self._pending = _PendingQueries()
         self._replies = ReplyThread(f"{name.rpartition('/')[2]} replies")
         if not is_private:  # those of every node are rarely called: their codecs would take memory

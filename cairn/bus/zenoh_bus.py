@@ -20,19 +20,25 @@ from zenoh.ext import (
 )
 
 from cairn.bus import keys
-from cairn.bus.bus import MessageId
+from cairn.bus.bus import (
+    ClientOptions,
+    MessageId,
+    Node,
+    PublisherOptions,
+    ServerOptions,
+    SubscriptionOptions,
+)
 from cairn.bus.codec import Codec
 from cairn.bus.conflicts import endpoint_qos_mismatch, endpoint_type_conflict
 from cairn.bus.discovery import DiscoveryBarrier
 from cairn.bus.drop_oldest_queue import DropOldestQueue, LossCounter
-from cairn.bus.exclusive import Exclusive, RefusalLog, Refused, Signer, Verifier
+from cairn.bus.exclusive import RefusalLog, Refused, Signer, Verifier
 from cairn.bus.graph import GraphWatcher
 from cairn.bus.message_limits import (
     DEFAULT_LIMITS,
     PENDING_BYTES,
     MessageLimits,
     PublisherLog,
-    default_max_bytes,
     is_bulk,
     ring_length,
     too_long,
@@ -110,7 +116,7 @@ class ZenohBus:
         close_session(self.session, _CLOSE_LIMIT_S)
 
 
-class ZenohNode:
+class ZenohNode(Node):
     """One component on the bus: a ROS 2 node with its endpoints."""
 
     def __init__(
@@ -120,85 +126,36 @@ class ZenohNode:
         report: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
+        super().__init__()
         self.bus = bus
         self.name = name
+        self.report = report
+        """Receives errors about conflicting types and rejected messages."""
         zid = str(bus.session.info.zid())
         self._entity = keys.NodeEntity(bus.domain, zid, bus.next_id(), name)
-        self._ends: list[ZenohPublisher | ZenohSubscription | ZenohServer | ZenohClient] = []
         self._private: dict[str, PrivateQueries] = {}
         self._closed = False
-        self._report = report
         self._warn = warn
         self._namesakes = PublisherLog(warn)
         self._stop_watching = bus.graph.watch_nodes(name, self._on_node)
         self._token = bus.session.liveliness().declare_token(keys.token_key(self._entity))
 
-    @property
-    def report(self) -> Callable[[str], None]:
-        """Receives errors about conflicting types and rejected messages."""
-        return self._report
+    def _open_publisher(self, options: PublisherOptions) -> "ZenohPublisher":
+        return ZenohPublisher(self, options)
 
-    def advertise(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        exclusive: Exclusive | None = None,
-        *,
-        shared: bool = False,
-    ) -> "ZenohPublisher":
-        """Return a publisher of class `message` on `topic`, which signs if it is exclusive."""
-        publisher = ZenohPublisher(self, topic, message, qos, exclusive, shared=shared)
-        self._ends.append(publisher)
-        return publisher
+    def _open_subscription(self, options: SubscriptionOptions) -> "ZenohSubscription":
+        return ZenohSubscription(self, options)
 
-    def subscribe(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        wake: Callable[[], None],
-        exclusive: Exclusive | None = None,
-        max_bytes: int | None = None,
-    ) -> "ZenohSubscription":
-        """Return a subscription to class `message` on `topic`."""
-        limit = default_max_bytes(message) if max_bytes is None else max_bytes
-        subscription = ZenohSubscription(self, topic, message, qos, wake, exclusive, limit)
-        self._ends.append(subscription)
-        return subscription
+    def _open_server(self, options: ServerOptions) -> ZenohServer:
+        return ZenohServer(self, options)
 
-    def serve(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        wake: Callable[[], None],
-        max_bytes: int | None = None,
-        invalid_response: Any = None,
-        *,
-        is_private: bool = False,
-    ) -> ZenohServer:
-        """Return a server of the service `name`."""
-        server = ZenohServer(
-            self, name, service, wake, max_bytes, invalid_response, is_private=is_private
-        )
-        self._ends.append(server)
-        return server
-
-    def client(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None] | None = None,
-    ) -> ZenohClient:
-        """Return a client of the service `name`."""
+    def _open_client(self, options: ClientOptions) -> ZenohClient:
+        name, service, post, deliver = options
         announcement = self.announce("SC", name, service, SERVICES)
-        client = ZenohClient(
+        return ZenohClient(
             self.bus.session, self.bus.codec, name, announcement.key, announcement.gid, service,
-            post, deliver or post, announcement.close,
+            post, deliver, announcement.close,
         )  # fmt: skip
-        self._ends.append(client)
-        return client
 
     def private_queries(self, name: str, service: type[Service[Any, Any]]) -> PrivateQueries:
         """Return what reads the queries of a private service and of those of the same package."""
@@ -227,7 +184,7 @@ class ZenohNode:
             self._entity, bus.next_id(), kind, topic, type_name(interface),
             type_hash(interface), qos,
         )  # fmt: skip
-        reports = None if shared else (PublisherLog(self._report), PublisherLog(self._warn))
+        reports = None if shared else (PublisherLog(self.report), PublisherLog(self._warn))
         return Announcement(bus, entity, reports)
 
     def close(self) -> None:
@@ -235,9 +192,7 @@ class ZenohNode:
         if self._closed:
             return
         self._closed = True
-        for end in self._ends:
-            end.close()
-        self._ends.clear()
+        super().close()
         for queries in self._private.values():
             queries.close()
         self._stop_watching()
@@ -306,16 +261,8 @@ class Announcement:
 class ZenohPublisher:
     """Publishes on one topic; only from its component's calls."""
 
-    def __init__(
-        self,
-        node: ZenohNode,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        exclusive: Exclusive | None,
-        *,
-        shared: bool = False,
-    ) -> None:
+    def __init__(self, node: ZenohNode, options: PublisherOptions) -> None:
+        topic, message, qos, exclusive, shared = options
         self.published = 0
         self._sent = 0
         self._closed = False
@@ -390,16 +337,8 @@ class ZenohSubscription:
     none of those that are pending.
     """
 
-    def __init__(
-        self,
-        node: ZenohNode,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        wake: Callable[[], None],
-        exclusive: Exclusive | None,
-        max_bytes: int,
-    ) -> None:
+    def __init__(self, node: ZenohNode, options: SubscriptionOptions) -> None:
+        topic, message, qos, wake, exclusive, max_bytes = options
         self.received = 0
         self._malformed = 0  # counted by the component's calls
         self._too_long = 0  # counted by this subscription's thread

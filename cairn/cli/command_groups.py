@@ -113,11 +113,11 @@ class _LazyGroup(TyperGroup):
         }
         self._only_names = False  # are needed, so that nothing has to be imported
 
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 - the library's signature
+    def list_commands(self, _: Any) -> list[str]:
         """Return the names of all commands."""
         return [command.name for command in self._all()]
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002 - the library's signature
+    def get_command(self, _: Any, cmd_name: str) -> Any:
         """Import the command of this name; None if there is none, `CairnError` if it is broken."""
         command = self._own.get(cmd_name) or self._installed().get(cmd_name)
         if command is None:

@@ -10,9 +10,9 @@ import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
+from cairn.runtime.process_exit import end_process
 from cairn.system.compilation import before_compilation
 from cairn.system.files import private_files
-from cairn.system.process_exit import end_process
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
@@ -83,7 +83,7 @@ COMMANDS = (
                 "Record what is on the bus, for analysis and for tools of ROS 2.", _RECORD),
     LazyCommand("recorder", "cairn.cli.record:recorder",
                 "Control the recorder of a running deployment.", _RECORD),
-    LazyCommand("recording", "cairn.components.replay.cli:app",
+    LazyCommand("recording", "cairn.components.replay_devices.cli:app",
                 "Show, cut, merge and export recordings.", _RECORD),
     LazyCommand("rerun", "cairn.rerun.cli:rerun",
                 "Re-run recorded components exactly; find the first difference.", _RECORD),

@@ -309,7 +309,7 @@ def renew(
 
 @app.command("revoke")
 def revoke(name: IdentityName, robot: Robot = "") -> None:
-    """Revoke all certificates of an identity, for good.
+    """Revoke all certificates of an identity permanently.
 
     Machines refuse them as soon as they have the new roster.
     """

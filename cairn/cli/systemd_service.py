@@ -28,7 +28,7 @@ from cairn.processes.systemd_unit import (
     unit_name,
 )
 from cairn.system.compilation import deferred_compilation
-from cairn.system.files import explain_os_error, replace_file
+from cairn.system.files import explained, replace_file
 from cairn.terminal.options import File, Json, Machine, Overlay, Set
 from cairn.terminal.output import line, note, show
 
@@ -314,7 +314,7 @@ def _create_user() -> None:
 def _write(path: Path, text: str) -> bool:
     """Write a unit file; return whether it has changed. Raises `CairnError`."""
     data = text.encode()
-    try:
+    with explained(f"{path}: cannot be written"):
         if path.is_file() and path.read_bytes() == data:
             return False
         if not path.parent.exists():
@@ -322,6 +322,4 @@ def _write(path: Path, text: str) -> bool:
             path.parent.chmod(_FOLDER_MODE)
         replace_file(path, data)
         path.chmod(_UNIT_MODE)
-    except OSError as error:
-        raise CairnError(f"{path}: cannot be written: {explain_os_error(error)}") from error
     return True

@@ -28,16 +28,16 @@ from cairn.deployment.model import Deployment, root_name, view_name
 from cairn.deployment.plugins import plugin_modules
 from cairn.deployment.problems import DeploymentError
 from cairn.errors import CairnError
+from cairn.processes.launcher import ZygoteProcess
 from cairn.processes.lockstep import LockstepRun
 from cairn.processes.machine_identity import machine_identity
 from cairn.processes.process_run import checked_plan, endpoints, run_processes, started_zygote
 from cairn.processes.run_plan import RunPlan, check_sources, with_recorder
 from cairn.processes.systemd_notify import ServiceManager, service_manager
-from cairn.processes.zygote_client import ZygoteProcess
 from cairn.runtime.child_spec import LogLevel
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.rcl_interfaces import Log
-from cairn.system.process_exit import ExitReport
 from cairn.system.signal_handlers import signal_handlers
 from cairn.terminal.options import File, Machine, Overlay, Set
 from cairn.terminal.output import RunOutput, note

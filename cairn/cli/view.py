@@ -34,19 +34,15 @@ class View(Protocol):
 
     def log(self, entry: Log) -> None:
         """Display a log message."""
-        ...
 
     def status(self, status: ComponentStatus) -> None:
         """Keep the last status of a component."""
-        ...
 
     def time(self, now: int) -> None:
         """Keep the time [ns] of the deployment's clock."""
-        ...
 
     def refresh(self) -> None:
         """Update the display."""
-        ...
 
 
 class PlainView:

@@ -14,16 +14,9 @@ from cairn.bus.control import ControlError, NoReplyError
 from cairn.client.connection import Connection
 from cairn.client.graph import Endpoint, NodeInfo
 from cairn.client.navigation import NavigationGoal
-from cairn.client.robot import (
-    NoMessageError,
-    Parameter,
-    Robot,
-    Subscription,
-    Topic,
-    TopicInfo,
-    connect,
-)
+from cairn.client.robot import Parameter, Robot, Topic, TopicInfo, connect
 from cairn.client.services import RunningGoal, ServiceInfo
+from cairn.client.subscription import NoMessageError, Subscription
 from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation
 

@@ -8,7 +8,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Protocol
 
 from cairn.bus import keys
 from cairn.bus.actions import CANCEL_GOAL, UnknownGoalError, uuid_of
@@ -32,6 +32,7 @@ from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped, Quaternion
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.nav2_msgs.action import NavigateThroughPoses
 from cairn.schemas.std_msgs import Header
+from cairn.system.closing import Closing
 
 _PLUGIN, _AUTOMOVE = "mobile_supervisor", "automove"
 _ACTION: Final = "navigate_through_poses"
@@ -53,7 +54,6 @@ class _Samples(Protocol):
 
     def get(self, *, timeout: float) -> Any:
         """Return the next one; `queue.Empty` if none arrives in time."""
-        ...
 
 
 def find_place(zones: Sequence[Zone], name: str) -> PlanarPose:
@@ -218,7 +218,7 @@ class MissionClient:
                 ) from None
 
 
-class NavigationGoal:
+class NavigationGoal(Closing):
     """A goal: iterate over its progress, await its result, cancel it. A context manager."""
 
     def __init__(self, missions: MissionClient, poses: Sequence[PlanarPose]) -> None:
@@ -240,12 +240,6 @@ class NavigationGoal:
     def ended(self) -> bool:
         """Whether the goal has its result."""
         return self._last.state in NAVIGATION_END_STATES
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def send(self) -> str:
         """Send the goal to the supervisor and return its id, once it is accepted.

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Generic, Self, TypeVar, overload
-
-import zenoh
+from typing import Any, TypeVar, overload
 
 from cairn.bus import keys
 from cairn.bus.codec import Codec
-from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.client.connection import (
-    KEPT_BYTES,
     STATUS_TOPIC,
     Connection,
     Publishers,
@@ -35,6 +29,7 @@ from cairn.client.graph import (
 )
 from cairn.client.navigation import MissionClient, NavigationGoal
 from cairn.client.services import RunningGoal, ServiceInfo, call_service, find_services
+from cairn.client.subscription import Subscription
 from cairn.client.transforms import TransformListener
 from cairn.client.velocity_gate import Teleoperation, find_gate, set_emergency_stop
 from cairn.errors import CairnError
@@ -43,6 +38,7 @@ from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import VelocityGateStatus
 from cairn.schemas.message import Action, InvalidMessage, Service, type_name
 from cairn.schemas.rcl_interfaces import Log
+from cairn.system.closing import Closing
 from cairn.tf import Buffer
 
 M = TypeVar("M")
@@ -56,10 +52,6 @@ _log = logging.getLogger("cairn.client")
 
 _REPLY_LIMIT_S = 5.0
 _START_LIMIT_S = 90.0  # longer than a component takes to stop and to start, by default
-
-
-class NoMessageError(CairnError):
-    """No message arrived within the time limit."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +132,7 @@ def connect(
     return Robot(Connection.open(endpoint, domain), robot, notify)
 
 
-class Robot:
+class Robot(Closing):
     """A robot on the bus. Components and topics may be given by short or by full name."""
 
     def __init__(
@@ -152,17 +144,12 @@ class Robot:
         """Take over a connection; `close` closes it."""
         self.connection = connection
         self._robot = robot
+        self._prefix = f"/{robot}/" if robot else "/"  # of all names of the robot, or of any
         self._notify = notify
         self._codec = Codec()
         self._publishers = Publishers(connection)
         self._subscriptions: set[Subscription[Any]] = set()
         self._listeners: set[TransformListener] = set()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """End all subscriptions and the connection."""
@@ -203,7 +190,7 @@ class Robot:
         running = [
             full
             for full, status in self.connection.statuses().items()
-            if status.plugin == plugin and (not self._robot or full.startswith(f"/{self._robot}/"))
+            if status.plugin == plugin and full.startswith(self._prefix)
         ]
         if not running:
             return None
@@ -212,9 +199,8 @@ class Robot:
     def topics(self) -> list[Topic]:
         """Return all topics, sorted; those of the given robot alone if one was given."""
         by_name: defaultdict[str, list[keys.EndpointEntity]] = defaultdict(list)
-        prefix = f"/{self._robot}/" if self._robot else "/"
         for end in self.connection.endpoints():
-            if end.topic.startswith(prefix) or end.node.name.startswith(prefix):
+            if end.topic.startswith(self._prefix) or end.node.name.startswith(self._prefix):
                 by_name[end.topic].append(end)
         return [one for _, ends in sorted(by_name.items()) for one in _topics_of(ends)]
 
@@ -231,8 +217,7 @@ class Robot:
 
     def nodes(self) -> list[NodeInfo]:
         """Return all nodes on the bus, of ROS 2, too; with a given robot only those in its name."""
-        prefix = f"/{self._robot}/" if self._robot else "/"
-        return [one for one in read_nodes(self.connection) if one.name.startswith(prefix)]
+        return [one for one in read_nodes(self.connection) if one.name.startswith(self._prefix)]
 
     def find_topic(self, topic: str) -> keys.EndpointEntity:
         """Return a publisher of a topic, or a subscription if nothing publishes it.
@@ -352,8 +337,7 @@ class Robot:
         return sent
 
     def _of_robot(self, found: list[ServiceInfo]) -> list[ServiceInfo]:
-        prefix = f"/{self._robot}/" if self._robot else "/"
-        return [one for one in found if one.name.startswith(prefix)]
+        return [one for one in found if one.name.startswith(self._prefix)]
 
     def transforms(
         self, cache_s: float = 10.0, *, on_problem: Callable[[str], None] | None = None
@@ -618,102 +602,6 @@ class Robot:
                 f"{topic}: {end.node.name} uses it with {end.type_name}, not with {ours}; "
                 "subscribe with that message type"
             )
-
-
-class Subscription(Generic[M]):
-    """The messages of one topic; a context manager and an iterator."""
-
-    def __init__(
-        self,
-        connection: Connection,
-        opened: set[Subscription[Any]],
-        topic: str,
-        message: type[M],
-        callback: Callable[[M], None] | None,
-        depth: int,
-        timeout_s: float,
-        accept: Callable[[M], bool] | None = None,
-    ) -> None:
-        self.topic = topic
-        self.timeout_s = timeout_s
-        self.key = keys.message_key(connection.domain, topic, message)
-        self._codec = Codec()
-        self._message = message
-        self._callback = callback
-        self._accept = accept
-        self._payloads: DropOldestQueue[bytes] = DropOldestQueue(depth, KEPT_BYTES)
-        self._changed = threading.Condition()
-        self._closed = False
-        # A callback runs on a thread of its own, so that it may be slow; else nothing slow happens.
-        handler = zenoh.handlers.Callback(self._receive, indirect=callback is not None)
-        self._subscriber = connection.subscriber(self.key, handler, latched=True)
-        self._opened = opened
-        opened.add(self)
-
-    @property
-    def dropped(self) -> int:
-        """Number of messages that were dropped because the reader was slow."""
-        return self._payloads.dropped
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def __iter__(self) -> Iterator[M]:
-        """Yield messages; `NoMessageError` if none arrives within `timeout_s`."""
-        while True:
-            yield self.next()
-
-    def next(self, timeout_s: float | None = None) -> M:
-        """Return the next message.
-
-        Raises `NoMessageError` if none arrives within `timeout_s` [s] (by default, that of the
-        subscription) or if the subscription is closed, `InvalidMessage` if one arrives that is not
-        valid.
-        """
-        limit_s = self.timeout_s if timeout_s is None else timeout_s
-        deadline = time.monotonic() + limit_s
-        while True:
-            with self._changed:
-                while (payload := self._payloads.take()) is None:
-                    if self._closed:
-                        raise NoMessageError(
-                            f"{self.topic}: the subscription is closed; call subscribe again"
-                        )
-                    left_s = deadline - time.monotonic()
-                    if left_s <= 0:
-                        raise NoMessageError(f"{self.topic}: no message within {limit_s:g} s")
-                    self._changed.wait(min(left_s, threading.TIMEOUT_MAX))
-            message = self._codec.decode(self._message, payload)
-            if self._accept is None or self._accept(message):
-                return message
-
-    def close(self) -> None:
-        """Stop receiving and drop what was not read; a reader gets `NoMessageError`."""
-        with self._changed:
-            if self._closed:
-                return
-            self._closed = True
-            self._payloads.clear()
-            self._changed.notify_all()
-        self._opened.discard(self)
-        self._subscriber.undeclare()
-
-    def _receive(self, sample: Any) -> None:
-        payload = sample.payload.to_bytes()
-        if self._callback is not None:
-            try:
-                self._callback(self._codec.decode(self._message, payload))
-            except Exception:  # the user's callback may fail in any way; the next message follows
-                _log.exception("callback for %s failed", self.topic)
-            return
-        with self._changed:
-            if self._closed:
-                return
-            self._payloads.put(payload, len(payload))
-            self._changed.notify()
 
 
 def _topics_of(ends: list[keys.EndpointEntity]) -> Iterator[Topic]:

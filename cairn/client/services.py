@@ -9,7 +9,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 from cairn.bus import keys
 from cairn.bus.actions import ActionCaller, make_at_once
@@ -21,6 +21,7 @@ from cairn.client.connection import Connection
 from cairn.client.graph import Endpoint, endpoint_of, foreign_in, nodes_in, problems_of
 from cairn.errors import CairnError
 from cairn.schemas.message import Action, Service, type_name
+from cairn.system.closing import Closing
 
 Request = TypeVar("Request")
 Response = TypeVar("Response")
@@ -150,7 +151,7 @@ def _no_server(connection: Connection, name: str, kind: str) -> str:
     return f"{name}: there is no server; `cairn service list` and `cairn action list` show all"
 
 
-class RunningGoal(Generic[Goal, Result, Feedback]):
+class RunningGoal(Closing, Generic[Goal, Result, Feedback]):
     """A goal that was sent to an action server: iterate over its feedback, await its result."""
 
     def __init__(
@@ -204,12 +205,6 @@ class RunningGoal(Generic[Goal, Result, Feedback]):
             self.close()
             raise
         self._sent = self._caller.send(identity or secrets.token_bytes(16), goal, timeout_s)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def id(self) -> str:

@@ -8,7 +8,7 @@ import time
 from collections.abc import MutableSet
 from contextlib import ExitStack, suppress
 from types import SimpleNamespace
-from typing import Any, Self
+from typing import Any
 
 import zenoh
 
@@ -22,6 +22,7 @@ from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.system.closing import Closing
 from cairn.tf import Buffer, ExtrapolationError, InvalidArgumentError, Transform, TransformError
 
 _CHANGING, _STATIC = "tf", "tf_static"
@@ -32,7 +33,7 @@ _END = SimpleNamespace(payload=b"")
 _log = logging.getLogger("cairn.client")
 
 
-class TransformListener:
+class TransformListener(Closing):
     """Fills a buffer with a robot's transforms until it is closed; `Robot.transforms` returns it.
 
     It reads the topics `tf` and `tf_static` of the robot and those of ROS, `/tf` and `/tf_static`.
@@ -76,12 +77,6 @@ class TransformListener:
         self._thread = threading.Thread(target=self._run, name="cairn transforms", daemon=True)
         self._thread.start()
         opened.add(self)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop reading; the buffer keeps its transforms."""

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from cairn.bus import keys
 from cairn.bus.codec import Codec
@@ -19,6 +19,7 @@ from cairn.schemas.cairn_nav_msgs import TeleoperationCommand, VelocityGateStatu
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
+from cairn.system.closing import Closing
 
 if TYPE_CHECKING:
     from cairn.client.robot import Robot
@@ -94,7 +95,7 @@ def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityG
             ) from error
 
 
-class Teleoperation:
+class Teleoperation(Closing):
     """The operator's lease of the velocity gate: call it to drive; a context manager.
 
     Each call sends a command, which the gate follows for 0.3 s. The lease is renewed by the calls,
@@ -118,12 +119,6 @@ class Teleoperation:
         # Stamps are in the robot's time, also if this computer's clock differs from it.
         self._ahead_ns = int(granted["now_ns"]) - (sent + time.time_ns()) // 2
         self._renewed = time.monotonic()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __call__(self, speed: float, turn: float = 0.0, *, seconds: float = 0.0) -> None:
         """Drive at a speed [m/s] and turn rate [rad/s], for 0.3 s or for `seconds`.

@@ -108,7 +108,7 @@ class Hub:
             if removed:
                 browser.send({"op": "unadvertise", "channelIds": removed})
             if added:
-                browser.send(_advertise(added))
+                browser.send(protocol.advertise(added))
         if robots != self.robots:
             self._update_services()
             self.broadcast("robots", self.robots)
@@ -116,9 +116,11 @@ class Hub:
     def set_graph(self, graph: ConnectionGraph) -> None:
         """Take over who publishes and subscribes which topic; browsers receive what has changed."""
         before, self.graph = self.graph, graph
-        change = _graph_change(before, graph)
+        change = protocol.graph_change(before, graph)
+        if change == protocol.NO_GRAPH_CHANGE:
+            return
         for browser in self.browsers:
-            if browser.wants_graph and change is not None:
+            if browser.wants_graph:
                 browser.send(change)
 
     def set_link(self, reason: str = "") -> None:
@@ -152,13 +154,13 @@ class Hub:
 
         A browser that is slow receives only the newest one of each key, by default the name.
         """
-        text = _event(name, value)
+        text = protocol.event(name, value)
         for browser in self.browsers:
             browser.send_event(name, text, key)
 
     def send_event(self, browser: Browser, name: str, value: Any, *, key: str = "") -> None:
         """Send an event to one console."""
-        browser.send_event(name, _event(name, value), key)
+        browser.send_event(name, protocol.event(name, value), key)
 
     def broadcast_time(self, time_ns: int) -> None:
         """Send the time of a recording that is played to all clients of Foxglove."""
@@ -177,7 +179,7 @@ class Hub:
                 name: value for name, value in changed.items() if wanted is None or name in wanted
             }
             if shown:
-                browser.send(_parameter_values(shown))
+                browser.send(protocol.parameter_values(shown))
 
     def restrict(self, reason: str) -> None:
         """Let browsers only watch from now on, for that reason."""
@@ -239,7 +241,7 @@ class Hub:
         )
         self._send_hello(browser)
         self.send_event(browser, "link", self._link)
-        browser.send(_advertise(list(self.channels.values())))
+        browser.send(protocol.advertise(list(self.channels.values())))
         if not browser.is_console:
             if self._services:
                 browser.send(self._advertised_services(self._services))
@@ -309,8 +311,7 @@ class Hub:
                 browser.parameter_names = known.difference(names) if names else set()
             case protocol.SubscribeGraph():
                 browser.wants_graph = True
-                change = _graph_change(ConnectionGraph({}, {}), self.graph)
-                browser.send(change or _empty_graph_change())
+                browser.send(protocol.graph_change(ConnectionGraph({}, {}), self.graph))
             case protocol.UnsubscribeGraph():
                 browser.wants_graph = False
             case protocol.FetchAsset():
@@ -530,13 +531,7 @@ class Hub:
         return {
             "op": "advertiseServices",
             "services": [
-                {
-                    "id": id_,
-                    "name": f"/{robot}/{name}",
-                    "type": f"cairn/{name}",
-                    "request": _json_schema(f"cairn/{name}_Request", _without_robot(method)),
-                    "response": _json_schema(f"cairn/{name}_Response", {"type": "object"}),
-                }
+                protocol.service(id_, robot, name, _without_robot(method))
                 for id_, (robot, name, method) in services.items()
             ],
         }
@@ -600,7 +595,7 @@ class Hub:
             for name, value in part.items()
             if not wanted or name in wanted
         }
-        browser.send(_parameter_values(values, request.id))
+        browser.send(protocol.parameter_values(values, request.id))
 
     async def _parameters_of(self, browser: Browser, robot: str, component: str) -> dict[str, Any]:
         arguments = {"robot": robot, "component": component}
@@ -634,7 +629,7 @@ class Hub:
                 names = {f"{prefix}{name}" for name in change}
                 values |= {name: value for name, value in known.items() if name in names}
         if request.id is not None:
-            browser.send(_parameter_values(values, request.id))
+            browser.send(protocol.parameter_values(values, request.id))
 
     def _components(self) -> set[tuple[str, str]]:
         """Return robot and name of all components: the nodes that publish a status."""
@@ -651,62 +646,6 @@ class _Encoding:
         self.next: tuple[Message, Sequence[tuple[Browser, BrowserSubscription]]] | None = None
 
 
-def _advertise(channels: Sequence[Channel]) -> dict[str, Any]:
-    return {"op": "advertise", "channels": [protocol.advertisement(one) for one in channels]}
-
-
-def _event(name: str, value: Any) -> str:
-    return to_text({"op": "event", "name": name, "value": value})
-
-
-def _parameter_values(values: Mapping[str, Any], id_: str | None = None) -> dict[str, Any]:
-    parameters = [
-        {"name": name, "value": value, **_type_of(value)}
-        for name, value in values.items()
-        if value is not None
-    ]
-    message = {"op": "parameterValues", "parameters": parameters}
-    return message if id_ is None else {**message, "id": id_}
-
-
-def _type_of(value: Any) -> dict[str, str]:
-    """Return the type of a parameter, where JSON does not show it: 1.0 is the same as 1 there."""
-    if isinstance(value, float):
-        return {"type": "float64"}
-    if isinstance(value, list) and value and all(isinstance(one, float) for one in value):
-        return {"type": "float64_array"}
-    return {}
-
-
-def _empty_graph_change() -> dict[str, Any]:
-    return {
-        "op": "connectionGraphUpdate",
-        "publishedTopics": [],
-        "subscribedTopics": [],
-        "advertisedServices": [],
-        "removedTopics": [],
-        "removedServices": [],
-    }
-
-
-def _graph_change(before: ConnectionGraph, after: ConnectionGraph) -> dict[str, Any] | None:
-    """Return the message about what has changed; None if nothing has."""
-    change = _empty_graph_change()
-    change["publishedTopics"] = [
-        {"name": topic, "publisherIds": sorted(after.publishers.get(topic, ()))}
-        for topic in sorted({*after.publishers, *before.publishers})
-        if after.publishers.get(topic) != before.publishers.get(topic)
-    ]
-    change["subscribedTopics"] = [
-        {"name": topic, "subscriberIds": sorted(after.subscribers.get(topic, ()))}
-        for topic in sorted({*after.subscribers, *before.subscribers})
-        if after.subscribers.get(topic) != before.subscribers.get(topic)
-    ]
-    topics = {*after.publishers, *after.subscribers}
-    change["removedTopics"] = sorted({*before.publishers, *before.subscribers} - topics)
-    return change if any(change[key] for key in change if key != "op") else None
-
-
 def _without_robot(method: ConsoleMethod) -> dict[str, Any]:
     """Return the JSON schema of a method's arguments; the name of a service contains the robot."""
     schema = method.arguments.model_json_schema()
@@ -715,12 +654,3 @@ def _without_robot(method: ConsoleMethod) -> dict[str, Any]:
     }
     required = [name for name in schema.get("required", []) if name != "robot"]
     return {**schema, "properties": properties, "required": required}
-
-
-def _json_schema(name: str, schema: Mapping[str, Any]) -> dict[str, str]:
-    return {
-        "encoding": "json",
-        "schemaName": name,
-        "schemaEncoding": "jsonschema",
-        "schema": json.dumps(schema),
-    }

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 import psutil
 
@@ -24,6 +24,8 @@ from cairn.system.clock import SECOND
 
 if TYPE_CHECKING:
     from cairn.console.hub import Hub
+
+S = TypeVar("S", ComponentStatus, MachineStatus)
 
 _STATUS_TYPE: Final = type_name(ComponentStatus)
 _MACHINE_TYPE: Final = type_name(MachineStatus)
@@ -62,27 +64,51 @@ class _Counter:
 
 
 @dataclass
-class _Component:
-    """A component: its last status, and the counters of its ports by port and direction.
+class _Kept(Generic[S]):
+    """The last status of a component or a machine; `payload` is a newer one, not decoded yet.
 
-    `payload` is a newer status that is not decoded yet.
+    `counters` are those of a component's ports, by port and direction.
     """
 
     payload: bytes | None
     received_ns: int
-    status: ComponentStatus | None = None
+    status: S | None = None
     counters: defaultdict[tuple[str, int], _Counter] = field(
         default_factory=lambda: defaultdict(_Counter)
     )
 
 
-@dataclass
-class _Machine:
-    """The last status of a machine; `payload` is a newer one that is not decoded yet."""
+class _Statuses(dict[tuple[str, str], _Kept[S]]):
+    """The newest statuses of one class, by robot and sender; of at most `most` senders."""
 
-    payload: bytes | None
-    received_ns: int
-    status: MachineStatus | None = None
+    def __init__(self, message: type[S], most: int) -> None:
+        super().__init__()
+        self._message: type[S] = message
+        self._most = most
+
+    def receive(self, robot: str, payload: bytes, now: int) -> None:
+        """Keep a status; it is decoded only when it is shown."""
+        name = _sender(payload)
+        if name is None or len(payload) > _LONGEST_STATUS:
+            return
+        known = self.get((robot, name))
+        if known is not None:
+            known.payload, known.received_ns = payload, now
+        elif len(self) < self._most:
+            self[robot, name] = _Kept(payload, now)
+
+    def decode(self, codec: Codec) -> Iterator[tuple[_Kept[S], S]]:
+        """Decode what has arrived, and yield it."""
+        for key, one in list(self.items()):
+            payload, one.payload = one.payload, None
+            if payload is None:
+                continue
+            try:
+                one.status = codec.decode(self._message, payload)
+            except InvalidMessage:
+                del self[key]  # forged, or of another version
+                continue
+            yield one, one.status
 
 
 class StatusMonitor:
@@ -94,8 +120,8 @@ class StatusMonitor:
     def __init__(self, arrival: Callable[[Message], int]) -> None:
         self._arrival = arrival
         self._codec = Codec()
-        self._components: dict[tuple[str, str], _Component] = {}
-        self._machines: dict[tuple[str, str], _Machine] = {}
+        self._components = _Statuses(ComponentStatus, _MOST_COMPONENTS)
+        self._machines = _Statuses(MachineStatus, _MOST_MACHINES)
         self._own: dict[str, str | None] = {}  # machine on this computer, by robot of several
         self._awaited: dict[tuple[str, str], int] = {}  # announced without a status, since when
 
@@ -107,51 +133,21 @@ class StatusMonitor:
         self._awaited.clear()
 
     def receive(self, robot: str, message: Message) -> None:
-        """Keep a status; it is decoded only when it is shown."""
-        payload, now = message.payload, self._arrival(message)
-        name = _sender(payload)
-        if name is None or len(payload) > _LONGEST_STATUS:
-            return
-        known = self._components.get((robot, name))
-        if known is not None:
-            known.payload, known.received_ns = payload, now
-        elif len(self._components) < _MOST_COMPONENTS:
-            self._components[robot, name] = _Component(payload, now)
+        """Keep a status of a component."""
+        self._components.receive(robot, message.payload, self._arrival(message))
 
     def receive_machine(self, robot: str, message: Message) -> None:
-        """Keep a status of a machine, likewise."""
-        payload, now = message.payload, self._arrival(message)
-        name = _sender(payload)
-        if name is None or len(payload) > _LONGEST_STATUS:
-            return
-        known = self._machines.get((robot, name))
-        if known is not None:
-            known.payload, known.received_ns = payload, now
-        elif len(self._machines) < _MOST_MACHINES:
-            self._machines[robot, name] = _Machine(payload, now)
+        """Keep a status of a machine."""
+        self._machines.receive(robot, message.payload, self._arrival(message))
 
     def update(self, router: int | None = None) -> None:
         """Decode what has arrived, and count; `router` is the process id of the one here."""
-        for key, one in list(self._components.items()):
-            payload, one.payload = one.payload, None
-            if payload is None:
-                continue
-            try:
-                one.status = self._codec.decode(ComponentStatus, payload)
-            except InvalidMessage:
-                del self._components[key]  # forged, or of another version
-                continue
-            stamp = to_ns(one.status.header.stamp)
-            for port in one.status.ports:
+        for one, status in self._components.decode(self._codec):
+            stamp = to_ns(status.header.stamp)
+            for port in status.ports:
                 one.counters[port.port, port.direction].update(port.messages, stamp)
-        for key, machine in list(self._machines.items()):
-            payload, machine.payload = machine.payload, None
-            if payload is None:
-                continue
-            try:
-                machine.status = self._codec.decode(MachineStatus, payload)
-            except InvalidMessage:
-                del self._machines[key]
+        for _ in self._machines.decode(self._codec):
+            pass
         self._own = {}
         for robot in {robot for robot, _ in self._machines}:
             found = [one.status for (name, _), one in self._components.items() if name == robot]

@@ -26,8 +26,8 @@ from cairn.client import Connection, ControlError, NoReplyError, Robot
 from cairn.client.velocity_gate import find_gate
 from cairn.console.browser import Browser
 from cairn.console.monitoring import ProcessMonitor, StateEvents
+from cairn.console.operator_lease import Operator, OperatorLeases
 from cairn.console.protocol import WARNING
-from cairn.console.steering import Operator, OperatorLeases
 from cairn.console.teleoperation import STILL, Driver
 from cairn.errors import CairnError
 from cairn.schemas.cairn_nav_msgs import MAX_GOALS, MAX_ZONE_NAME
@@ -61,7 +61,11 @@ _VIEW_ONLY: Final = (
 )
 _GATE_ATTEMPTS: Final = 3  # to read its limits: the computer may be busy
 _WORLD, _MAP_BUILDER, _OBJECT_FINDER = "simulated_world", "map_builder", "object_finder"
-_LOAD_MAP_BUILDER: Final = "load the map builder, or send a goal, which loads it"
+_MISSING: Final = {
+    _WORLD: "this robot is not simulated",
+    _MAP_BUILDER: "load the map builder, or send a goal, which loads it",
+    _OBJECT_FINDER: "this robot finds no objects",
+}
 _POSE_TOPIC: Final = "initialpose"
 _PERIOD_S: Final = 1.0
 _WORKERS: Final = 16
@@ -451,63 +455,31 @@ class Operations:
             browser, of.robot, lambda robot: [to_plain(entry, None) for entry in robot.logs()]
         )
 
+    # Requests to the component of a plugin
+
     async def _world(self, browser: Browser, of: WorldRequest) -> Any:
-        if of.verb != "list" and (reason := self.refusal(browser, of.robot)):
-            raise CairnError(reason)
-        return await self._call(
-            browser,
-            of.robot,
-            lambda robot: robot.request_plugin(
-                _WORLD,
-                of.verb,
-                of.arguments,
-                missing="this robot is not simulated",
-                timeout_s=_REPLY_LIMIT_S,
-            ),
-        )
+        if of.verb != "list":
+            self._check_may_publish(browser, of.robot)
+        return await self._call(browser, of.robot, _of_plugin(_WORLD, of.verb, of.arguments))
 
     async def _why(self, browser: Browser, of: WhyRequest) -> Any:
         arguments = {"object": str(of.object_id), "last": of.last}
-        return await self._call(
-            browser,
-            of.robot,
-            lambda robot: robot.request_plugin(
-                _MAP_BUILDER,
-                "why",
-                arguments,
-                missing=_LOAD_MAP_BUILDER,
-                timeout_s=_REPLY_LIMIT_S,
-            ),
-        )
+        return await self._call(browser, of.robot, _of_plugin(_MAP_BUILDER, "why", arguments))
 
     async def _zones(self, browser: Browser, of: ZonesRequest) -> Any:
-        def ask(robot: Robot) -> Any:
-            return robot.request_plugin(
-                _MAP_BUILDER,
-                of.verb,
-                of.arguments,
-                missing=_LOAD_MAP_BUILDER,
-                timeout_s=_REPLY_LIMIT_S,
-            )
-
+        ask = _of_plugin(_MAP_BUILDER, of.verb, of.arguments)
         if of.verb == "zones":
             return await self._call(browser, of.robot, ask)
-        if reason := self.refusal(browser, of.robot):
-            raise CairnError(reason)
+        self._check_may_publish(browser, of.robot)
         return await self._steer(browser, of.robot, ask)
 
     async def _proposals(self, browser: Browser, of: ProposalsRequest) -> Any:
-        return await self._steer(
-            browser,
-            of.robot,
-            lambda robot: robot.request_plugin(
-                _OBJECT_FINDER,
-                of.verb,
-                of.arguments,
-                missing="this robot finds no objects",
-                timeout_s=_REPLY_LIMIT_S,
-            ),
-        )
+        ask = _of_plugin(_OBJECT_FINDER, of.verb, of.arguments)
+        return await self._steer(browser, of.robot, ask)
+
+    def _check_may_publish(self, browser: Browser, robot: str) -> None:
+        if reason := self.refusal(browser, robot):
+            raise CairnError(reason)
 
     # Calls of the robot, which block
 
@@ -609,6 +581,13 @@ def may_operate(client: Robot, robot: str) -> bool:
             except ControlError:
                 return True
     return True
+
+
+def _of_plugin(plugin: str, verb: str, arguments: Mapping[str, Any]) -> Callable[[Robot], Any]:
+    """Return the function that makes a request to a robot's component of a plugin."""
+    return lambda robot: robot.request_plugin(
+        plugin, verb, arguments, missing=_MISSING[plugin], timeout_s=_REPLY_LIMIT_S
+    )
 
 
 def _gate_limits(client: Robot, robot: str) -> dict[str, float]:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterable, Mapping, Set
 from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.alias_generators import to_camel
 
-from cairn.console.source import Channel
+from cairn.console.source import Channel, ConnectionGraph
 from cairn.limits.json import parse_json
 
 CONSOLE: Final = "cairn.console.v1"
@@ -260,15 +261,96 @@ def to_text(message: dict[str, Any]) -> str:
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
-def advertisement(channel: Channel) -> dict[str, Any]:
-    """Return the description of a channel."""
+def event(name: str, value: Any) -> str:
+    """Return an event, as JSON (console only)."""
+    return to_text({"op": "event", "name": name, "value": value})
+
+
+def advertise(channels: Iterable[Channel]) -> dict[str, Any]:
+    """Return the message that describes new channels."""
+    described = [
+        {
+            "id": channel.id,
+            "topic": channel.topic,
+            "encoding": "cdr",
+            "schemaName": channel.type_name,
+            "schemaEncoding": "ros2msg",
+            "schema": channel.schema,
+        }
+        for channel in channels
+    ]
+    return {"op": "advertise", "channels": described}
+
+
+def parameter_values(values: Mapping[str, Any], id_: str | None = None) -> dict[str, Any]:
+    """Return the message with values of parameters, as the answer to the request `id_`."""
+    parameters = [
+        {"name": name, "value": value, **_type_of(value)}
+        for name, value in values.items()
+        if value is not None
+    ]
+    message = {"op": "parameterValues", "parameters": parameters}
+    return message if id_ is None else {**message, "id": id_}
+
+
+def _type_of(value: Any) -> dict[str, str]:
+    """Return the type of a parameter, where JSON does not show it: 1.0 is the same as 1 there."""
+    if isinstance(value, float):
+        return {"type": "float64"}
+    if isinstance(value, list) and value and all(isinstance(one, float) for one in value):
+        return {"type": "float64_array"}
+    return {}
+
+
+NO_GRAPH_CHANGE: Final[Mapping[str, Any]] = {
+    "op": "connectionGraphUpdate",
+    "publishedTopics": [],
+    "subscribedTopics": [],
+    "advertisedServices": [],
+    "removedTopics": [],
+    "removedServices": [],
+}
+
+
+def graph_change(before: ConnectionGraph, after: ConnectionGraph) -> dict[str, Any]:
+    """Return the message about what has changed; `NO_GRAPH_CHANGE` if nothing has."""
+    topics = {*after.publishers, *after.subscribers}
     return {
-        "id": channel.id,
-        "topic": channel.topic,
-        "encoding": "cdr",
-        "schemaName": channel.type_name,
-        "schemaEncoding": "ros2msg",
-        "schema": channel.schema,
+        **NO_GRAPH_CHANGE,
+        "publishedTopics": _changed(before.publishers, after.publishers, "publisherIds"),
+        "subscribedTopics": _changed(before.subscribers, after.subscribers, "subscriberIds"),
+        "removedTopics": sorted({*before.publishers, *before.subscribers} - topics),
+    }
+
+
+def _changed(
+    before: Mapping[str, Set[str]], after: Mapping[str, Set[str]], key: str
+) -> list[dict[str, Any]]:
+    """Return the topics whose nodes have changed, with those that each has now."""
+    return [
+        {"name": topic, key: sorted(after.get(topic, ()))}
+        for topic in sorted({*after, *before})
+        if after.get(topic) != before.get(topic)
+    ]
+
+
+def service(id_: int, robot: str, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the description of a service; `arguments` is the JSON schema of its request."""
+    return {
+        "id": id_,
+        "name": f"/{robot}/{name}",
+        "type": f"cairn/{name}",
+        "request": _json_schema(f"cairn/{name}_Request", arguments),
+        "response": _json_schema(f"cairn/{name}_Response", {"type": "object"}),
+    }
+
+
+def _json_schema(name: str, schema: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        "encoding": "json",
+        "schemaName": name,
+        "schemaEncoding": "jsonschema",
+        "schema": json.dumps(schema),
     }
 
 

@@ -46,11 +46,9 @@ class EmulatedDevice(Protocol):
 
         If that changes the line's speed, the answer is still sent at the old one.
         """
-        ...
 
     def due(self) -> float:
         """Return when it next sends something by itself [s]; infinite if never."""
-        ...
 
     def tick(self, now: float) -> list[bytes]:
         """Return the frames that it sends by itself; called when they are due, and more often.
@@ -58,15 +56,12 @@ class EmulatedDevice(Protocol):
         Not called while no host is connected, or while the line is busy with earlier frames: like a
         real device, it continues with the newest data then.
         """
-        ...
 
     def disconnected(self, now: float) -> None:
         """Handle that the host has closed the line, where a line shows that."""
-        ...
 
     def powered_on(self, now: float) -> None:
         """Start as after power-on: it was plugged in."""
-        ...
 
     def baud(self) -> int | None:
         """Return the speed of its line [bit/s]; None if it does not matter.
@@ -76,7 +71,6 @@ class EmulatedDevice(Protocol):
         zeros, and what it sends is lost. A device whose speed can be changed by a command returns
         the new speed from then on.
         """
-        ...
 
 
 class Emulator:

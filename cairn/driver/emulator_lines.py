@@ -22,43 +22,34 @@ class LineEnd(Protocol):
 
     def plug_in(self) -> None:
         """Become present for hosts that open the line; raises `CairnError` if it cannot."""
-        ...
 
     def unplug(self) -> None:
         """Vanish, also for a host that has the line open; may be called again."""
-        ...
 
     def readable(self) -> list[int]:
         """Return file descriptors that become readable when something happens."""
-        ...
 
     def writable(self) -> int | None:
         """Return the file descriptor that becomes writable when more can be sent.
 
         None if no host is connected.
         """
-        ...
 
     def read(self) -> bytes | None:
         """Return what was received, without waiting; None if the host has just disconnected."""
-        ...
 
     def write(self, data: bytes) -> int:
         """Send as much as possible without waiting; return how many bytes."""
-        ...
 
     def baud(self) -> int | None:
         """Return the speed that the host uses [bit/s]; None if it is not known."""
-        ...
 
     def set_baud(self, baud: int | None) -> None:
         """Use this speed [bit/s], where a line has speeds; None: it does not matter."""
-        ...
 
     @property
     def address(self) -> str:
         """Where a driver finds the device, in words."""
-        ...
 
 
 class PtyEnd:

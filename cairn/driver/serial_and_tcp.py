@@ -51,26 +51,21 @@ class Link(Protocol):
 
         Empty if nothing was received. Raises `LinkLost` if the line is lost.
         """
-        ...
 
     def write(self, data: bytes) -> None:
         """Send all bytes within a second; raises `LinkLost` if that is not possible."""
-        ...
 
     def set_baud(self, baud: int) -> None:
         """Change the speed [bit/s]; does nothing where a line has no speed.
 
         Raises `LinkLost` if the line is lost, `DeviceError` if the port lacks that speed.
         """
-        ...
 
     def discard(self) -> None:
         """Discard what was received and not read; raises `LinkLost` if the line is lost."""
-        ...
 
     def close(self) -> None:
         """Close the line; may be called again."""
-        ...
 
 
 class SerialLink:

@@ -23,7 +23,7 @@ from PIL import Image as Picture
 
 from cairn.errors import CairnError
 from cairn.limits.files import megabytes, read_bounded
-from cairn.system.files import explain_os_error
+from cairn.system.files import explained
 
 IMAGE_PIXELS: Final = 25_000_000
 """Most pixels of an image."""
@@ -88,10 +88,8 @@ class _UnusualImageError(ValueError):
 
 def read_image_file(path: Path) -> bytes:
     """Return the content of an image file; raise `CairnError` if it cannot be read."""
-    try:
+    with explained(f"{path}: cannot be read"):
         return read_bounded(path, IMAGE_BYTES)
-    except OSError as error:
-        raise CairnError(f"{path}: cannot be read: {explain_os_error(error)}") from error
 
 
 def read_header(name: str, stream: BinaryIO) -> ImageHeader:

@@ -25,7 +25,7 @@ from cairn.errors import CairnError
 from cairn.limits.files import read_bounded
 from cairn.processes.machine_identity import machine_identity, own_machine
 from cairn.security.folder import PEM_BYTES, RobotFolder
-from cairn.system.files import explain_os_error
+from cairn.system.files import explained
 
 _FETCH_S: Final = 2.0
 """So often the roster is fetched, and a second later at most it is in force: within 5 s."""
@@ -253,7 +253,5 @@ def _root_log() -> logging.Logger | logging.LoggerAdapter[logging.Logger]:
 def _content(links: MachineLinks | Gateway) -> bytes:
     """Return the own certificate: a renewed one has the same path."""
     assert links.certificate is not None
-    try:
+    with explained(links.certificate):
         return read_bounded(Path(links.certificate), PEM_BYTES)
-    except OSError as error:
-        raise CairnError(f"{links.certificate}: {explain_os_error(error)}") from error

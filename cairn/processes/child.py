@@ -16,7 +16,7 @@ from cairn.errors import CairnError
 from cairn.processes.child_channel import Heartbeat, Verb
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 
 if TYPE_CHECKING:
     from cairn.processes.remote_child import Machines
@@ -108,44 +108,36 @@ class ChildHandle(Protocol):
         Raises `CairnError` with the component's own error if it refuses, `ChildUnavailable` with
         the cause if it has ended or does not answer within `timeout_s` seconds.
         """
-        ...
 
     def heartbeat(self) -> Heartbeat | None:
         """Return the newest heartbeat since the last call, None if there is none; do not wait.
 
         Raises `ChildUnavailable` if the child has sent something else than messages.
         """
-        ...
 
     def is_stopped(self) -> bool:
         """Return whether a signal such as SIGSTOP has stopped its process."""
-        ...
 
     def memory(self) -> int:
         """Return how much memory its process uses now [bytes]; 0 if it has none of its own."""
-        ...
 
     def expect_stop(self, limit_s: float) -> None:
         """Have the child start nothing any more, and stop all below it within `limit_s` [s].
 
         Cuts short a start in progress; it is not stopped yet. From any thread.
         """
-        ...
 
     def terminate(self) -> None:
         """Ask the child to end, a process by SIGTERM; no effect if it has ended."""
-        ...
 
     def kill(self, log_limit_s: float) -> None:
         """End the child by force; no effect if it has ended.
 
         A process has at most `log_limit_s` [s] before to log the stacks of its threads.
         """
-        ...
 
     def wait(self, timeout_s: float) -> ExitReport | None:
         """Wait at most `timeout_s` seconds (0: do not wait) for its end; None if it still runs."""
-        ...
 
 
 class SupervisorHost(Protocol):
@@ -153,7 +145,6 @@ class SupervisorHost(Protocol):
 
     def in_background(self, call: Callable[[], T]) -> "Future[T]":
         """Make a call while the supervisor goes on, or at once where a call takes no time."""
-        ...
 
     def launch_child(self, launch: LaunchRequest, on_exit: Callable[[], None]) -> ChildHandle:
         """Start a child; return when it accepts requests. For any thread.
@@ -163,38 +154,30 @@ class SupervisorHost(Protocol):
         its limit; then nothing of it runs. A child that exceeds the limit and does not end even
         when killed is returned. Raises `ZygoteLost`, which is not the child's failure.
         """
-        ...
 
     def machines(self) -> "Machines":
         """Return what is known of the robot's other machines."""
-        ...
 
     def cancel_starts(self) -> None:
         """Reject further starts and cancel those in progress; thread-safe."""
-        ...
 
     def cancel_start(self, name: str) -> None:
         """Cancel the start of a child that is in progress."""
-        ...
 
     def now(self) -> float:
         """Return the monotonic time [s]: the machine's, or virtual in lockstep."""
-        ...
 
     def awake(self) -> float:
         """Return the monotonic time [s] in which this process could run."""
-        ...
 
     def post(self, call: Callable[[], None]) -> None:
         """Have `call` made as a handler of the supervisor; from any thread."""
-        ...
 
     def report_progress(self, step: str) -> None:
         """Report that a long call of the supervisor has reached its next step: it is not hung.
 
         No effect for calls in the background.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The private channel between a supervisor and the process of one child.
 
 A pair of connected sockets: the supervisor keeps one end, and the child's process gets the other
-one when it is spawned (`zygote_client.py`). No other process can write to it, so supervision
+one when it is spawned (`launcher.py`). No other process can write to it, so supervision
 believes what it reads here, and nothing that is published on the bus. The supervisor sends requests
 for transitions of the life cycle, and announces a stop; the child answers requests, and sends
 heartbeats. Each message is one JSON object in one packet.

@@ -11,8 +11,8 @@ from typing import Any, NoReturn, TextIO
 
 from cairn.errors import CairnError
 from cairn.processes.child import ZygoteLost
-from cairn.processes.zygote_client import ZygoteClient, ZygoteProcess
-from cairn.system.process_exit import ExitLog, end_process
+from cairn.processes.launcher import ZygoteClient, ZygoteProcess
+from cairn.runtime.process_exit import ExitLog, end_process
 
 _ENTRY = f"{__name__}:answer"
 _END_LIMIT_S = 10.0  # of a process that has closed its socket

@@ -18,9 +18,9 @@ from cairn.processes.child_channel import Heartbeat, Verb
 from cairn.processes.supervisor import Supervisor
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.system.clock import SECOND
-from cairn.system.process_exit import ExitReport
 
 T = TypeVar("T")
 
@@ -212,13 +212,7 @@ class LockstepScheduler:
         """Make `call` now, after what was posted before."""
         self._executor.at(self._executor.now(), partial(self._make, call))
 
-    def deliver(self, call: Callable[[], None]) -> None:
-        """Make `call` as `post` does."""
-        self.post(call)
-
-    def receive(self, call: Callable[[], None]) -> None:
-        """Make `call` as `post` does."""
-        self.post(call)
+    deliver = receive = post
 
     def wake_at(self, time: int) -> None:
         """Run the timers that are due at virtual time `time` [ns]."""

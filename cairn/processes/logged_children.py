@@ -16,7 +16,7 @@ from cairn.processes.supervisor import ChildGroup, EscalatedStart, StartFailed, 
 from cairn.runtime.call_log import CallLog
 from cairn.runtime.call_records import RecordKind
 from cairn.runtime.launch_request import LaunchRequest
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 
 T = TypeVar("T")
 

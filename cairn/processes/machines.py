@@ -25,7 +25,7 @@ from cairn.deployment.machines import (
 from cairn.deployment.model import Deployment, root_name
 from cairn.errors import CairnError
 from cairn.processes.child import ChildUnavailable
-from cairn.processes.clock_offset import ClockOffset, ClockOffsetFilter
+from cairn.processes.machine_clocks import ClockOffset, ClockOffsetFilter
 from cairn.processes.supervisor import ChildGroup, Supervisor
 from cairn.runtime.launch_request import RunContext
 from cairn.schemas.builtin_interfaces import from_ns, to_ns
@@ -34,7 +34,7 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 
 if TYPE_CHECKING:
-    from cairn.processes.component_host import ComponentHost
+    from cairn.processes.component_process import ComponentHost
 
 LOST_AFTER_S: Final = 1.25
 """A machine counts as lost when nothing of it has arrived for so long: five of its messages."""

@@ -41,22 +41,21 @@ from cairn.processes.certified_router import (
     opened_for_machines,
     opened_for_operators,
 )
-from cairn.processes.component_host import ComponentHost
-from cairn.processes.component_process import MainLoop
+from cairn.processes.component_process import ComponentHost, MainLoop
 from cairn.processes.forked_call import call_in_fork
+from cairn.processes.launcher import ZygoteProcess, start_zygote
 from cairn.processes.machine_identity import machine_secrets
 from cairn.processes.machines import MachineMonitor
 from cairn.processes.prepared import CODEC
 from cairn.processes.run_plan import RunPlan, argument_of_check, check_for_root, plan_of
 from cairn.processes.systemd_notify import ServiceManager
 from cairn.processes.zygote import COMPILATION_LIMIT_S
-from cairn.processes.zygote_client import ZygoteProcess, start_zygote
 from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.process_exit import ExitLog, ExitReport
 from cairn.system.compilation import before_compilation
 from cairn.system.heap import share_heap
-from cairn.system.process_exit import ExitLog, ExitReport
 from cairn.system.runtime_folder import run_folder
 
 _log = logging.getLogger("cairn.root")
@@ -72,11 +71,9 @@ class RunView(Protocol):
 
     def refresh(self) -> None:
         """Update what is shown; called every quarter of a second, or sooner."""
-        ...
 
     def finish(self) -> None:
         """Show the last events."""
-        ...
 
 
 @contextmanager

@@ -31,8 +31,8 @@ from cairn.processes.child import (
 )
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.cairn_msgs import MachineChild
-from cairn.system.process_exit import ExitReport
 
 _STEP_S = 0.05
 _SLOW_CHECKS = 3  # in a row, of two in a second: then the link is slow
@@ -47,11 +47,9 @@ class Machines(Protocol):
 
     def silence(self, machine: str) -> str:
         """Return why a machine counts as lost, "" if it is up."""
-        ...
 
     def child(self, machine: str, name: str) -> MachineChild | None:
         """Return what the root of a machine has last reported of its child of that name."""
-        ...
 
     def request(
         self, machine: str, verb: str, arguments: Mapping[str, Any], timeout_s: float
@@ -60,15 +58,12 @@ class Machines(Protocol):
 
         The future raises `ChildUnavailable` if it does not answer, `CairnError` if it refuses.
         """
-        ...
 
     def round_trip_s(self, machine: str) -> float | None:
         """Return how long the last exchange with a machine took [s]; None before the first."""
-        ...
 
     def wait_for_news(self, timeout_s: float) -> None:
         """Wait until a root reports something, at most `timeout_s` [s]."""
-        ...
 
 
 class RemoteChild:

@@ -6,6 +6,7 @@ see `ChildGroup.hold`.
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from cairn.errors import CairnError
@@ -30,14 +31,13 @@ _HELD: Final = {
 }
 
 
+@dataclass(frozen=True)
 class ChildLifecycle:
-    """The life cycle of one child of a supervisor."""
+    """The life cycle of one child of a supervisor; `state` returns the state of that child."""
 
-    def __init__(self, name: str, state: Callable[[], str], request: Request) -> None:
-        """`state` returns the state of the child of that name."""
-        self._name = name
-        self._state = state
-        self._request = request
+    name: str
+    state: Callable[[], str]
+    request: Request
 
     def services(self) -> list[NodeService]:
         """Return the services, which belong to the child's node."""
@@ -50,7 +50,7 @@ class ChildLifecycle:
         ]
 
     def _lifecycle_state(self) -> LifecycleState | None:
-        state = self._state()
+        state = self.state()
         return LifecycleState(state) if state in set(LifecycleState) else None
 
     def _change_state(self, request: ChangeState.Request) -> ChangeState.Response:
@@ -62,17 +62,17 @@ class ChildLifecycle:
                 break
         else:
             raise CairnError(
-                f"{self._name} is {self._state()}: it cannot make transition "
+                f"{self.name} is {self.state()}: it cannot make transition "
                 f"{request.transition.id} {request.transition.label[:100]!r}"
             )
         if transition is Transition.SHUTDOWN:
-            self._request("unload", {"name": self._name})
+            self.request("unload", {"name": self.name})
         else:
-            self._request("hold", {"name": self._name, "state": _HELD[transition].value})
+            self.request("hold", {"name": self.name, "state": _HELD[transition].value})
         return ChangeState.Response(success=True)
 
     def _get_state(self, _: GetState.Request) -> GetState.Response:
-        return GetState.Response(current_state=ros_state(self._state()))
+        return GetState.Response(current_state=ros_state(self.state()))
 
     def _states(self, _: GetAvailableStates.Request) -> GetAvailableStates.Response:
         states = tuple(ros_state(state) for state in LifecycleState)
@@ -87,22 +87,22 @@ class ChildLifecycle:
         return GetAvailableTransitions.Response(available_transitions=tuple(possible_transitions()))
 
 
+@dataclass(frozen=True)
 class Container:
-    """A supervisor as a container of its children, which its deployment defines."""
+    """A supervisor as a container of its children, which its deployment defines.
 
-    def __init__(
-        self,
-        robot: str,
-        plugins: Mapping[str, str],
-        is_loaded: Callable[[str], bool],
-        request: Request,
-    ) -> None:
-        """`plugins` has the plugin of each child, by its name."""
-        self._robot = robot
-        self._plugins = plugins
-        self._names = list(plugins)
-        self._is_loaded = is_loaded
-        self._request = request
+    `plugins` has the plugin of each child, by its name.
+    """
+
+    robot: str
+    plugins: Mapping[str, str]
+    is_loaded: Callable[[str], bool]
+    request: Request
+
+    @property
+    def _names(self) -> list[str]:
+        """The children in the order of the deployment; their numbers in ROS 2 begin with 1."""
+        return list(self.plugins)
 
     def services(self) -> list[NodeService]:
         """Return the services, which belong to the supervisor's node."""
@@ -114,24 +114,24 @@ class Container:
 
     def _list(self, _: ListNodes.Request) -> ListNodes.Response:
         loaded = [
-            (number, name) for number, name in enumerate(self._names, 1) if self._is_loaded(name)
+            (number, name) for number, name in enumerate(self._names, 1) if self.is_loaded(name)
         ]
         return ListNodes.Response(
-            full_node_names=tuple(f"/{self._robot}/{name}" for _, name in loaded),
+            full_node_names=tuple(f"/{self.robot}/{name}" for _, name in loaded),
             unique_ids=[number for number, _ in loaded],  # type: ignore[arg-type]
         )
 
     def _load(self, request: LoadNode.Request) -> LoadNode.Response:
         name = request.node_name or request.plugin_name
         try:
-            if name not in self._plugins:
+            if name not in self.plugins:
                 raise CairnError(
                     f"there is no child {name[:100]!r} to load; the deployment has "
                     f"{', '.join(self._names) or 'none'}"
                 )
-            if request.plugin_name not in ("", self._plugins[name], name):
+            if request.plugin_name not in ("", self.plugins[name], name):
                 raise CairnError(
-                    f"child {name} has plugin {self._plugins[name]}, not "
+                    f"child {name} has plugin {self.plugins[name]}, not "
                     f"{request.plugin_name[:100]!r}"
                 )
             if request.parameters or request.remap_rules or request.extra_arguments:
@@ -139,21 +139,21 @@ class Container:
                     "parameters, remapping and extra arguments are those of the deployment; change "
                     "them there"
                 )
-            self._request("load", {"name": name})
+            self.request("load", {"name": name})
         except CairnError as error:
             return LoadNode.Response(success=False, error_message=str(error)[:4000])
         return LoadNode.Response(
             success=True,
-            full_node_name=f"/{self._robot}/{name}",
+            full_node_name=f"/{self.robot}/{name}",
             unique_id=self._names.index(name) + 1,
         )
 
     def _unload(self, request: UnloadNode.Request) -> UnloadNode.Response:
         number = request.unique_id
         try:
-            if not 1 <= number <= len(self._names) or not self._is_loaded(self._names[number - 1]):
+            if not 1 <= number <= len(self._names) or not self.is_loaded(self._names[number - 1]):
                 raise CairnError(f"no child with id {number} is loaded; list_nodes lists them")
-            self._request("unload", {"name": self._names[number - 1]})
+            self.request("unload", {"name": self._names[number - 1]})
         except CairnError as error:
             return UnloadNode.Response(success=False, error_message=str(error)[:4000])
         return UnloadNode.Response(success=True)

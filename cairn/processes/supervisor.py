@@ -52,7 +52,7 @@ from cairn.runtime.component import Component
 from cairn.runtime.handlers import every
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 
 _STEP_S = 0.5
 """Longest time between two checks of the others while a child starts."""
@@ -147,7 +147,7 @@ class Supervisor(Component):
         """Stop the children that are left."""
         self.children.stop_all()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002
+    def on_error(self, _: Exception) -> bool:
         """Stop all children; do not recover."""
         self.children.stop_all()
         return False

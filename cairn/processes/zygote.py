@@ -1,6 +1,6 @@
 """The zygote: a process that imports what components need, then forks and ends them.
 
-Each connection of a client (`zygote_client.py`) owns the processes that were spawned over it. When
+Each connection of a client (`launcher.py`) owns the processes that were spawned over it. When
 a connection closes, however its process ended, the zygote kills these processes. The messages are
 one JSON object per line on a Unix socket.
 """
@@ -38,9 +38,9 @@ from cairn.processes.orphan_cleanup import (
     kill_orphans,
     set_parent_death_signal,
 )
+from cairn.runtime.process_exit import end_process
 from cairn.system.compilation import before_compilation
 from cairn.system.files import TAKES_NO_DATA
-from cairn.system.process_exit import end_process
 
 BOOTSTRAP = (
     "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "

@@ -56,11 +56,12 @@ class Exported:
 class _Sheet(Protocol):
     """Takes the decoded messages of one topic."""
 
-    def add(self, recorded: RecordedMessage, message: Any) -> bool:
+    def add(self, recorded: RecordedMessage, message: Any, /) -> bool:
         """Write a message; return False if it holds nothing to write."""
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write what is left: nothing, if messages are written at once."""
+        return
 
 
 def export_recording(
@@ -257,7 +258,7 @@ def _columns(definition: Definition) -> list[_FieldColumn]:
     return columns
 
 
-class _Csv:
+class _Csv(_Sheet):
     """A table with a row for each message; sequences are JSON in one cell."""
 
     def __init__(self, stream: TextIO, columns: list[_FieldColumn]) -> None:
@@ -265,14 +266,11 @@ class _Csv:
         self._writer = csv.writer(stream, lineterminator="\n")
         self._writer.writerow([*_HEAD, *(column.name for column in columns)])
 
-    def add(self, recorded: RecordedMessage, message: Any) -> bool:
+    def add(self, recorded: RecordedMessage, message: Any, /) -> bool:
         """Write a row."""
         cells = [_cell(column.value(message)) for column in self._columns]
         self._writer.writerow([*_head(recorded), *cells])
         return True
-
-    def close(self) -> None:
-        """Do nothing: rows are written at once."""
 
 
 def _cell(value: Any) -> str:
@@ -282,7 +280,7 @@ def _cell(value: Any) -> str:
     return repr(plain) if isinstance(plain, float) else json.dumps(plain, ensure_ascii=False)
 
 
-class _Parquet:
+class _Parquet(_Sheet):
     """A Parquet file with a row for each message; bytes are binary, sequences lists."""
 
     def __init__(
@@ -309,7 +307,7 @@ class _Parquet:
         self._rows: list[list[Any]] = []
         self._bytes = 0
 
-    def add(self, recorded: RecordedMessage, message: Any) -> bool:
+    def add(self, recorded: RecordedMessage, message: Any, /) -> bool:
         """Keep a row; write those that are kept if they are many."""
         values = [_value(column.value(message), column.kind) for column in self._columns]
         self._rows.append([*_head(recorded), *values])
@@ -382,14 +380,14 @@ def _has_pose(definition: Definition) -> bool:
     )
 
 
-class _Tum:
+class _Tum(_Sheet):
     """The poses of a topic; those that the publisher marks as not `located` are left out."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         stream.write(TUM_HEADER)
 
-    def add(self, recorded: RecordedMessage, message: Any) -> bool:  # noqa: ARG002 - of a sheet
+    def add(self, _: RecordedMessage, message: Any, /) -> bool:
         """Write a line."""
         plain = to_plain(message)
         if not plain.get("located", True):
@@ -397,9 +395,6 @@ class _Tum:
         pose = plain["pose"].get("pose", plain["pose"])
         self._stream.write(tum_line(_stamp_ns(plain["header"]), _numbers(pose)))
         return True
-
-    def close(self) -> None:
-        """Do nothing: lines are written at once."""
 
 
 def _stamp_ns(header: Mapping[str, Any]) -> int:
@@ -442,7 +437,7 @@ _ENCODINGS: Final[Mapping[str, tuple[str, int, str]]] = {
 _SUFFIXES: Final = {"png": (".png",), "jpeg": (".jpg", ".jpeg")}
 
 
-class _Images:
+class _Images(_Sheet):
     """A folder of images, which are named by their stamps [s]."""
 
     def __init__(self, folder: Path, file_format: str) -> None:
@@ -450,7 +445,7 @@ class _Images:
         self._format = file_format
         self._last: tuple[int, int] = (-1, 0)
 
-    def add(self, recorded: RecordedMessage, message: Any) -> bool:
+    def add(self, recorded: RecordedMessage, message: Any, /) -> bool:
         """Write an image; one that is compressed in the format already as it is."""
         plain = {name: _field(message, name) for name in ("header", "data")}
         stamp = _stamp_ns(to_plain(plain["header"]))
@@ -465,9 +460,6 @@ class _Images:
         file = self._folder / f"{stamp_text(stamp)}{number}{_SUFFIXES[self._format][0]}"
         replace_file(file, encoded, durable=False)
         return True
-
-    def close(self) -> None:
-        """Do nothing: images are written at once."""
 
     def _recoded(self, name: str, data: bytes) -> bytes:
         header = read_header(name, BytesIO(data))

@@ -30,7 +30,8 @@ from mcap.opcode import Opcode
 from cairn.errors import RecordingError
 from cairn.limits.compression import RECORD_BYTES, unpack
 from cairn.limits.files import megabytes, open_regular
-from cairn.system.files import explain_os_error
+from cairn.system.closing import Closing
+from cairn.system.files import explain_os_error, explained
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and the last bytes of a file."""
@@ -236,7 +237,7 @@ def holds_mcap(path: Path) -> bool:
         return False
 
 
-class McapFile:
+class McapFile(Closing):
     """One MCAP file, open for reading; use it in a `with` statement.
 
     `notes` are sentences about what could not be read. A file that was cut off is read up to there.
@@ -253,23 +254,15 @@ class McapFile:
         self._unpacked = 0
         self._masks: dict[int, int] = {}
         self._mask_bytes = 0
-        try:
+        with explained(f"{path}: cannot be read", RecordingError):
             self._stream: BinaryIO = open_regular(path)
             self.size = os.fstat(self._stream.fileno()).st_size
             magic = self._stream.read(len(MAGIC))
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be read: {explain_os_error(error)}") from error
         if magic != MAGIC:
             self._stream.close()
             raise RecordingError(
                 f"{path}: is not an MCAP file, it starts with {magic!r}; give an MCAP file"
             )
-
-    def __enter__(self) -> McapFile:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file."""

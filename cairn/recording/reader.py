@@ -23,6 +23,7 @@ from cairn.recording.mcap_file import (
     RecordedMessage,
 )
 from cairn.system.clock import SECOND
+from cairn.system.closing import Closing
 
 MOST_FILES: Final = 10_000
 """Files of a recording."""
@@ -42,7 +43,7 @@ class _FileBlock(NamedTuple):
     block: Block
 
 
-class McapRecording:
+class McapRecording(Closing):
     """A recording: one MCAP file, or the files into which a recorder split it.
 
     Use it in a `with` statement, in one thread. Only what is asked for is read from the disk.
@@ -92,12 +93,6 @@ class McapRecording:
             self.counts.update(file.counts)
             self.attachments += file.attachments
             self.metadata |= file.metadata
-
-    def __enter__(self) -> McapRecording:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the files."""

@@ -24,6 +24,7 @@ from pydantic import Field
 from cairn.bus.keys import own_name
 from cairn.deployment.model import ALL_TOPICS
 from cairn.errors import CairnError
+from cairn.recording.recent_samples import LatchedSamples, SampleRing, memory_of
 from cairn.recording.tap import PublisherInfo, Sample, Tap
 from cairn.recording.topics import TopicPatterns
 from cairn.recording.triggers import Triggers
@@ -31,7 +32,7 @@ from cairn.recording.writer import Compression, FindMessage, RecordingFile
 from cairn.runtime.parameters import Config
 from cairn.system.bell import Bell
 from cairn.system.clock import SECOND, has_passed
-from cairn.system.files import explain_os_error
+from cairn.system.files import explain_os_error, explained
 
 _log = logging.getLogger("cairn.recording")
 
@@ -43,10 +44,7 @@ _UNKNOWN_S = 3.0
 reads the graph once a second, more seldom if that takes long."""
 _RETRY_S = 1.0  # after a failure of the disk
 _LOSSES_S = 5.0  # interval for noting losses in the file
-_SET_BACK_NS = SECOND  # an older sample may have waited for its publisher; if older, the clock was
-_SAMPLE_BYTES = 600  # memory of a sample, besides its payload
 _LARGE_BYTES = 64 << 10  # messages for which only half of the queue is free
-_LATCHED_BYTES = 64 << 20
 _MIB = 1 << 20
 _MOST_FILES = 100_000
 _MOST_TOPICS = 100_000
@@ -248,12 +246,9 @@ class McapRecorder:
         self._stepped_at = 0
         self._noted: tuple[int, int] = (0, 0)
         self._noted_at = 0
-        self._latched = _LatchedMessages()
+        self._latched = LatchedSamples()
         self._carried: dict[bytes, list[Sample]] = {}
-        self._ring: deque[tuple[int, Sample]] = deque()  # with the value of _ring_ns at the time
-        self._ring_ns = 0  # time passed; it stands still when the clock is set back
-        self._newest_ns = 0
-        self._ring_bytes = 0
+        self._ring = SampleRing(settings.last_s, settings.buffer_mb * _MIB)
         self._triggered_at = 0
         self._paused = False
         self._paused_at = 0
@@ -285,12 +280,8 @@ class McapRecorder:
         if not folder.is_dir():
             raise CairnError(f"{folder}: no such folder for the recording; create it")
         if self.continuous:
-            try:
+            with explained(f"{self._path}: the recording cannot be created"):
                 self._open("").save()  # also an early end leaves a file that can be read
-            except OSError as error:
-                raise CairnError(
-                    f"{self._path}: the recording cannot be created: {explain_os_error(error)}"
-                ) from error
         if self._threaded:
             self._thread = threading.Thread(target=self._run, name="cairn recorder", daemon=True)
             self._thread.start()
@@ -302,7 +293,7 @@ class McapRecorder:
             wanted = self._is_wanted(sample.topic)
         if not wanted:
             return
-        size = _memory(sample)
+        size = memory_of(sample)
         limit = self.settings.queue_mb * _MIB
         if size >= _LARGE_BYTES:
             limit //= 2  # so that images do not displace everything else
@@ -421,7 +412,7 @@ class McapRecorder:
             self._dropped.update(one.topic for one in ready if isinstance(one, Sample))
             self._report_disk(error)
         finally:
-            size = sum(_memory(one) for one in batch if isinstance(one, Sample))
+            size = sum(memory_of(one) for one in batch if isinstance(one, Sample))
             with self._lock:
                 self._queued -= size
 
@@ -469,7 +460,8 @@ class McapRecorder:
         else:
             if self._file is not None and not self._paused:
                 self._write(sample, sample.received_ns)
-            self._keep_in_ring(sample)
+            for old in self._ring.add(sample):
+                self._keep_latched(old)
         if reason and not self.continuous and not self._paused:
             self._on_trigger(reason)
 
@@ -485,27 +477,13 @@ class McapRecorder:
         if info is not None and info.qos.latched:
             self._latched.add(sample, info.qos.depth)
 
-    def _keep_in_ring(self, sample: Sample) -> None:
-        passed = sample.received_ns - self._newest_ns
-        if passed > 0 or passed < -_SET_BACK_NS:
-            self._ring_ns += max(0, passed) if self._newest_ns else 0
-            self._newest_ns = sample.received_ns
-        self._ring.append((self._ring_ns, sample))
-        self._ring_bytes += _memory(sample)
-        oldest = self._ring_ns - round(self.settings.last_s * SECOND)
-        limit = self.settings.buffer_mb * _MIB
-        while self._ring and (self._ring[0][0] < oldest or self._ring_bytes > limit):
-            _, old = self._ring.popleft()
-            self._ring_bytes -= _memory(old)
-            self._keep_latched(old)
-
     def _on_trigger(self, reason: str) -> None:
         self._triggered_at = self._now()
         if self._file is not None:
             self._log.info("triggered again: %s", reason)
             return
         self._open(reason)
-        for _, sample in self._ring:
+        for sample in self._ring:
             self._write(sample, sample.received_ns)
         self._log.info("triggered: %s: writing %s", reason, self._file.path if self._file else "")
 
@@ -686,38 +664,3 @@ class McapRecorder:
                     stat = path.stat()
                     found.append((stat.st_mtime_ns, path, stat.st_size))
         return {path: size for _, path, size in sorted(found)}
-
-
-class _LatchedMessages:
-    """The last messages of latched topics, of each publisher as many as it keeps itself."""
-
-    def __init__(self) -> None:
-        self._messages: dict[tuple[str, bytes], deque[Sample]] = {}
-        self._bytes = 0
-
-    def add(self, sample: Sample, depth: int) -> None:
-        kept = self._messages.setdefault((sample.topic, sample.gid), deque())
-        kept.append(sample)
-        self._bytes += _memory(sample)
-        while len(kept) > depth:
-            self._discard(kept)
-        while self._bytes > _LATCHED_BYTES and self._messages:
-            first = next(iter(self._messages))
-            oldest = self._messages[first]
-            self._discard(oldest)
-            if not oldest:
-                del self._messages[first]
-
-    def messages(self, since_ns: int = 0) -> list[Sample]:
-        """Return the messages that were received since then, in that order."""
-        kept = [one for some in self._messages.values() for one in some]
-        return sorted(
-            (one for one in kept if one.received_ns >= since_ns), key=lambda one: one.received_ns
-        )
-
-    def _discard(self, kept: deque[Sample]) -> None:
-        self._bytes -= _memory(kept.popleft())
-
-
-def _memory(sample: Sample) -> int:
-    return len(sample.payload) + _SAMPLE_BYTES

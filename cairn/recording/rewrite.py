@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 from cairn.errors import RecordingError
 from cairn.recording.mcap_file import Progress, RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording, RepeatedMessages
-from cairn.system.files import explain_os_error, replacing
+from cairn.system.files import explained, replacing
 
 
 def rewrite(
@@ -35,19 +35,20 @@ def rewrite(
     Messages are in order of time. The file appears when it is complete. Returns the number of
     messages; raises `RecordingError` if it cannot be written.
     """
-    try:
-        with replacing(out) as part, part.open("wb") as stream:
-            writer = _CopyWriter(Writer(stream, compression=CompressionType.ZSTD))
-            writer.begin(recording, attachments, metadata or {})
-            latched = recording.latched_at(start_ns - 1, channels) if start_ns else []
-            for message in latched:
-                writer.add(message._replace(log_ns=start_ns))
-            for message in recording.messages(start_ns, end_ns, channels, progress):
-                if wanted is None or wanted(message):
-                    writer.add(message)
-            return writer.finish()
-    except OSError as error:
-        raise RecordingError(f"{out}: cannot be written: {explain_os_error(error)}") from error
+    with (
+        explained(f"{out}: cannot be written", RecordingError),
+        replacing(out) as part,
+        part.open("wb") as stream,
+    ):
+        writer = _CopyWriter(Writer(stream, compression=CompressionType.ZSTD))
+        writer.begin(recording, attachments, metadata or {})
+        latched = recording.latched_at(start_ns - 1, channels) if start_ns else []
+        for message in latched:
+            writer.add(message._replace(log_ns=start_ns))
+        for message in recording.messages(start_ns, end_ns, channels, progress):
+            if wanted is None or wanted(message):
+                writer.add(message)
+        return writer.finish()
 
 
 class _CopyWriter:

@@ -73,24 +73,19 @@ class Tap(Protocol):
     @property
     def lost(self) -> Counter[str]:
         """Number of messages lost on the way to the tap, by topic, from gaps in their numbers."""
-        ...
 
     @property
     def refused(self) -> int:
         """Number of samples that are not messages, or came from too many topics."""
-        ...
 
     def publisher(self, gid: bytes) -> PublisherInfo | None:
         """Return what is known of a publisher; None if the graph does not have it (yet)."""
-        ...
 
     def is_present(self, gid: bytes) -> bool:
         """Return whether a publisher that was known has not ended."""
-        ...
 
     def close(self) -> None:
         """Deliver nothing any more."""
-        ...
 
 
 class ZenohTap:

@@ -244,7 +244,7 @@ def _qos_profiles(qos: Qos) -> str:
 class _PlainDumper(yaml.SafeDumper):
     """Writes equal values out instead of references to the first one."""
 
-    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002 - the same for all
+    def ignore_aliases(self, _: Any) -> bool:
         return True
 
 

@@ -34,6 +34,32 @@ class RecordedCall:
         kind: RecordKind = self.record[0]
         return kind
 
+    @property
+    def description(self) -> str:
+        """What call it is, for reports."""
+        values = self.record[1:]
+        match self.kind:
+            case RecordKind.START:
+                return "its start"
+            case RecordKind.TRANSITION:
+                return f"transition {values[0]}"
+            case RecordKind.MESSAGE:
+                return f"the handler of {values[0]}, message {values[2]}"
+            case RecordKind.CALLED:
+                return f"the server {values[0]}, call {values[2]}"
+            case RecordKind.ANSWERED | RecordKind.FAILED:
+                return f"the answer to call {values[1]} of {values[0]}"
+            case RecordKind.CLOCK:
+                return "a message on topic clock"
+            case RecordKind.TIMERS:
+                return "a timer"
+            case RecordKind.REQUEST:
+                return f"request {values[0]}"
+            case RecordKind.HOST:
+                return f"a call of its host ({values[0]})"
+            case _:
+                return "a posted call"
+
 
 @dataclass
 class ComponentStart:

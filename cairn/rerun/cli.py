@@ -11,8 +11,8 @@ import typer
 
 from cairn.errors import CairnError
 from cairn.recording.reader import McapRecording
-from cairn.rerun.engine import RerunResult
 from cairn.rerun.excerpt import save_test
+from cairn.rerun.result import RerunResult
 from cairn.rerun.run import chosen_starts, starts_in
 from cairn.rerun.worker import rerun_in_processes
 from cairn.system.clock import SECOND

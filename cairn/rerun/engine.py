@@ -8,32 +8,41 @@ import json
 import logging
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Protocol
 
-from cairn.bus.bus import MessageId, ServiceError, full_name
+from cairn.bus.bus import (
+    ClientOptions,
+    MessageId,
+    Node,
+    PublisherOptions,
+    ServerOptions,
+    ServiceError,
+    SubscriptionOptions,
+    full_name,
+)
 from cairn.bus.codec import Codec
-from cairn.bus.exclusive import Exclusive
-from cairn.bus.qos import Qos
 from cairn.bus.type_hash import type_hash
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
 from cairn.processes.logged_children import RecordedChildren
 from cairn.processes.supervisor import Supervisor
+from cairn.rerun.call_environment import CallEnvironment, CannotRerun, Sent
 from cairn.rerun.call_logs import ComponentStart, RecordedCall
 from cairn.rerun.comparison import first_difference
+from cairn.rerun.rerun_services import RerunCall, RerunClient, RerunServer
+from cairn.rerun.result import Difference, RerunResult, TopicResult
 from cairn.runtime.call_records import RecordKind, StartInfo
 from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import Transition
 from cairn.runtime.ports import actions_of, ports_of, services_of
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.runtime.timers import CLOCK_TOPIC
 from cairn.schemas.builtin_interfaces import from_ns
-from cairn.schemas.message import InvalidMessage, Service, type_name
+from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rosgraph_msgs import Clock as ClockMessage
 from cairn.system.clock import SECOND
-from cairn.system.process_exit import ExitReport
 
 _MOST_NOTES: Final = 20
 _log = logging.getLogger("cairn.rerun")
@@ -52,71 +61,6 @@ class RecordedMessages(Protocol):
 
     def find(self, message: MessageId) -> Payload | None:
         """Return a message; None if it was not recorded."""
-        ...
-
-
-@dataclass(frozen=True)
-class Difference:
-    """Something in which the re-run differs: on which topic, when, and what both have.
-
-    `time_ns` is when the message was sent, or that of the call, `call_ns`.
-    """
-
-    topic: str
-    time_ns: int
-    call_ns: int
-    call: str
-    what: str
-
-    def __str__(self) -> str:
-        where = f"{self.topic}: " if self.topic else ""
-        return f"{where}{self.what}; at {self.time_ns / SECOND:.6f} s, in {self.call}"
-
-
-@dataclass
-class TopicResult:
-    """The messages of one output: compared, and of them different; recorded or re-run alone."""
-
-    compared: int = 0
-    different: int = 0
-    missing: int = 0
-    extra: int = 0
-    not_recorded: int = 0
-
-    @property
-    def differing(self) -> int:
-        """How many messages differ, are missing or are extra."""
-        return self.different + self.missing + self.extra
-
-
-@dataclass
-class RerunResult:
-    """What the re-run of one start of a component has shown.
-
-    `incomplete` says from where on, and why, the calls could not be made again, "" if all were.
-    """
-
-    component: str
-    incarnation: int
-    calls: int = 0
-    topics: dict[str, TopicResult] = field(default_factory=dict)
-    first: Difference | None = None
-    differences: int = 0
-    incomplete: str = ""
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def equal(self) -> bool:
-        """Whether all calls could be made again and all publications are equal."""
-        return self.first is None and not self.incomplete
-
-
-class CannotRerun(BaseException):
-    """A component cannot be re-run, or not any further.
-
-    Not an `Exception`, because it passes through the component's own call, which must not fail by
-    it.
-    """
 
 
 class _Cut(BaseException):
@@ -157,14 +101,14 @@ class Rerun:
         self._stop_at_difference = stop_at_difference
         self._on_call = on_call
         self._gids: dict[str, bytes] = {}
-        self._call = _CallEnvironment("its start")
+        self._call = CallEnvironment("its start")
         self._call_ns = start.started_ns
         self._subscriptions: dict[str, _RerunSubscription] = {}
         self._scheduler = _RerunScheduler()
         self._ports: dict[str, str] = {}  # by topic
         self._service_ports: dict[str, str] = {}  # by service
-        self._servers: dict[str, _RerunServer] = {}
-        self._clients: dict[str, _RerunClient] = {}
+        self._servers: dict[str, RerunServer] = {}
+        self._clients: dict[str, RerunClient] = {}
         self._runtime: Runtime | None = None
 
     def run(self) -> RerunResult:
@@ -191,7 +135,7 @@ class Rerun:
 
     def _make(self, call: RecordedCall, *, is_last: bool) -> bool:
         """Make one call; return whether there should be further ones."""
-        environment = _CallEnvironment(_describe(call))
+        environment = CallEnvironment(call.description)
         for record in call.events:
             environment.add(record, self._gids)
         # The recording, or the process, may have ended during the last call.
@@ -250,7 +194,7 @@ class Rerun:
             case RecordKind.FOREIGN:
                 raise CannotRerun("a thread of its own called it, which cannot be repeated")
             case _:
-                raise CannotRerun(f"{_describe(call)} cannot be repeated")
+                raise CannotRerun(f"{call.description} cannot be repeated")
 
     def _constructed(self) -> Runtime:
         info = self._info
@@ -302,12 +246,10 @@ class Rerun:
             return
         subscription.deliver(self.message(subscription, identity), identity)
 
-    def call_of(self, server: "_RerunServer", values: Sequence[Any]) -> "_RerunCall":
+    def call_of(self, server: RerunServer, values: Sequence[Any]) -> RerunCall:
         """Return a recorded call of a server, from the identity and the request in its record."""
         gid, sequence, content = values
-        return _RerunCall(
-            self, server, self._decoded(server.service.Request, content), gid, sequence
-        )
+        return RerunCall(server, self._decoded(server.service.Request, content), gid, sequence)
 
     def _answer(self, kind: RecordKind, port: str, sequence: int, content: Any) -> None:
         client = self._clients.get(port)
@@ -327,13 +269,13 @@ class Rerun:
                 f"{type_name(cls)}: a recorded message is invalid now: {error}"
             ) from error
 
-    def open_server(self, server: "_RerunServer") -> str:
+    def open_server(self, server: RerunServer) -> str:
         """Note a server; return the name of its port."""
         port = self._service_ports[server.name]
         self._servers[port] = server
         return port
 
-    def open_client(self, client: "_RerunClient") -> str:
+    def open_client(self, client: RerunClient) -> str:
         """Note a client; return the name of its port."""
         port = self._service_ports[client.name]
         self._clients[port] = client
@@ -344,7 +286,7 @@ class Rerun:
         self._servers.pop(port, None)
         self._clients.pop(port, None)
 
-    def pending_call(self, server: "_RerunServer") -> "_RerunCall | None":
+    def pending_call(self, server: RerunServer) -> RerunCall | None:
         """Return a call that was taken from a server within another call; None if none was."""
         waiting = self._call.pending_calls.get(server.port)
         return self.call_of(server, waiting.popleft()) if waiting else None
@@ -357,7 +299,7 @@ class Rerun:
         self._note(f"asks more often whether there is a server for {port}")
         return True
 
-    def compare_sent(self, service: str, port: str, what: str, sent: "_Sent") -> None:
+    def compare_sent(self, service: str, port: str, what: str, sent: Sent) -> None:
         """Compare what was sent by a service with the recording: an answer, a refusal, a call."""
         result = self.result.topics.setdefault(service, TopicResult())
         expected = self._call.service_sent.get(port)
@@ -416,9 +358,9 @@ class Rerun:
         self._note(f"asks more often whether anything subscribes to {port}")
         return True
 
-    def open_input(self, topic: str, subscription: "_RerunSubscription") -> None:
+    def open_input(self, subscription: "_RerunSubscription") -> None:
         """Note the subscription of a port."""
-        self._subscriptions[self._ports[topic]] = subscription
+        self._subscriptions[self._ports[subscription.topic]] = subscription
 
     def close_input(self, topic: str) -> None:
         """Forget the subscription of a port."""
@@ -487,7 +429,7 @@ class Rerun:
             return "the bytes of the message differ, but no field"
         return f"{found.path} is {found.rerun}, recorded was {found.recorded}"
 
-    def _check_rest(self, environment: "_CallEnvironment") -> None:
+    def _check_rest(self, environment: CallEnvironment) -> None:
         """Report what the recorded call did beyond that of the re-run."""
         end = self.ended  # first, because it is the cause of what is missing
         recorded_end = environment.end
@@ -538,67 +480,6 @@ class Rerun:
         self.ended = report
 
 
-class _Sent(NamedTuple):
-    """What was sent by a service: an answer or a request, or the text of a refusal.
-
-    `gid` and `sequence` are those of the call that is answered; a request has only the latter.
-    """
-
-    gid: bytes
-    sequence: int
-    content: bytes | str
-
-
-class _CallEnvironment:
-    """What happened during one recorded call, in queues from which the re-run takes it."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.times: deque[int] = deque()
-        self.subscribed: dict[str, deque[bool]] = {}
-        self.sent: dict[str, deque[MessageId]] = {}
-        self.pending: dict[str, deque[MessageId]] = {}
-        self.pending_calls: dict[str, deque[tuple[Any, ...]]] = {}
-        self.service_sent: dict[str, deque[_Sent]] = {}
-        self.outcomes: deque[str] = deque()
-        self.is_cut = False
-        self.end: Mapping[str, Any] | None = None
-
-    def add(self, record: tuple[Any, ...], gids: dict[str, bytes]) -> None:
-        """Add an event of the call; `gids` are the publishers of the outputs."""
-        kind, *values = record
-        match kind:
-            case RecordKind.TIME:
-                self.times.append(values[0])
-            case RecordKind.HAS_SUBSCRIBERS | RecordKind.NO_SUBSCRIBERS:
-                seen = self.subscribed.setdefault(values[0], deque())
-                seen.append(kind is RecordKind.HAS_SUBSCRIBERS)
-            case RecordKind.OPENED:
-                gids[values[0]] = values[1]
-            case RecordKind.SENT | RecordKind.NOT_SENT:
-                number = values[1] if kind is RecordKind.SENT else 0
-                gid = gids.get(values[0], bytes(16))
-                self.sent.setdefault(values[0], deque()).append(MessageId(gid, number))
-            case RecordKind.PENDING:
-                waiting = self.pending.setdefault(values[0], deque())
-                waiting.append(MessageId(values[1], values[2]))
-            case RecordKind.PENDING_CALL:
-                calls = self.pending_calls.setdefault(values[0], deque())
-                calls.append(tuple(values[1:]))
-            case RecordKind.REPLIED | RecordKind.REFUSED:
-                answer = _Sent(values[1], values[2], values[3])
-                self.service_sent.setdefault(values[0], deque()).append(answer)
-            case RecordKind.REQUESTED:
-                request = _Sent(bytes(16), values[1], values[2])
-                self.service_sent.setdefault(values[0], deque()).append(request)
-            case RecordKind.OUTCOME:
-                self.outcomes.append(values[0])
-            case RecordKind.ENDED:
-                self.end = json.loads(values[0])
-            case RecordKind.CUT:
-                raise CannotRerun(f"the log ends: {values[0]}")
-
-
 class _RerunScheduler:
     """Keeps what the component posts until the log says that it is called."""
 
@@ -633,7 +514,7 @@ class _RerunScheduler:
 
 
 class _RerunBus:
-    """The bus and the node of the component."""
+    """The bus of the component."""
 
     def __init__(self, rerun: Rerun) -> None:
         self._rerun = rerun
@@ -643,60 +524,35 @@ class _RerunBus:
         name: str,
         report: Callable[[str], None],
         warn: Callable[[str], None] | None = None,
-    ) -> "_RerunBus":
-        return self
+    ) -> "_RerunNode":
+        return _RerunNode(self._rerun)
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         return []
 
-    def advertise(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        exclusive: Exclusive | None = None,
-        *,
-        shared: bool = False,
-    ) -> "_RerunPublisher | _NothingPublished":
-        if shared:  # of every node, and not logged
+
+class _RerunNode(Node):
+    """The component on its bus."""
+
+    def __init__(self, rerun: Rerun) -> None:
+        super().__init__()
+        self._rerun = rerun
+
+    def _open_publisher(self, options: PublisherOptions) -> "_RerunPublisher | _NothingPublished":
+        if options.shared:  # of every node, and not logged
             return _NothingPublished()
-        return _RerunPublisher(self._rerun, topic, message)
+        return _RerunPublisher(self._rerun, options.topic, options.message)
 
-    def subscribe(
-        self,
-        topic: str,
-        message: type[Any],
-        qos: Qos,
-        wake: Callable[[], None],
-        exclusive: Exclusive | None = None,
-        max_bytes: int | None = None,
-    ) -> "_RerunSubscription":
-        subscription = _RerunSubscription(self._rerun, topic, message, wake)
-        self._rerun.open_input(topic, subscription)
-        return subscription
+    def _open_subscription(self, options: SubscriptionOptions) -> "_RerunSubscription":
+        return _RerunSubscription(self._rerun, options)
 
-    def serve(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        wake: Callable[[], None],
-        max_bytes: int | None = None,
-        invalid_response: Any = None,
-        *,
-        is_private: bool = False,
-    ) -> "_RerunServer | _NothingServed":
-        if is_private:  # of every node, and not logged
+    def _open_server(self, options: ServerOptions) -> "RerunServer | _NothingServed":
+        if options.is_private:  # of every node, and not logged
             return _NothingServed()
-        return _RerunServer(self._rerun, name, service, wake)
+        return RerunServer(self._rerun, options)
 
-    def client(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None] | None = None,
-    ) -> "_RerunClient":
-        return _RerunClient(self._rerun, name, service)
+    def _open_client(self, options: ClientOptions) -> RerunClient:
+        return RerunClient(self._rerun, options)
 
     def close(self) -> None:
         """Do nothing."""
@@ -724,86 +580,6 @@ class _NothingServed:
         """Do nothing."""
 
 
-class _RerunServer:
-    received = invalid = refused = 0
-
-    def __init__(
-        self, rerun: Rerun, name: str, service: type[Service[Any, Any]], wake: Callable[[], None]
-    ) -> None:
-        self.name = name
-        self.service = service
-        self._rerun = rerun
-        self._wake = wake
-        self._next: _RerunCall | None = None
-        self.port = rerun.open_server(self)
-
-    def deliver(self, call: "_RerunCall") -> None:
-        """Have the component take a call."""
-        self._next = call
-        self._wake()
-
-    def take(self) -> "_RerunCall | None":
-        taken, self._next = self._next or self._rerun.pending_call(self), None
-        return taken
-
-    def close(self) -> None:
-        self._rerun.close_service(self.port)
-
-
-class _RerunCall:
-    def __init__(
-        self, rerun: Rerun, server: _RerunServer, request: Any, client: bytes, sequence: int
-    ) -> None:
-        self.request = request
-        self.client = client
-        self.sequence = sequence
-        self._rerun = rerun
-        self._server = server
-
-    def reply(self, response: Any) -> None:
-        if type(response) is not self._server.service.Response:
-            raise TypeError(f"the answer is a {type(response).__qualname__}")
-        self._send("an answer", self._rerun.codec.encode(response))
-
-    def refuse(self, reason: str) -> None:
-        self._send("a refusal", reason)
-
-    def _send(self, what: str, content: bytes | str) -> None:
-        sent = _Sent(self.client, self.sequence, content)
-        self._rerun.compare_sent(self._server.name, self._server.port, what, sent)
-
-
-class _RerunClient:
-    gid = bytes(16)
-
-    def __init__(self, rerun: Rerun, name: str, service: type[Service[Any, Any]]) -> None:
-        self.name = name
-        self.service = service
-        self.sent = 0
-        self.pending: dict[int, tuple[Callable[[Any], None], Callable[[ServiceError], None]]] = {}
-        self._rerun = rerun
-        self._port = rerun.open_client(self)
-
-    @property
-    def is_available(self) -> bool:
-        return self._rerun.saw_server(self._port)
-
-    def call(
-        self,
-        request: Any,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
-    ) -> None:
-        self.sent += 1
-        self.pending[self.sent] = (on_reply, on_failure)
-        sent = _Sent(bytes(16), self.sent, self._rerun.codec.encode(request))
-        self._rerun.compare_sent(self.name, self._port, "a call", sent)
-
-    def close(self) -> None:
-        self._rerun.close_service(self._port)
-
-
 class _RerunPublisher:
     def __init__(self, rerun: Rerun, topic: str, message: type[Any]) -> None:
         self.published = 0
@@ -827,15 +603,14 @@ class _RerunPublisher:
 class _RerunSubscription:
     received = dropped = invalid = refused = 0
 
-    def __init__(
-        self, rerun: Rerun, topic: str, message: type[Any], wake: Callable[[], None]
-    ) -> None:
-        self.topic = topic
-        self.message = message
+    def __init__(self, rerun: Rerun, options: SubscriptionOptions) -> None:
+        self.topic = options.topic
+        self.message = options.message
         self.taken: MessageId | None = None
         self._rerun = rerun
-        self._wake = wake
+        self._wake = options.wake
         self._next: tuple[Any, MessageId] | None = None
+        rerun.open_input(self)
 
     def deliver(self, message: Any, identity: MessageId) -> None:
         """Have the component take a message."""
@@ -851,31 +626,6 @@ class _RerunSubscription:
 
     def close(self) -> None:
         self._rerun.close_input(self.topic)
-
-
-def _describe(call: RecordedCall) -> str:
-    values = call.record[1:]
-    match call.kind:
-        case RecordKind.START:
-            return "its start"
-        case RecordKind.TRANSITION:
-            return f"transition {values[0]}"
-        case RecordKind.MESSAGE:
-            return f"the handler of {values[0]}, message {values[2]}"
-        case RecordKind.CALLED:
-            return f"the server {values[0]}, call {values[2]}"
-        case RecordKind.ANSWERED | RecordKind.FAILED:
-            return f"the answer to call {values[1]} of {values[0]}"
-        case RecordKind.CLOCK:
-            return "a message on topic clock"
-        case RecordKind.TIMERS:
-            return "a timer"
-        case RecordKind.REQUEST:
-            return f"request {values[0]}"
-        case RecordKind.HOST:
-            return f"a call of its host ({values[0]})"
-        case _:
-            return "a posted call"
 
 
 def _messages(count: int) -> str:

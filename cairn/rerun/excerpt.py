@@ -15,7 +15,7 @@ from cairn.rerun.files import ATTACHED
 from cairn.rerun.run import CALL_BATCH, EXCERPT_RECORD, add_uses
 from cairn.runtime.input_files import LONGEST_FILE, file_digest
 from cairn.schemas.cairn_msgs import CallBatch
-from cairn.system.files import explain_os_error
+from cairn.system.files import explained
 
 _TEST: Final = '''\
 """{subject} publishes the same as recorded in {source}, for the same calls.
@@ -62,7 +62,7 @@ def save_test(
         return MessageId(bytes.fromhex(message.channel.gid), message.sequence) in used
 
     marks = {} if until_ns is None else {"until_ns": str(until_ns)}
-    try:
+    with explained(f"{folder}: cannot be written"):
         folder.mkdir(parents=True, exist_ok=True)
         rewrite(
             recording, excerpt, channels=channels, wanted=wanted,
@@ -77,8 +77,6 @@ def save_test(
                 recording=excerpt.name,
             )
         )
-    except OSError as error:
-        raise CairnError(f"{folder}: cannot be written: {explain_os_error(error)}") from error
     return excerpt, test
 
 

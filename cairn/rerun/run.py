@@ -13,8 +13,9 @@ from cairn.bus.codec import Codec
 from cairn.errors import CairnError, RecordingError
 from cairn.recording.mcap_file import RecordedChannel
 from cairn.recording.reader import McapRecording
+from cairn.rerun.call_environment import CannotRerun
 from cairn.rerun.call_logs import ComponentStart, component_starts
-from cairn.rerun.engine import CannotRerun, Payload, Rerun
+from cairn.rerun.engine import Payload, Rerun
 from cairn.rerun.files import ATTACHED, with_files
 from cairn.runtime.call_records import Record, RecordKind
 from cairn.schemas.cairn_msgs import CallBatch

@@ -23,9 +23,9 @@ from cairn.errors import CairnError
 from cairn.processes.orphan_cleanup import set_parent_death_signal
 from cairn.recording.reader import McapRecording
 from cairn.rerun.call_logs import ComponentStart
-from cairn.rerun.engine import RerunResult
+from cairn.rerun.result import RerunResult
 from cairn.rerun.run import prepared_rerun, starts_in
-from cairn.system.process_exit import end_process
+from cairn.runtime.process_exit import end_process
 
 _RESULT = TypeAdapter(RerunResult)
 _SHOWN_LOG: Final = 2000  # characters

@@ -40,35 +40,27 @@ class ComponentContext(Protocol):
     @property
     def may_publish(self) -> bool:
         """Whether messages may be sent now."""
-        ...
 
     def run(self, where: str, call: Callable[..., None], *arguments: Any) -> None:
         """Make one call into the component, while active."""
-        ...
 
     def schedule(self, at: int, call: Callable[[], None]) -> None:
         """Make `call` once at time `at` [ns] of the component's clock, while active."""
-        ...
 
     def post(self, call: Callable[[], None]) -> None:
         """Make `call` among the handlers, while active; from any thread."""
-        ...
 
     def finish(self, reason: str, *, success: bool = True) -> None:
         """End the component normally once the current handler returns."""
-        ...
 
     def report_problem(self, subject: str, problem: str | None) -> None:
         """Add a problem to the component's status; None: it is solved."""
-        ...
 
     def request(self, verb: str, arguments: Mapping[str, Any]) -> Any:
         """Make a control request of the component itself, as a client does."""
-        ...
 
     def serve_node(self, name: str, services: "Sequence[NodeService]") -> None:
         """Serve services below the node of that full name, in every state, until the end."""
-        ...
 
 
 class Component:

@@ -19,30 +19,24 @@ class Scheduler(Protocol):
 
     def post(self, call: Callable[[], None]) -> None:
         """Queue `call` behind those before it; never made by the calling thread; thread-safe."""
-        ...
 
     def deliver(self, call: Callable[[], None]) -> None:
         """Queue `call` for a received message; the calling thread may make it itself."""
-        ...
 
     def receive(self, call: Callable[[], None]) -> None:
         """Queue `call` for a received answer; never made by the calling thread; thread-safe."""
-        ...
 
     def wake_at(self, time: int) -> None:
         """Call the function given to `bind` at `time` of the system clock [ns].
 
         Replaces the time set before; only from within a call.
         """
-        ...
 
     def bind(self, on_time: Callable[[], None]) -> None:
         """Set the function that runs due timers."""
-        ...
 
     def stop(self) -> None:
         """Make no further calls; only from within a call."""
-        ...
 
 
 class ThreadLoop:

@@ -57,6 +57,7 @@ from cairn.runtime.parameters import (
     with_changes,
 )
 from cairn.runtime.port_table import PortTable
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.rosout import wire_safe_text
 from cairn.runtime.timers import CLOCK_TOPIC, ClockInput, ComponentTimers
 from cairn.schemas.builtin_interfaces import from_ns
@@ -66,7 +67,6 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.type_description_interfaces.srv import GetTypeDescription
 from cairn.system.clock import Clock, SimulatedClock, SystemClock
-from cairn.system.process_exit import ExitReport
 
 DISCOVERY_TIMEOUT_S = 2.0
 """Limit for the discovery barrier at activation; processes not reached are logged then."""

@@ -3,6 +3,7 @@
 import heapq
 import logging
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 from cairn.bus.bus import Node, Subscription
 from cairn.bus.qos import Qos
@@ -151,32 +152,26 @@ class TimerQueue:
         heapq.heappush(self._heap, (due, self.newest, call, periodic))
 
 
+@dataclass(eq=False)
 class ClockInput:
-    """Subscribes to topic `clock` and sets a component's simulated clock by its newest message."""
+    """Subscribes to topic `clock` and sets a component's simulated clock by its newest message.
 
-    def __init__(
-        self,
-        clock: SimulatedClock,
-        node: Node,
-        topic: str,
-        scheduler: Scheduler,
-        on_clock_set: Callable[[], None],
-        report: Callable[[str], None],
-    ) -> None:
-        """Call `on_clock_set` after each message; `report` receives errors about invalid ones."""
-        self._clock = clock
-        self._node = node
-        self._topic = topic
-        self._scheduler = scheduler
-        self._on_clock_set = on_clock_set
-        self._report = report
-        self._subscription: Subscription | None = None
+    It calls `on_clock_set` after each message; `report` receives errors about invalid ones.
+    """
+
+    clock: SimulatedClock
+    node: Node
+    topic: str
+    scheduler: Scheduler
+    on_clock_set: Callable[[], None]
+    report: Callable[[str], None]
+    _subscription: Subscription | None = None
 
     def open(self) -> None:
         """Subscribe to the topic, unless that is done already."""
         if self._subscription is None:
-            self._subscription = self._node.subscribe(
-                self._topic, ClockMessage, _NEWEST, lambda: self._scheduler.deliver(self._receive)
+            self._subscription = self.node.subscribe(
+                self.topic, ClockMessage, _NEWEST, lambda: self.scheduler.deliver(self._receive)
             )
 
     def _receive(self) -> None:
@@ -185,8 +180,8 @@ class ClockInput:
         try:
             message = self._subscription.take()
         except InvalidMessage as error:
-            self._report(f"rejected an invalid message on {self._topic}: {error}")
+            self.report(f"rejected an invalid message on {self.topic}: {error}")
             return
         if message is not None:
-            self._clock.set(to_ns(message.clock))
-            self._on_clock_set()
+            self.clock.set(to_ns(message.clock))
+            self.on_clock_set()

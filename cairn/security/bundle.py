@@ -35,7 +35,7 @@ from cairn.security.roster import (
     read_roster,
 )
 from cairn.security.tokens import ServiceUrl
-from cairn.system.files import explain_os_error
+from cairn.system.files import explained
 
 _BUNDLE_BYTES: Final = 2 * ROSTER_BYTES + 4 * PEM_BYTES
 
@@ -80,11 +80,11 @@ def export_identity(folder: RobotFolder, name: str, path: Path) -> Identity:
         machines_key=read_machines_key(folder).hex() if is_machine else None,
     )
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-    try:
-        with open(os.open(path, flags, 0o600), "wb") as file:
-            file.write(bundle.model_dump_json(indent=2).encode() + b"\n")
-    except OSError as error:
-        raise CairnError(f"{path}: it cannot be created: {explain_os_error(error)}") from error
+    with (
+        explained(f"{path}: it cannot be created"),
+        open(os.open(path, flags, 0o600), "wb") as file,
+    ):
+        file.write(bundle.model_dump_json(indent=2).encode() + b"\n")
     return identity
 
 

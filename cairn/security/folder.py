@@ -15,7 +15,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from cairn.bus.credentials import check_secret
 from cairn.errors import CairnError
 from cairn.limits.files import read_bounded
-from cairn.system.files import explain_os_error, replacing
+from cairn.system.files import explained, replacing
 from cairn.system.runtime_folder import check_private, locked, private_folder
 
 VARIABLE: Final = "CAIRN_SECURITY_DIR"
@@ -57,10 +57,8 @@ def check_name(name: str, what: str) -> str:
 
 def known_robots() -> list[str]:
     """Return the names of the robots in the security folder."""
-    try:
+    with explained(str(security_folder())):
         return sorted(path.parent.name for path in security_folder().glob("*/ca.pem"))
-    except OSError as error:
-        raise CairnError(f"{security_folder()}: {explain_os_error(error)}") from error
 
 
 @dataclass(frozen=True)
@@ -182,17 +180,16 @@ def write_machines_key(folder: RobotFolder, key: bytes) -> None:
 def read_secret(path: Path, limit: int) -> bytes:
     """Return the content of a file that other users may not read; `CairnError` if they may."""
     check_secret(path)
-    try:
+    with explained(f"{path}: it cannot be read"):
         return read_bounded(path, limit)
-    except OSError as error:
-        raise CairnError(f"{path}: it cannot be read: {explain_os_error(error)}") from error
 
 
 def write_secret(path: Path, data: bytes) -> None:
     """Replace a file atomically, or create it; only its owner may read it."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-    try:
-        with replacing(path) as part, open(os.open(part, flags, 0o600), "wb") as file:
-            file.write(data)
-    except OSError as error:
-        raise CairnError(f"{path}: it cannot be written: {explain_os_error(error)}") from error
+    with (
+        explained(f"{path}: it cannot be written"),
+        replacing(path) as part,
+        open(os.open(part, flags, 0o600), "wb") as file,
+    ):
+        file.write(data)

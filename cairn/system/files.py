@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+from cairn.errors import CairnError
+
 _UMASK: Final = 0o027
 """Others may not read what Cairn writes: where a robot is, where it goes, and maps of buildings."""
 
@@ -81,6 +83,15 @@ _REMEDIES: Final = {
     errno.ENOENT: "correct the path",
     errno.EIO: "its disk fails: read the system's log",
 }
+
+
+@contextmanager
+def explained(what: str, failure: type[CairnError] = CairnError) -> Iterator[None]:
+    """Turn an `OSError` into an error that says `what` has failed, the reason, and a remedy."""
+    try:
+        yield
+    except OSError as error:
+        raise failure(f"{what}: {explain_os_error(error)}") from error
 
 
 def explain_os_error(error: OSError) -> str:

@@ -50,7 +50,7 @@ def return_free_memory() -> None:
     """Return the free pages of the heap to the system, such as those of a burst of messages.
 
     By itself, glibc returns only what is free at the end of the heap, and keeps up to 32 MiB there
-    in the processes of components (`cairn.processes.zygote_client`).
+    in the processes of components (`cairn.processes.launcher`).
     """
     if hasattr(_libc, "malloc_trim"):
         _libc.malloc_trim(ctypes.c_size_t(0))

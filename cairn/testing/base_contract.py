@@ -19,13 +19,7 @@ from cairn.system.clock import SECOND
 from cairn.testing import odometry_contract as odometry
 from cairn.testing import timing as timed
 from cairn.testing.device import Wheeled
-from cairn.testing.driver_contract import (
-    EndContract,
-    LifeCycleContract,
-    ParametersContract,
-    StopContract,
-    UnplugContract,
-)
+from cairn.testing.driver_contract import DriverContract
 from cairn.testing.odometry_contract import Drive, OdometryContract, Odoms
 from cairn.testing.robot import Arrival, Reading, RunningDeployment
 from cairn.testing.timing import in_time
@@ -246,9 +240,7 @@ class SafetyContract(DriveContract):
         return odometry.is_still(odom.message, self.still, self.still)
 
 
-class BaseContract(
-    EndContract, StopContract, UnplugContract, LifeCycleContract, SafetyContract, ParametersContract
-):
+class BaseContract(DriverContract, SafetyContract):
     """All tests of a base driver. Derive a class and set the attributes of your base."""
 
 

@@ -15,7 +15,6 @@ class Located(Protocol):
     @property
     def settings(self) -> Mapping[str, Any]:
         """Settings of the deployment with the device's address, as in `--set NAME=VALUE`."""
-        ...
 
 
 @runtime_checkable
@@ -25,7 +24,6 @@ class Routed(Protocol):
     @property
     def router(self) -> str:
         """Endpoint of the router that the deployment joins, such as `tcp/127.0.0.1:7447`."""
-        ...
 
 
 @runtime_checkable
@@ -34,11 +32,9 @@ class Unpluggable(Protocol):
 
     def unplug(self) -> None:
         """Disconnect the device, as if its cable were pulled."""
-        ...
 
     def plug_in(self) -> None:
         """Connect the device again; no effect if it is connected."""
-        ...
 
 
 @runtime_checkable
@@ -47,8 +43,6 @@ class Wheeled(Protocol):
 
     def turns(self) -> bool:
         """Return whether a wheel is turning."""
-        ...
 
     def await_stand(self, limit_s: float) -> bool:
         """Wait until no wheel turns; return whether that happened within the limit [s]."""
-        ...

@@ -27,12 +27,9 @@ from pathlib import Path
 from typing import Any, Generic, Self, TypeVar, cast
 
 from cairn.bus.actions import ActionCaller, SentGoal, make_at_once
-from cairn.bus.bus import ServiceError, full_name
+from cairn.bus.bus import Node, Publisher, ServiceError, Subscription, full_name
 from cairn.bus.lockstep_bus import (
     LockstepBus,
-    LockstepNode,
-    LockstepPublisher,
-    LockstepSubscription,
 )
 from cairn.bus.qos import RELIABLE, Qos
 from cairn.deployment.load import load_deployment
@@ -43,10 +40,10 @@ from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.runtime.ports import ports_of
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.schemas.message import Action, Service
 from cairn.system.clock import SECOND
-from cairn.system.process_exit import ExitReport
 
 C = TypeVar("C", bound=Component)
 Request = TypeVar("Request")
@@ -73,7 +70,7 @@ class LockstepReading(Generic[M]):
 
     def __init__(
         self,
-        node: LockstepNode,
+        node: Node,
         topic: str,
         message: type[M],
         qos: Qos,
@@ -82,7 +79,7 @@ class LockstepReading(Generic[M]):
         self.topic = topic
         self.messages: list[M] = []
         self._on_message = on_message
-        self._subscription: LockstepSubscription | None = None
+        self._subscription: Subscription | None = None
         self._subscription = node.subscribe(topic, message, qos, self._receive)
         self._receive()  # latched messages arrived before the subscription existed
 
@@ -124,7 +121,7 @@ class Lockstep:
         self.executor = executor or LockstepExecutor(round(start_s * SECOND))
         self.bus = bus or LockstepBus(self.executor.after)
         self.node = self.bus.node(full_name(robot, "test"), _raise)
-        self._writers: dict[str, LockstepPublisher] = {}
+        self._writers: dict[str, Publisher] = {}
         self._goals = itertools.count(1)
 
     @property

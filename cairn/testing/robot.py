@@ -28,6 +28,7 @@ from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.rosgraph_msgs import Clock
+from cairn.system.closing import Closing
 from cairn.testing.launching import LIMIT_S, Run, launching, names_of
 
 M = TypeVar("M")
@@ -478,7 +479,7 @@ class Arrival(Generic[M]):
     clock_ns: int
 
 
-class Reading(Generic[M]):
+class Reading(Closing, Generic[M]):
     """Collects what is published on a topic until it is closed; `arrivals` grows."""
 
     def __init__(
@@ -565,14 +566,6 @@ class Reading(Generic[M]):
     def close(self) -> None:
         """Unsubscribe; what was received is kept."""
         self._subscription.close()
-
-    def __enter__(self) -> Reading[M]:
-        """Read until the end of the context."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Unsubscribe."""
-        self.close()
 
     def _receive(self) -> None:
         at_ns = time.time_ns()

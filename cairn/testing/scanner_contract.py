@@ -15,14 +15,7 @@ import pytest
 
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing import timing as timed
-from cairn.testing.driver_contract import (
-    Contract,
-    EndContract,
-    LifeCycleContract,
-    ParametersContract,
-    StopContract,
-    UnplugContract,
-)
+from cairn.testing.driver_contract import Contract, DriverContract
 from cairn.testing.robot import Arrival, Bench
 from cairn.testing.timing import undisturbed
 
@@ -135,9 +128,7 @@ class ScanContract(Contract):
         check_surroundings(messages, self.surroundings, self.surroundings_m)
 
 
-class RangeScannerContract(
-    EndContract, StopContract, UnplugContract, LifeCycleContract, ParametersContract, ScanContract
-):
+class RangeScannerContract(DriverContract, ScanContract):
     """All tests of a range scanner's driver. Derive a class and set its attributes."""
 
 

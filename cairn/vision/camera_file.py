@@ -22,7 +22,7 @@ from cairn.errors import CairnError
 from cairn.limits.yaml import no_boolean, read_yaml, yaml_fault
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
-from cairn.system.files import explain_os_error, replace_file
+from cairn.system.files import explain_os_error, explained, replace_file
 from cairn.vision.rectification import CameraModel
 
 Finite = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(no_boolean)]
@@ -110,12 +110,8 @@ def write_camera(file: Path, info: CameraInfo, name: str) -> None:
         "projection_matrix": _matrix(info.p.reshape(3, 4)),
     }
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=math.inf)
-    try:
+    with explained(f"{file}: the calibration cannot be written"):
         replace_file(file, text.encode())
-    except OSError as error:
-        raise CairnError(
-            f"{file}: the calibration cannot be written: {explain_os_error(error)}"
-        ) from error
 
 
 _REMEDY = "calibrate the camera again with `cairn camera calibrate`, or use an intact copy"

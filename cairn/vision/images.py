@@ -14,7 +14,7 @@ from cairn.limits.files import open_regular
 from cairn.limits.images import check_pixels, decode_image, read_header, read_image_file
 from cairn.schemas.sensor_msgs import Image
 from cairn.schemas.std_msgs import Header
-from cairn.system.files import explain_os_error
+from cairn.system.files import explained
 
 Gray = NDArray[np.uint8]
 
@@ -89,11 +89,8 @@ def upright_size(path: Path) -> tuple[int, int]:
 
     Raises `CairnError` if the file is not an image.
     """
-    try:
-        with open_regular(path) as stream:
-            header = read_header(str(path), stream)
-    except OSError as error:
-        raise CairnError(f"{path}: cannot be read: {explain_os_error(error)}") from error
+    with explained(f"{path}: cannot be read"), open_regular(path) as stream:
+        header = read_header(str(path), stream)
     turns, _ = _UPRIGHT.get(header.orientation, (0, False))
     return (header.height, header.width) if turns % 2 else (header.width, header.height)
 

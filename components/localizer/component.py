@@ -25,6 +25,7 @@ from cairn import (
     to_ns,
 )
 from cairn.components.localizer.config import LocalizerConfig
+from cairn.components.localizer.landmark_evidence import LandmarkEvaluator
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.messages import (
     estimate_message,
@@ -158,7 +159,9 @@ class Localizer(Component):
 
     def _reset(self) -> None:
         self._track = self.config.base.track()
-        self._localization = Localization(self.config.settings(), self._track, self.random)
+        self._localization = Localization(
+            self.config.settings(), self._track, self.random, self.evaluator()
+        )
         self._pending: PendingMessages[LaserScan | RecognizedObjectArray] = PendingMessages(
             self.config.hold_s
         )
@@ -167,6 +170,10 @@ class Localizer(Component):
         )
         self._scanner = ScannerMonitor()
         self._published = self._scanned = -math.inf
+
+    def evaluator(self) -> LandmarkEvaluator:
+        """Return what compares observations of objects with the pose."""
+        return LandmarkEvaluator(self.config.mode, self.config.ring_samples, self.random)
 
     @on("map")
     def on_map(self, message: OccupancyGrid) -> None:

@@ -149,8 +149,7 @@ class LocalizerConfig(Config):
     )
     mode: SimilarityMode = Field(
         "lr",
-        description="Similarity by likelihood ratio (lr), or by new samples as in the paper; for "
-        "comparison: the paper's literal rule, or a chi-square gate.",
+        description="Similarity by likelihood ratio (lr), or by new samples as in the paper.",
     )
     fusion: ObjectFusion = Field(
         "reliability",

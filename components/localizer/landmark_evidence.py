@@ -52,10 +52,8 @@ SAME_POSITION = 0.6
 # which may be what was observed.
 CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8
 
-# How an observation is compared with the pose. "lr" and "paper" are for robots; "paper_rule"
-# (equation 1 literally) and "chi_square" (a hard gate) are what they are compared with in
-# experiments.
-SimilarityMode = Literal["lr", "paper", "paper_rule", "chi_square"]
+# How an observation is compared with the pose.
+SimilarityMode = Literal["lr", "paper"]
 # Where scans fix the position, the poses with and without an object differ by no more than this
 # [m]: a cell of the map and the noise of two particle sets.
 _EXACT_M = 0.15
@@ -105,7 +103,7 @@ class LandmarkEvaluator:
         self.forget(observation.object_id)
         sure = healthy and self.ranges.wrong is None
         verdict = EvidenceVerdict.AGREES if sure else EvidenceVerdict.NOT_CONVERGED
-        return _evidence_of(observation, pose, NEUTRAL, verdict, 0.0)
+        return evidence_of(observation, pose, NEUTRAL, verdict, 0.0)
 
     def unseen(
         self, pose: PoseEstimate, landmark: Landmark, range_m: float, bearing: float
@@ -114,7 +112,7 @@ class LandmarkEvaluator:
         [rad], but was not recognized.
         """
         expected = Observation(landmark.object_id, range_m, bearing, 0.0, 0.0)
-        return _evidence_of(expected, pose, NEUTRAL, EvidenceVerdict.UNSEEN, 0.0)
+        return evidence_of(expected, pose, NEUTRAL, EvidenceVerdict.UNSEEN, 0.0)
 
     def compare(
         self,
@@ -150,15 +148,11 @@ class LandmarkEvaluator:
         difference = innovation(pose, observation, landmark)
         contradicts = difference.nis > GATE
         similarity, distance = likelihood_ratio_similarity(difference), math.sqrt(difference.nis)
-        if self.mode == "chi_square":
-            similarity = gate_similarity(difference)
-        elif self.mode != "lr":
-            similarity, distance = self._by_new_samples(observation, landmark, pose, others)
-        if self.mode in ("paper_rule", "chi_square"):
-            sure = converged or self.mode == "paper_rule"
-            similarity = similarity if sure else NEUTRAL
-            verdict = _plain_verdict(similarity)
-            return _evidence_of(observation, pose, similarity, verdict, distance), contradicts
+        if self.mode == "paper":
+            apart_m = self.distance_to_new_samples(observation, landmark, pose, others)
+            similarity, distance = NEUTRAL, apart_m or 0.0
+            if apart_m is not None:
+                similarity = paper_similarity(convergence_radius(pose), apart_m)
         # Evidence against an object requires a more reliable pose than evidence for it.
         trusted = vouched or (similarity > NEUTRAL and likely)
         corroborated = True
@@ -190,7 +184,7 @@ class LandmarkEvaluator:
             verdict, corroborated = self._contradicted(observation, pose, landmarks)
             if verdict is EvidenceVerdict.FALSE_MATCH:
                 similarity = NEUTRAL
-        evidence = _evidence_of(observation, pose, similarity, verdict, distance, corroborated)
+        evidence = evidence_of(observation, pose, similarity, verdict, distance, corroborated)
         return evidence, contradicts
 
     def _contradicted(
@@ -233,15 +227,16 @@ class LandmarkEvaluator:
             for one in self._contradictions.get(object_id, ())
         )
 
-    def _by_new_samples(
+    def distance_to_new_samples(
         self,
         observation: Observation,
         landmark: Landmark,
         pose: PoseEstimate,
         others: Callable[[Array], Array],
-    ) -> tuple[float, float]:
-        """Return similarity and distance [m] by the paper: of new samples drawn around the
-        object.
+    ) -> float | None:
+        """Return how far [m] from `pose` new samples converge that are drawn around the object.
+
+        This is the distance of the paper's equation (1); None if they do not converge.
         """
         drawn = sample_ring(observation, landmark, self.ring_samples, self.random)
         # New samples assume that the object stands in its position; otherwise the other
@@ -253,22 +248,13 @@ class LandmarkEvaluator:
             self.random,
         )
         if found is None:
-            return NEUTRAL, 0.0
+            return None
         turn = wrap(found.mean[2] - pose.mean[2])
         # 1 m/rad: a move along the circle around the object appears in the heading only.
-        distance = math.hypot(found.mean[0] - pose.mean[0], found.mean[1] - pose.mean[1], turn)
-        if self.mode == "paper_rule":
-            return paper_rule_similarity(paper_rule_radius(pose), distance), distance
-        return paper_similarity(convergence_radius(pose), distance), distance
+        return math.hypot(found.mean[0] - pose.mean[0], found.mean[1] - pose.mean[1], turn)
 
 
-def _plain_verdict(similarity: float) -> EvidenceVerdict:
-    if similarity == NEUTRAL:
-        return EvidenceVerdict.NOT_CONVERGED
-    return EvidenceVerdict.AGREES if similarity > NEUTRAL else EvidenceVerdict.DISAGREES
-
-
-def _evidence_of(
+def evidence_of(
     observation: Observation,
     pose: PoseEstimate,
     similarity: float,
@@ -276,6 +262,7 @@ def _evidence_of(
     distance: float,
     corroborated: bool = True,
 ) -> ObjectEvidence:
+    """Return the message of evidence about an observed object."""
     x, y, covariance = implied_position(pose, observation)
     return ObjectEvidence(
         object_id=observation.object_id,
@@ -299,9 +286,6 @@ LEAST, MOST, NEUTRAL = 0.1, 0.9, 0.5
 CLUTTER = 1.0 / (4.0 * math.radians(60.0))
 # A prediction must exceed clutter by this factor at its peak: its similarity is then up to 0.8.
 _CLEAR = 4.0
-# Inside this NIS, the 99 % quantile of chi-square with 2 degrees of freedom (-2 ln 0.01), mode
-# "chi_square" accepts an observation.
-ACCEPTED = 9.21
 
 
 def likelihood_ratio_similarity(difference: Innovation) -> float:
@@ -317,26 +301,6 @@ def likelihood_ratio_similarity(difference: Innovation) -> float:
 def paper_similarity(radius: float, distance: float) -> float:
     """Mode "paper": equation (1), r / d, 1 inside the bound; clamped. Both in meters."""
     return clamp(min(1.0, radius / max(distance, 1e-6)))
-
-
-def gate_similarity(difference: Innovation) -> float:
-    """Mode "chi_square": agrees inside the 99 % gate of the prediction, disagrees outside 99.9
-    %.
-    """
-    if difference.nis <= ACCEPTED:
-        return MOST
-    return LEAST if difference.nis > GATE else NEUTRAL
-
-
-def paper_rule_similarity(radius: float, distance: float) -> float:
-    """Mode "paper_rule": equation (1) literally, from 0 to 1; 1 at distance 0."""
-    return 1.0 if distance <= radius else radius / distance
-
-
-def paper_rule_radius(pose: PoseEstimate) -> float:
-    """Return r of equation (1) [m] as two standard deviations of the particles, however small."""
-    longest = float(np.linalg.eigvalsh(pose.covariance[:2, :2])[-1])
-    return 2.0 * math.sqrt(max(longest, 0.0))
 
 
 def clamp(similarity: float) -> float:

@@ -73,11 +73,16 @@ class Localization:
     """The robot's pose from odometry, scans of a grid map and observations of mapped objects.
 
     Times are seconds of one clock. Call `add_odometry` for each record of odometry, and `fuse_scan`
-    and `fuse_objects` in the order of their stamps; `located` is true if there is a pose.
+    and `fuse_objects` in the order of their stamps; `located` is true if there is a pose. The
+    `evaluator` compares observations with the pose; None: by the settings.
     """
 
     def __init__(
-        self, settings: LocalizationSettings, track: OdometryTrack, random: np.random.Generator
+        self,
+        settings: LocalizationSettings,
+        track: OdometryTrack,
+        random: np.random.Generator,
+        evaluator: LandmarkEvaluator | None = None,
     ) -> None:
         self.settings = settings
         self.track = track
@@ -87,7 +92,9 @@ class Localization:
         self.filters = LeaveOneOutFilters(
             particles, settings.leave_one_out_particles, settings.leave_one_out_filters
         )
-        self.evaluator = LandmarkEvaluator(settings.mode, settings.ring_samples, random)
+        self.evaluator = evaluator or LandmarkEvaluator(
+            settings.mode, settings.ring_samples, random
+        )
         self.relocalizer = Relocalizer(settings.search_particles, random)
         self.wheel_slip = WheelSlipDetector(random)
         self.landmarks: dict[int, Landmark] = {}
@@ -356,8 +363,7 @@ class Localization:
         object_id = observation.object_id
         if not self._is_live(object_id):
             return self.evaluator.locate(observation, before, healthy), False
-        paper_rule = self.settings.mode == "paper_rule"
-        pose = before if paper_rule else self.filters.estimate_without(object_id)
+        pose = self.filters.estimate_without(object_id)
         recent = self._recent()
         support = self._support(pose, object_id)
         return self.evaluator.compare(

@@ -10,14 +10,7 @@ import numpy as np
 import typer
 
 from cairn import CairnError
-from cairn.components.map_builder.importing import (
-    alter,
-    endings_of,
-    import_grid,
-    import_models,
-    importer,
-)
-from cairn.components.map_builder.why import (
+from cairn.components.map_builder.evidence_chain import (
     describe_state,
     find_landmark,
     history_of,
@@ -25,6 +18,13 @@ from cairn.components.map_builder.why import (
     step_rows,
     summarize,
     time_text,
+)
+from cairn.components.map_builder.importing import (
+    alter,
+    endings_of,
+    import_grid,
+    import_models,
+    importer,
 )
 from cairn.components.map_builder.zone_cli import ZONE_COLUMNS, zone_row
 from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN

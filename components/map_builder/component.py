@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Final
-
-import numpy as np
 
 from cairn import (
     LATCHED,
@@ -34,24 +32,27 @@ from cairn.components.map_builder.cell_messages import (
 )
 from cairn.components.map_builder.cell_record import Tiles
 from cairn.components.map_builder.config import MapBuilderConfig
+from cairn.components.map_builder.evidence_chain import explain
 from cairn.components.map_builder.grid_keeper import GridKeeper, PendingUpdates, grid_digest
 from cairn.components.map_builder.landmark_map import LandmarkKeeper, NumberedChange
 from cairn.components.map_builder.landmark_messages import (
     LandmarkExchange,
+    change_message,
     contribution_message,
+    evidence_of,
     landmark_exchange,
+    landmark_of,
+    map_message,
 )
-from cairn.components.map_builder.landmark_verdicts import rule_named
+from cairn.components.map_builder.landmark_verdicts import Rule, judge
 from cairn.components.map_builder.other_robots import OtherRobots
 from cairn.components.map_builder.record_exchange import contributor_messages
-from cairn.components.map_builder.why import explain
 from cairn.components.map_builder.zone_keeper import CHANGES, ZoneKeeper
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import OdometryChange
 from cairn.planar.posed_scans import PosedScans
-from cairn.schemas.builtin_interfaces import Time
 from cairn.schemas.cairn_msgs import (
     MOST_DECISIONS,
     ObjectEvidenceArray,
@@ -59,7 +60,6 @@ from cairn.schemas.cairn_msgs import (
     SharedLandmarks,
     VisualMap,
     VisualMapChange,
-    VisualObject,
 )
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization, Zones
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -70,12 +70,6 @@ from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.landmarks import (
     FARTHEST_M,
     ChangeKind,
-    EvidenceVerdict,
-    LandmarkChange,
-    LandmarkEvidence,
-    LandmarkRecord,
-    LandmarkState,
-    MapPosition,
 )
 from cairn.visual_map.shared_record import check_robot_name
 from cairn.visual_map.sqlite_file import digest_of
@@ -223,7 +217,7 @@ class MapBuilder(Component):
             self._save_landmarks(keeper, now=True)
             keeper.close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
+    def on_error(self, _: Exception) -> bool:
         """Close the files; committed changes are safe."""
         if self._landmarks is not None:
             keeper, self._landmarks = self._landmarks, None
@@ -590,12 +584,16 @@ class MapBuilder(Component):
                 config.working_copy,
                 now if self.time_may_repeat else None,
                 config.max_landmarks if config.learn_unknown else 0,
-                rule_named(config.rule),
+                self.rule(),
                 config.undo_s,
                 None if self._exchange is None else self.robot,
             )
             self._publish(now, True, [])
         return self._landmarks
+
+    def rule(self) -> Rule:
+        """Return how evidence changes the landmarks."""
+        return judge
 
     def _open_grid(self) -> GridKeeper | None:
         config = self.config
@@ -662,82 +660,3 @@ class MapBuilder(Component):
 def _has_arguments_of(verb: str, given: set[str]) -> bool:
     needed, allowed = _ARGUMENTS[verb]
     return needed <= given <= allowed
-
-
-def evidence_of(message: ObjectEvidenceArray) -> list[LandmarkEvidence]:
-    """Return the evidence in a message."""
-    robot = (message.robot_x, message.robot_y, message.robot_theta)
-    return [
-        LandmarkEvidence(
-            object_id=piece.object_id,
-            similarity=piece.similarity,
-            verdict=EvidenceVerdict(piece.verdict),
-            distance=piece.distance,
-            implied=MapPosition(
-                piece.x,
-                piece.y,
-                float(piece.covariance[0]),
-                float(piece.covariance[1]),
-                float(piece.covariance[3]),
-            ),
-            robot=robot,
-            healthy=message.healthy,
-            corroborated=piece.corroborated,
-        )
-        for piece in message.evidence
-    ]
-
-
-def landmark_of(message: VisualObject) -> LandmarkRecord:
-    """Return the landmark of a message, as new in the map."""
-    xx, xy, _, yy = message.covariance.tolist()
-    position = MapPosition(message.x, message.y, xx, xy, yy)
-    return LandmarkRecord(message.object_id, message.name, position, message.reliability)
-
-
-def map_message(stamp: Time, version: int, landmarks: Iterable[LandmarkRecord]) -> VisualMap:
-    """Return the message of all landmarks; one without a position is at its candidate."""
-    messages = map(_object_message, landmarks)
-    return VisualMap(
-        header=Header(stamp=stamp, frame_id="map"),
-        version=version,
-        objects=tuple(message for message in messages if message is not None),
-    )
-
-
-def change_message(stamp: Time, version: int, change: LandmarkChange) -> VisualMapChange:
-    """Return the message of one change; a removed landmark has no new position."""
-    old, new = change.old, change.new
-    return VisualMapChange(
-        header=Header(stamp=stamp, frame_id="map"),
-        version=version,
-        object_id=change.object_id,
-        kind=int(change.kind),
-        old_x=old.x if old else math.nan,
-        old_y=old.y if old else math.nan,
-        new_x=new.x if new else math.nan,
-        new_y=new.y if new else math.nan,
-        reliability=change.reliability,
-        reason=change.reason,
-    )
-
-
-def _object_message(landmark: LandmarkRecord) -> VisualObject | None:
-    found = landmark.candidate
-    position = landmark.position or (found.position if found else None)
-    if position is None:
-        return None
-    state = landmark.state if landmark.position is not None else LandmarkState.RELOCATING
-    return VisualObject(
-        object_id=landmark.object_id,
-        name=landmark.name,
-        x=position.x,
-        y=position.y,
-        covariance=np.array([position.xx, position.xy, position.xy, position.yy]),
-        reliability=landmark.reliability,
-        state=int(state),
-        evidence_count=landmark.evidence_count,
-        candidate_x=found.position.x if found else math.nan,
-        candidate_y=found.position.y if found else math.nan,
-        candidate_reliability=found.reliability if found else 0.0,
-    )

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 
 from cairn import Config, Mount, ReadPath
 from cairn.components.map_builder.landmark_map import MOST_LEARNED
-from cairn.components.map_builder.landmark_verdicts import RuleName
 
 
 class MapBuilderConfig(Config):
@@ -39,11 +38,6 @@ class MapBuilderConfig(Config):
         description="Whether to exchange with other robots what is found out: about the landmarks "
         "(ports shared and others, on one topic) and about the cells of the grid map (ports "
         "shared_cells and others_cells, on another). Requires working_copy and grid_copy.",
-    )
-    rule: RuleName = Field(
-        "reliability",
-        description="How evidence changes it: by pose reliability, or for comparison by the "
-        "paper's literal rule (paper_rule) or by a persistence filter (persistence).",
     )
     grid_file: ReadPath | None = Field(
         None, description="The grid map, a map_server YAML file; none: no grid map."
@@ -111,10 +105,6 @@ class MapBuilderConfig(Config):
                 f"share requires {' and '.join(unsafe)}: robots share what differs from the map "
                 "from which all of them started, which must stay as it is"
             )
-        judges = self.update_objects and self.rule == "reliability"
-        if self.share and self.map_file is not None and not judges:
-            raise ValueError(
-                "share requires update_objects: true and rule: reliability; what robots find out "
-                "by other rules cannot be combined"
-            )
+        if self.share and self.map_file is not None and not self.update_objects:
+            raise ValueError("share requires update_objects: true; there is nothing else to share")
         return self

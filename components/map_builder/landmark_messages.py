@@ -1,14 +1,31 @@
-"""Messages of the landmarks that robots share."""
+"""Messages of landmarks: evidence about them, the visual map, its changes, what robots share."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 from cairn.components.map_builder.record_exchange import MOST_AHEAD_NS, Exchange
-from cairn.schemas.cairn_msgs import MOST_CONTRIBUTIONS, LandmarkContribution
-from cairn.visual_map.landmarks import MapPosition
+from cairn.schemas.builtin_interfaces import Time
+from cairn.schemas.cairn_msgs import (
+    MOST_CONTRIBUTIONS,
+    LandmarkContribution,
+    ObjectEvidenceArray,
+    VisualMap,
+    VisualMapChange,
+    VisualObject,
+)
+from cairn.schemas.std_msgs import Header
+from cairn.visual_map.landmarks import (
+    EvidenceVerdict,
+    LandmarkChange,
+    LandmarkEvidence,
+    LandmarkRecord,
+    LandmarkState,
+    MapPosition,
+)
 from cairn.visual_map.shared_record import (
     ORIGINAL,
     Contribution,
@@ -74,3 +91,82 @@ def _accepted(sent: LandmarkContribution, now_ns: int) -> Contribution:
     except ValueError as error:
         raise ValueError(f"of {sent.robot!r} about object {sent.object_id}: {error}") from error
     return one
+
+
+def evidence_of(message: ObjectEvidenceArray) -> list[LandmarkEvidence]:
+    """Return the evidence in a message."""
+    robot = (message.robot_x, message.robot_y, message.robot_theta)
+    return [
+        LandmarkEvidence(
+            object_id=piece.object_id,
+            similarity=piece.similarity,
+            verdict=EvidenceVerdict(piece.verdict),
+            distance=piece.distance,
+            implied=MapPosition(
+                piece.x,
+                piece.y,
+                float(piece.covariance[0]),
+                float(piece.covariance[1]),
+                float(piece.covariance[3]),
+            ),
+            robot=robot,
+            healthy=message.healthy,
+            corroborated=piece.corroborated,
+        )
+        for piece in message.evidence
+    ]
+
+
+def landmark_of(message: VisualObject) -> LandmarkRecord:
+    """Return the landmark of a message, as new in the map."""
+    xx, xy, _, yy = message.covariance.tolist()
+    position = MapPosition(message.x, message.y, xx, xy, yy)
+    return LandmarkRecord(message.object_id, message.name, position, message.reliability)
+
+
+def map_message(stamp: Time, version: int, landmarks: Iterable[LandmarkRecord]) -> VisualMap:
+    """Return the message of all landmarks; one without a position is at its candidate."""
+    messages = map(_object_message, landmarks)
+    return VisualMap(
+        header=Header(stamp=stamp, frame_id="map"),
+        version=version,
+        objects=tuple(message for message in messages if message is not None),
+    )
+
+
+def change_message(stamp: Time, version: int, change: LandmarkChange) -> VisualMapChange:
+    """Return the message of one change; a removed landmark has no new position."""
+    old, new = change.old, change.new
+    return VisualMapChange(
+        header=Header(stamp=stamp, frame_id="map"),
+        version=version,
+        object_id=change.object_id,
+        kind=int(change.kind),
+        old_x=old.x if old else math.nan,
+        old_y=old.y if old else math.nan,
+        new_x=new.x if new else math.nan,
+        new_y=new.y if new else math.nan,
+        reliability=change.reliability,
+        reason=change.reason,
+    )
+
+
+def _object_message(landmark: LandmarkRecord) -> VisualObject | None:
+    found = landmark.candidate
+    position = landmark.position or (found.position if found else None)
+    if position is None:
+        return None
+    state = landmark.state if landmark.position is not None else LandmarkState.RELOCATING
+    return VisualObject(
+        object_id=landmark.object_id,
+        name=landmark.name,
+        x=position.x,
+        y=position.y,
+        covariance=np.array([position.xx, position.xy, position.xy, position.yy]),
+        reliability=landmark.reliability,
+        state=int(state),
+        evidence_count=landmark.evidence_count,
+        candidate_x=found.position.x if found else math.nan,
+        candidate_y=found.position.y if found else math.nan,
+        candidate_reliability=found.reliability if found else 0.0,
+    )

@@ -9,9 +9,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, replace
 
+from cairn.components.map_builder.evidence_chain import time_text
 from cairn.components.map_builder.landmark_registration import record_arrival, record_departure
 from cairn.components.map_builder.pose_reliability import LEAST, MOST, REMOVAL
-from cairn.components.map_builder.why import time_text
 from cairn.visual_map.landmarks import (
     CANDIDATE_RELIABILITY,
     FARTHEST_M,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
 
 from cairn.components.map_builder.landmark_registration import (
     INDEPENDENT_M,
@@ -19,8 +18,6 @@ from cairn.components.map_builder.landmark_registration import (
     judge_candidate,
     record_departure,
 )
-from cairn.components.map_builder.paper_rule import judge_by_paper
-from cairn.components.map_builder.persistence_filter import PersistenceFilter
 from cairn.components.map_builder.pose_reliability import REMOVAL, update
 from cairn.planar.poses import Pose, apart
 from cairn.visual_map.landmarks import (
@@ -43,8 +40,6 @@ Rule = Callable[
 ]
 """A function of a landmark, evidence and its time [s]: the new record and the change, if any."""
 
-RuleName = Literal["reliability", "paper_rule", "persistence"]
-
 # Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
 # has the effect of half and double.
 
@@ -66,17 +61,6 @@ _FALSE_POSITIVE = 0.02
 _LEAST_SIMILARITY = 0.3
 # A refined position that moved less than this [m] is not a change that is published.
 _REFINED_M = 0.01
-
-
-def rule_named(name: RuleName) -> Rule:
-    """Return a rule: the one that keeps a robot's map, or one for comparison."""
-    match name:
-        case "reliability":
-            return judge
-        case "paper_rule":
-            return judge_by_paper
-        case "persistence":
-            return PersistenceFilter()
 
 
 def judge(

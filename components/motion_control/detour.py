@@ -92,7 +92,7 @@ class DetourSearch:
         costs[near, near][opened] = round(MIN_COST + 2.0 * _MAX_EXTRA_COST)
 
     def _only_corners(self, path: Array, points: Array) -> Array:
-        """Return the corners of the path: the points between two corners in sight are dropped."""
+        """Return the corners of the path: what lies between two that see each other is dropped."""
         corners = [0]
         last = path.shape[0] - 1
         while corners[-1] < last:

@@ -403,7 +403,7 @@ def _keepout_reason(costs: CostMap, position: tuple[float, ...]) -> str:
 
 
 def _permanent_obstacle(costs: CostMap, cell: Cell) -> str:
-    """Return why the map excludes a goal in this cell for good; empty if it may be free some day.
+    """Return why the map excludes a goal in this cell permanently; empty if it may become free.
 
     Furniture may have been moved since it was mapped, and its inside is unknown: from near, the
     robot sees that it is gone.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,141 +28,6 @@ from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
-
-
-@dataclass(frozen=True)
-class WheelDriveLimits:
-    """Limits [m/s, rad/s, m/s^2, rad/s^2], delay of a command [s], and its timeout [s]."""
-
-    speed: float = 0.6
-    turn: float = 1.5
-    acceleration: float = 0.8
-    turn_acceleration: float = 3.0
-    lag_s: float = 0.05
-    command_timeout_s: float = 0.3
-
-
-class WheelDrive:
-    """The current speeds of the wheels, `forward` [m/s] and `turn` [rad/s]."""
-
-    def __init__(self, limits: WheelDriveLimits) -> None:
-        self.limits = limits
-        self.forward = self.turn = 0.0
-        self._pending: deque[tuple[float, float, float]] = deque()
-        self._target = (0.0, 0.0)
-        self._commanded_s = -math.inf
-
-    def command(self, now_s: float, forward: float, turn: float) -> None:
-        """Take a command [m/s, rad/s]; it takes effect after the lag, within the limits."""
-        if now_s < self._commanded_s:  # the clock was set back: what waits would wait until then
-            self._pending.clear()
-        self._commanded_s = now_s
-        limits = self.limits
-        forward = min(limits.speed, max(-limits.speed, forward))
-        turn = min(limits.turn, max(-limits.turn, turn))
-        self._pending.append((now_s + limits.lag_s, forward, turn))
-
-    def step(self, now_s: float, seconds: float) -> tuple[float, float]:
-        """Let `seconds` pass until `now_s`; return the mean speeds [m/s, rad/s] in that time."""
-        limits = self.limits
-        # A command from the future: the clock was set back.
-        if not 0.0 <= now_s - self._commanded_s <= limits.command_timeout_s:
-            self._pending.clear()
-            self._target = (0.0, 0.0)
-        while self._pending and self._pending[0][0] <= now_s:
-            _, forward, turn = self._pending.popleft()
-            self._target = (forward, turn)
-        before = self.forward, self.turn
-        self.forward = _approach(before[0], self._target[0], limits.acceleration * seconds)
-        self.turn = _approach(before[1], self._target[1], limits.turn_acceleration * seconds)
-        return 0.5 * (before[0] + self.forward), 0.5 * (before[1] + self.turn)
-
-
-def _approach(value: float, target: float, most: float) -> float:
-    return value + min(most, max(-most, target - value))
-
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class EncoderErrors:
-    """Standard deviations of what the encoders measure.
-
-    `distance_scale` and `turn_scale` [1] of the scale factors, which are drawn once; random walks
-    of the distance [m/sqrt(m)], of the turn [rad/sqrt(rad)] and of the heading per distance
-    [rad/sqrt(m)].
-    """
-
-    distance_scale: float
-    turn_scale: float
-    distance: float
-    turn: float
-    turn_per_meter: float
-
-
-class Encoders:
-    """The pose that the encoders measure, integrated step by step, and its covariance."""
-
-    def __init__(self, errors: EncoderErrors, random: np.random.Generator) -> None:
-        self._errors = errors
-        self._random = random
-        drawn = random.standard_normal(2)
-        self._scales = (
-            1.0 + errors.distance_scale * float(drawn[0]),
-            1.0 + errors.turn_scale * float(drawn[1]),
-        )
-        self.pose: Pose = (0.0, 0.0, 0.0)
-        # Over x, y, heading and the two scale errors, which are constant.
-        self._full = np.diag([0.0, 0.0, 0.0, errors.distance_scale**2, errors.turn_scale**2])
-
-    @property
-    def covariance(self) -> Array:
-        """Return the pose's covariance (3, 3) over x, y [m], heading [rad]."""
-        return self._full[:3, :3]
-
-    def speeds(self, forward: float, turn: float) -> tuple[float, float]:
-        """Return the measured speeds [m/s, rad/s] for these true speeds."""
-        return self._scales[0] * forward, self._scales[1] * turn
-
-    def measure(self, distance: float, angle: float) -> None:
-        """Integrate a step of the wheels: `distance` [m] on an arc that turns by `angle` [rad]."""
-        if not (distance or angle):
-            return
-        errors = self._errors
-        noise = self._random.standard_normal(2)
-        distance_variance = errors.distance**2 * abs(distance)
-        turn_variance = errors.turn**2 * abs(angle) + errors.turn_per_meter**2 * abs(distance)
-        measured_distance = self._scales[0] * distance + math.sqrt(distance_variance) * float(
-            noise[0]
-        )
-        measured_turn = self._scales[1] * angle + math.sqrt(turn_variance) * float(noise[1])
-        self._propagate_covariance(
-            measured_distance, measured_turn, distance_variance, turn_variance
-        )
-        half = (0.0, 0.0, 0.5 * measured_turn)
-        self.pose = compose(compose(compose(self.pose, half), (measured_distance, 0.0, 0.0)), half)
-
-    def _propagate_covariance(
-        self, distance: float, angle: float, distance_variance: float, turn_variance: float
-    ) -> None:
-        """Propagate the covariance to first order."""
-        middle = self.pose[2] + 0.5 * angle
-        cosine, sine = math.cos(middle), math.sin(middle)
-        # Jacobian of the pose with respect to this step's distance and angle.
-        jacobian = np.array(
-            [[cosine, -0.5 * distance * sine], [sine, 0.5 * distance * cosine], [0.0, 1.0]]
-        )
-        step = np.eye(5)
-        step[0, 2], step[1, 2] = -distance * sine, distance * cosine
-        step[:3, 3:] = jacobian * (distance, angle)
-        self._full = step @ self._full @ step.T
-        self._full[:3, :3] += (jacobian * (distance_variance, turn_variance)) @ jacobian.T
-
-
-# A longer step [s] means that the process was delayed; the wheels stood in the rest of it.
-_LONGEST_STEP_S = 0.1
-_ODOM, _BASE = "odom", "base_link"  # frames
 
 
 class SimulatedBaseConfig(Config):
@@ -210,6 +74,113 @@ class SimulatedBaseConfig(Config):
     )
 
 
+class WheelDrive:
+    """The current speeds of the wheels, `forward` [m/s] and `turn` [rad/s]."""
+
+    def __init__(self, limits: SimulatedBaseConfig) -> None:
+        self.limits = limits
+        self.forward = self.turn = 0.0
+        self._pending: deque[tuple[float, float, float]] = deque()
+        self._target = (0.0, 0.0)
+        self._commanded_s = -math.inf
+
+    def command(self, now_s: float, forward: float, turn: float) -> None:
+        """Take a command [m/s, rad/s]; it takes effect after the lag, within the limits."""
+        if now_s < self._commanded_s:  # the clock was set back: what waits would wait until then
+            self._pending.clear()
+        self._commanded_s = now_s
+        limits = self.limits
+        forward = min(limits.speed, max(-limits.speed, forward))
+        turn = min(limits.turn, max(-limits.turn, turn))
+        self._pending.append((now_s + limits.lag_s, forward, turn))
+
+    def step(self, now_s: float, seconds: float) -> tuple[float, float]:
+        """Let `seconds` pass until `now_s`; return the mean speeds [m/s, rad/s] in that time."""
+        limits = self.limits
+        # A command from the future: the clock was set back.
+        if not 0.0 <= now_s - self._commanded_s <= limits.command_timeout_s:
+            self._pending.clear()
+            self._target = (0.0, 0.0)
+        while self._pending and self._pending[0][0] <= now_s:
+            _, forward, turn = self._pending.popleft()
+            self._target = (forward, turn)
+        before = self.forward, self.turn
+        self.forward = _approach(before[0], self._target[0], limits.acceleration * seconds)
+        self.turn = _approach(before[1], self._target[1], limits.turn_acceleration * seconds)
+        return 0.5 * (before[0] + self.forward), 0.5 * (before[1] + self.turn)
+
+
+def _approach(value: float, target: float, most: float) -> float:
+    return value + min(most, max(-most, target - value))
+
+
+Array = NDArray[np.float64]
+
+
+class Encoders:
+    """The pose that the encoders measure, integrated step by step, and its covariance."""
+
+    def __init__(self, errors: SimulatedBaseConfig, random: np.random.Generator) -> None:
+        self._errors = errors
+        self._random = random
+        drawn = random.standard_normal(2)
+        self._scales = (
+            1.0 + errors.distance_scale_sd * float(drawn[0]),
+            1.0 + errors.turn_scale_sd * float(drawn[1]),
+        )
+        self.pose: Pose = (0.0, 0.0, 0.0)
+        # Over x, y, heading and the two scale errors, which are constant.
+        self._full = np.diag([0.0, 0.0, 0.0, errors.distance_scale_sd**2, errors.turn_scale_sd**2])
+
+    @property
+    def covariance(self) -> Array:
+        """Return the pose's covariance (3, 3) over x, y [m], heading [rad]."""
+        return self._full[:3, :3]
+
+    def speeds(self, forward: float, turn: float) -> tuple[float, float]:
+        """Return the measured speeds [m/s, rad/s] for these true speeds."""
+        return self._scales[0] * forward, self._scales[1] * turn
+
+    def measure(self, distance: float, angle: float) -> None:
+        """Integrate a step of the wheels: `distance` [m] on an arc that turns by `angle` [rad]."""
+        if not (distance or angle):
+            return
+        errors = self._errors
+        noise = self._random.standard_normal(2)
+        distance_variance = errors.distance_error**2 * abs(distance)
+        turn_variance = errors.turn_error**2 * abs(angle) + errors.turn_per_meter**2 * abs(distance)
+        measured_distance = self._scales[0] * distance + math.sqrt(distance_variance) * float(
+            noise[0]
+        )
+        measured_turn = self._scales[1] * angle + math.sqrt(turn_variance) * float(noise[1])
+        self._propagate_covariance(
+            measured_distance, measured_turn, distance_variance, turn_variance
+        )
+        half = (0.0, 0.0, 0.5 * measured_turn)
+        self.pose = compose(compose(compose(self.pose, half), (measured_distance, 0.0, 0.0)), half)
+
+    def _propagate_covariance(
+        self, distance: float, angle: float, distance_variance: float, turn_variance: float
+    ) -> None:
+        """Propagate the covariance to first order."""
+        middle = self.pose[2] + 0.5 * angle
+        cosine, sine = math.cos(middle), math.sin(middle)
+        # Jacobian of the pose with respect to this step's distance and angle.
+        jacobian = np.array(
+            [[cosine, -0.5 * distance * sine], [sine, 0.5 * distance * cosine], [0.0, 1.0]]
+        )
+        step = np.eye(5)
+        step[0, 2], step[1, 2] = -distance * sine, distance * cosine
+        step[:3, 3:] = jacobian * (distance, angle)
+        self._full = step @ self._full @ step.T
+        self._full[:3, :3] += (jacobian * (distance_variance, turn_variance)) @ jacobian.T
+
+
+# A longer step [s] means that the process was delayed; the wheels stood in the rest of it.
+_LONGEST_STEP_S = 0.1
+_ODOM, _BASE = "odom", "base_link"  # frames
+
+
 class SimulatedBase(Component):
     """Carry out velocity commands in the simulated world; publish what the encoders measure.
 
@@ -231,25 +202,8 @@ class SimulatedBase(Component):
 
     def on_configure(self) -> None:
         """Draw this base's scale errors."""
-        config = self.config
-        self._wheels = WheelDrive(
-            WheelDriveLimits(
-                config.speed,
-                config.turn,
-                config.acceleration,
-                config.turn_acceleration,
-                config.lag_s,
-                config.command_timeout_s,
-            )
-        )
-        errors = EncoderErrors(
-            config.distance_scale_sd,
-            config.turn_scale_sd,
-            config.distance_error,
-            config.turn_error,
-            config.turn_per_meter,
-        )
-        self._encoders = Encoders(errors, self.random)
+        self._wheels = WheelDrive(self.config)
+        self._encoders = Encoders(self.config, self.random)
         self._stepped_at: int | None = None
 
     @on("cmd_vel")

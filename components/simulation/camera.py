@@ -14,13 +14,10 @@ from pydantic import Field
 
 from cairn import (
     LATCHED,
-    RELIABLE,
     SECOND,
     SENSOR,
     CairnError,
-    Component,
     Config,
-    In,
     Mount,
     Out,
     SensorFrame,
@@ -43,11 +40,12 @@ from cairn.components.simulation.rendering import (
     ideal_image,
     surfaces_of,
 )
+from cairn.components.simulation.sensor import WorldSensor
 from cairn.components.simulation.textures import TextureAtlas
 from cairn.components.simulation.world_file import WorldFile
-from cairn.components.simulation.world_tracker import WorldTracker, sensor_poses
+from cairn.components.simulation.world_tracker import sensor_poses
 from cairn.planar.poses import Pose
-from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
+from cairn.schemas.cairn_sim_msgs import WorldGeometry
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
@@ -209,7 +207,7 @@ def write_picture(picture: Gray, file: Path) -> None:
         raise CairnError(f"{file}: cannot be written; check that the folder exists and is writable")
 
 
-class SimulatedStereoCamera(Component):
+class SimulatedStereoCamera(WorldSensor):
     """Photograph the simulated world in perspective, as a stereo pair with a horizontal view.
 
     Both images of a pair and their camera infos have the time of the middle of the exposure.
@@ -224,8 +222,6 @@ class SimulatedStereoCamera(Component):
     published_frames = frozenset({LEFT_FRAME, RIGHT_FRAME})
     config: SimulatedStereoCameraConfig
 
-    world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
-    world_geometry: In[WorldGeometry] = In(qos=LATCHED)
     left_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
     right_image: Out[Image] = Out(qos=SENSOR.with_depth(2))
     left_info: Out[CameraInfo] = Out(qos=SENSOR.with_depth(2))
@@ -234,6 +230,7 @@ class SimulatedStereoCamera(Component):
 
     def on_configure(self) -> None:
         """Compute the distortion; create the image sensor."""
+        super().on_configure()
         config = self.config
         lens = PinholeCamera.of(config.width, config.height, config.field_of_view)
         try:
@@ -246,7 +243,6 @@ class SimulatedStereoCamera(Component):
         )
         self._film = ImageSensor(config.width, config.height, self.random)
         self._light_drift = float(self.random.standard_normal())
-        self._world = WorldTracker(self.robot)
         self._surfaces_and_textures: tuple[VisibleSurfaces, TextureAtlas] | None = None
         self._last: tuple[Gray, Gray] | None = None
         self._period = round(SECOND / config.rate)
@@ -257,33 +253,21 @@ class SimulatedStereoCamera(Component):
         left = optical_transform(header, LEFT_FRAME, 0.0)
         right = optical_transform(header, RIGHT_FRAME, self.config.baseline)
         self.tf_static.publish(TFMessage(transforms=(left, right)))
-        self._due = self.clock.now() + self._period
-        self.schedule(self._due, self._photograph)
+        self.measure_every(self._period, self._photograph)
 
     @on("world_geometry")
     def on_world_geometry(self, geometry: WorldGeometry) -> None:
         """Take walls, furniture and objects."""
-        self._world.update_geometry(geometry)
+        super().on_world_geometry(geometry)
         self._surfaces_and_textures = surfaces_of(geometry)
         require_below_ceiling(self.config.z, self._surfaces_and_textures[0])
 
-    @on("world_state")
-    def on_world_state(self, state: WorldState) -> None:
-        """Take the poses of robot and people."""
-        self._world.update_state(state)
-
     def _photograph(self) -> None:
-        now = self.clock.now()
-        self._due += self._period
-        # Skip the pairs that were missed, and go on at once if the clock was set back.
-        if not now < self._due <= now + self._period:
-            self._due = now + self._period
-        self.schedule(self._due, self._photograph)
         config = self.config
         exposure_s = config.sensor.exposure_s
-        stamp = now - round(config.delay_s * SECOND)
+        stamp = self.clock.now() - round(config.delay_s * SECOND)
         shutter = stamp - round(0.5 * exposure_s * SECOND)
-        robot = self._world.robot_at(shutter, np.array([0.0, exposure_s]))
+        robot = self.world.robot_at(shutter, np.array([0.0, exposure_s]))
         if robot is None or self._surfaces_and_textures is None:
             return
         decay = math.exp(-self._period / SECOND / config.light.drift_s)
@@ -300,7 +284,7 @@ class SimulatedStereoCamera(Component):
             return self._last
         assert self._surfaces_and_textures is not None  # otherwise nothing is photographed
         surfaces, atlas = self._surfaces_and_textures
-        surfaces = surfaces.with_people(self._world.ray_targets.people)
+        surfaces = surfaces.with_people(self.world.ray_targets.people)
         config = self.config
         one, other = (
             photograph(

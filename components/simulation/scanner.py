@@ -11,23 +11,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from cairn import (
-    LATCHED,
-    RELIABLE,
     SECOND,
     SENSOR,
     CairnError,
-    Component,
     Config,
-    In,
     Mount,
     Out,
     from_ns,
-    on,
 )
 from cairn.components.simulation.layout import SURFACES
 from cairn.components.simulation.ray_casting import cast
-from cairn.components.simulation.world_tracker import RayTargets, WorldTracker, sensor_poses
-from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
+from cairn.components.simulation.sensor import WorldSensor
+from cairn.components.simulation.world_tracker import RayTargets, sensor_poses
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
@@ -108,31 +103,17 @@ class BeamPattern:
         return BeamPattern(inside, angles[inside], times)
 
 
-@dataclass(frozen=True)
-class BeamFaults:
-    """Faults of beams.
-
-    Share of all beams that fail [1], and of beams at dark surfaces [1]; share of the range in which
-    dark surfaces are measured [1]; share of beams that glass reflects [1].
-    """
-
-    dropouts: float
-    dark_dropouts: float
-    dark_reach: float
-    glass_returns: float
-
-
 def simulate_sweep(
     model: ScannerModel,
     beams: BeamPattern,
-    faults: BeamFaults,
+    faults: SimulatedScannerConfig,
     poses: Array,
     targets: RayTargets,
     random: np.random.Generator,
 ) -> NDArray[np.float32]:
     """Return ranges (n,) [m] of beams sent from `poses` (n, 3) [m, rad] of the scanner.
 
-    Infinite where nothing was hit, NaN where the beam failed.
+    Infinite where nothing was hit, NaN where the beam failed. Of `faults`, only the shares count.
     """
     count = beams.angles.size
     starts = np.ascontiguousarray(poses[:, :2])
@@ -166,7 +147,7 @@ def _pass_through_glass(
     starts: Array,
     angles: Array,
     reach: float,
-    faults: BeamFaults,
+    faults: SimulatedScannerConfig,
     targets: RayTargets,
     random: np.random.Generator,
 ) -> None:
@@ -219,7 +200,7 @@ class SimulatedScannerConfig(Config):
     )
 
 
-class SimulatedScanner(Component):
+class SimulatedScanner(WorldSensor):
     """Measure the simulated world as a scanner of a real model does.
 
     Simulated are the motion during a scan, noise, failed beams, glass and dark surfaces. The
@@ -237,12 +218,11 @@ class SimulatedScanner(Component):
     live_parameters = frozenset()
     config: SimulatedScannerConfig
 
-    world_state: In[WorldState] = In(qos=RELIABLE.with_depth(200))
-    world_geometry: In[WorldGeometry] = In(qos=LATCHED)
     scan: Out[LaserScan] = Out(qos=SENSOR)
 
     def on_configure(self) -> None:
         """Select the beams; check range and rate."""
+        super().on_configure()
         config = self.config
         model = MODELS[config.model]
         if config.farthest is not None:
@@ -259,10 +239,6 @@ class SimulatedScanner(Component):
                 f"{self.name}: first = {config.first:g} rad and last = {config.last:g} rad leave "
                 f"fewer than two beams of a {config.model}; widen the range"
             )
-        self._faults = BeamFaults(
-            config.dropouts, config.dark_dropouts, config.dark_reach, config.glass_returns
-        )
-        self._world = WorldTracker(self.robot)
         self._period = (
             round(SECOND / config.rate) if config.rate else round(self._model.turn_s * SECOND)
         )
@@ -274,34 +250,17 @@ class SimulatedScanner(Component):
 
     def on_activate(self) -> None:
         """Start to measure."""
-        self._due = self.clock.now() + self._period
-        self.schedule(self._due, self._sweep)
-
-    @on("world_geometry")
-    def on_world_geometry(self, geometry: WorldGeometry) -> None:
-        """Take walls, furniture and objects."""
-        self._world.update_geometry(geometry)
-
-    @on("world_state")
-    def on_world_state(self, state: WorldState) -> None:
-        """Take the poses of robot and people."""
-        self._world.update_state(state)
+        self.measure_every(self._period, self._sweep)
 
     def _sweep(self) -> None:
-        now = self.clock.now()
-        self._due += self._period
-        # Skip the scans that were missed, and go on at once if the clock was set back.
-        if not now < self._due <= now + self._period:
-            self._due = now + self._period
-        self.schedule(self._due, self._sweep)
         beams, model = self._beams, self._model
-        began = now - round(float(beams.times[-1]) * SECOND)
-        robot = self._world.robot_at(began, beams.times)
+        began = self.clock.now() - round(float(beams.times[-1]) * SECOND)
+        robot = self.world.robot_at(began, beams.times)
         if robot is None:
             return
         scanner = sensor_poses(robot, self.config.mount.pose)
-        targets = self._world.ray_targets
-        ranges = simulate_sweep(model, beams, self._faults, scanner, targets, self.random)
+        targets = self.world.ray_targets
+        ranges = simulate_sweep(model, beams, self.config, scanner, targets, self.random)
         skip = self.config.skip
         self.scan.publish(
             LaserScan(

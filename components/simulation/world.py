@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from pydantic import Field
 
-from cairn import CairnError
+from cairn import CairnError, Config
 from cairn.components.simulation.layout import WorldLayout, unknown_name
 from cairn.components.simulation.people import Walker, circles_of
 from cairn.components.simulation.ray_casting import clearance
@@ -47,17 +48,18 @@ class EventResult:
     succeeded: bool = True
 
 
-@dataclass(frozen=True)
-class WheelSlip:
-    """Random walks that make the wheels slip.
+class SlipConfig(Config):
+    """Slip of the wheels on the floor."""
 
-    Of the distance [m/sqrt(m)], and of the heading per turn [rad/sqrt(rad)] and per distance
-    [rad/sqrt(m)].
-    """
-
-    distance: float
-    turn: float
-    turn_per_meter: float
+    distance: float = Field(
+        0.005, ge=0, le=1, description="Random walk of the distance [m/sqrt(m)]."
+    )
+    turn: float = Field(
+        0.01, ge=0, le=1, description="Random walk of the heading per turn [rad/sqrt(rad)]."
+    )
+    turn_per_meter: float = Field(
+        0.005, ge=0, le=1, description="Random walk of the heading per distance [rad/sqrt(m)]."
+    )
 
 
 @dataclass
@@ -82,7 +84,7 @@ class World:
         self,
         file: WorldFile,
         radius: float,
-        slip: WheelSlip,
+        slip: SlipConfig,
         random: np.random.Generator,
         robot: str = "robot",
         others: Sequence[RobotBody] = (),

@@ -30,7 +30,7 @@ from cairn import (
 )
 from cairn.components.simulation.layout import geometry_message, true_map
 from cairn.components.simulation.state_file import StateFile
-from cairn.components.simulation.world import Contact, RobotBody, WheelSlip, World
+from cairn.components.simulation.world import Contact, RobotBody, SlipConfig, World
 from cairn.components.simulation.world_checks import visibility_problems, world_problems
 from cairn.components.simulation.world_file import (
     Event,
@@ -59,20 +59,6 @@ _LONGEST_STEP_S = 1.0
 _APART_NS = SECOND // 10
 """By less than this, the times of the robots' wheels are apart."""
 _MOST_ROBOTS = 50
-
-
-class SlipConfig(Config):
-    """Slip of the wheels on the floor."""
-
-    distance: float = Field(
-        0.005, ge=0, le=1, description="Random walk of the distance [m/sqrt(m)]."
-    )
-    turn: float = Field(
-        0.01, ge=0, le=1, description="Random walk of the heading per turn [rad/sqrt(rad)]."
-    )
-    turn_per_meter: float = Field(
-        0.005, ge=0, le=1, description="Random walk of the heading per distance [rad/sqrt(m)]."
-    )
 
 
 class RobotStart(WorldPose):
@@ -166,10 +152,9 @@ class SimulatedWorld(Component):
         problems = world_problems(world, config.radius)
         if problems:
             raise CairnError(f"{config.world}: " + "; ".join(problems))
-        slip = WheelSlip(config.slip.distance, config.slip.turn, config.slip.turn_per_meter)
         others = [RobotBody(name, one.pose, one.radius) for name, one in config.robots.items()]
         try:
-            self._world = World(world, config.radius, slip, self.random, self.robot, others)
+            self._world = World(world, config.radius, config.slip, self.random, self.robot, others)
         except CairnError as error:
             raise CairnError(f"{self.name}: robots: {error}") from error
         self._state_file = StateFile(config.state_file) if config.state_file else None

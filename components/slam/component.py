@@ -143,7 +143,7 @@ class Slam(Component):
             self._warn_unless_extended()
         self._close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
+    def on_error(self, _: Exception) -> bool:
         """Close the graph file; a restarted component continues from it."""
         self._close()
         return False

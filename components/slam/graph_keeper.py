@@ -44,8 +44,8 @@ from cairn.system.working_copy import is_reusable
 class GraphKeeper(Component):
     """Keeps the graph of the map up to date while localizer and map builder work on the grid map.
 
-    Where the map builder has repaired the grid map for good, scans of the place go into the graph,
-    and what it had there is retired.
+    Where the map builder has repaired the grid map permanently, scans of the place go into the
+    graph, and what it had there is retired.
 
     If the obstacles of the grid map differ from those of the graph for `permanent_s`, and scans
     with reliable poses still show the difference, these scans become part of the graph. The time
@@ -85,7 +85,7 @@ class GraphKeeper(Component):
         """Close the graph; all changes are in it."""
         self._close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - any error ends it
+    def on_error(self, _: Exception) -> bool:
         """Close the graph; committed changes are safe."""
         self._close()
         return False

@@ -144,7 +144,7 @@ class V4l2StereoCamera(Component):
         """Close the cameras."""
         self._close()
 
-    def on_error(self, error: Exception) -> bool:  # noqa: ARG002 - the same for every error
+    def on_error(self, _: Exception) -> bool:
         """Close the cameras, for the component that is started instead."""
         try:
             self._stop()

@@ -97,10 +97,10 @@ class ActionGoal:
         """Return the result with an error code and a text, 0 and "" after success."""
         raise NotImplementedError
 
-    def goes_on(self, failed: int | None, code: int) -> bool:  # noqa: ARG002
+    def goes_on(self, _failed: int | None, _code: int) -> bool:
         """Return whether the robot shall drive on, from pose `first`.
 
-        `failed` is the index of the pose that it could not reach, with the error code; None if it
+        Given: the index of the pose that it could not reach, with the error code; None if it
         has reached all.
         """
         return False

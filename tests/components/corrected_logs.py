@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cairn.components.localizer.config import LocalizationSettings, MeasuredBase
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.replay.carmen import CarmenRecording
+from cairn.components.replay_devices.carmen import CarmenRecording
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, wrap
 from cairn.planar.scan_grid import build_grid

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from cairn.components.map_builder.importing import alter
-from cairn.components.replay.mrclam import MrclamDataset, read_landmarks
+from cairn.components.replay_devices.mrclam import MrclamDataset, read_landmarks
 from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 from cairn.testing.lockstep import DeploymentHarness
@@ -31,11 +31,11 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
         "clock": "simulated",
         "components": {
             "odometry": {
-                "plugin": "components.replay.components:ReplayOdometry",
+                "plugin": "components.replay_devices.components:ReplayOdometry",
                 "parameters": recording,
             },
             "sightings": {
-                "plugin": "components.replay.components:ReplayRecognizer",
+                "plugin": "components.replay_devices.components:ReplayRecognizer",
                 "parameters": recording,
             },
             "map_builder": {
@@ -47,7 +47,7 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
                 "parameters": {"start": start},
             },
             "clock": {
-                "plugin": "components.replay.pacing:ReplayClock",
+                "plugin": "components.replay_devices.pacing:ReplayClock",
                 "parameters": {**recording, "rate": 10.0},
                 "topics": {"time": "clock"},
                 "significant": True,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 from tests.commands import cairn
 
 SOURCES = ("cairn", "components", "supervisors", "lab/cairn_lab")

@@ -100,7 +100,7 @@ def anchors(text: str) -> set[str]:
 
 
 def test_every_field_of_the_report_is_described(root: Path) -> None:
-    from cairn.components.report.run_record import RunRecord
+    from cairn.components.run_outputs.run_record import RunRecord
 
     record = RunRecord()
     record.object(1)

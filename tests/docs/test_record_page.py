@@ -88,7 +88,7 @@ def test_commands_of_the_page_record_a_running_robot(
 
 
 def test_settings_on_the_page_are_those_of_the_recorder(page_blocks: Callable[[str], Any]) -> None:
-    from cairn.components.recorder.component import RecorderConfig
+    from cairn.components.run_outputs.recorder import RecorderConfig
 
     (block,) = [one for one in page_blocks(PAGE) if one.language == "yaml"]
     named = {line.strip().partition(":")[0] for line in block.text.splitlines()[5:]}

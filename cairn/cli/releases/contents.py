@@ -18,7 +18,7 @@ from cairn.errors import CairnError
 from cairn.limits.files import open_regular
 from cairn.runtime.input_files import MOST_FILES, file_digest, files_read_at
 from cairn.runtime.parameters import MarkedParameter, ReadPathMark, marked_parameters
-from cairn.system.files import explain_os_error
+from cairn.system.files import explained
 
 FILES: Final = "files"
 """Folder of a release with the files that components read, each below its path on this computer."""
@@ -74,11 +74,9 @@ def release_contents(
     digest = blake2b(f"{deployment.robot}\n{machine}\n{text}".encode(), digest_size=16)
     size = 0
     for name, path in sorted(files.items()):
-        try:
+        with explained(f"{path}: cannot be copied"):
             digest.update(f"{name}\n{file_digest(path)}\n".encode())
             size += path.stat().st_size
-        except OSError as error:
-            raise CairnError(f"{path}: cannot be copied: {explain_os_error(error)}") from error
     name = f"{deployment.robot}.yaml"
     return deployment, Contents(name, text, files, size, digest.hexdigest(), tuple(notes))
 
@@ -141,11 +139,8 @@ def _copy_of(path: Path) -> str:
 
 def _check_no_secret(file: Path, named_by: str) -> None:
     """Raise `CairnError` if a file has a private key."""
-    try:
-        with open_regular(file) as stream:
-            start = stream.read(_SEARCHED_BYTES)
-    except OSError as error:
-        raise CairnError(f"{named_by}: {file}: {explain_os_error(error)}") from error
+    with explained(f"{named_by}: {file}"), open_regular(file) as stream:
+        start = stream.read(_SEARCHED_BYTES)
     if _PRIVATE_KEY in start:
         raise CairnError(
             f"{named_by}: {file} has a private key, which is never copied; move it to a folder "

@@ -11,7 +11,7 @@ import typer
 
 from cairn import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
-from cairn.system.files import explain_os_error
+from cairn.system.files import explain_os_error, explained
 from cairn.terminal.options import Json
 from cairn.terminal.output import line, note, print_json, show
 from cairn.tools.calibration.images import find_board, find_images
@@ -148,10 +148,8 @@ def show_camera(
 
 def _check_folder(out: Path) -> None:
     """Raise `CairnError` if the results cannot be written, before the slow work."""
-    try:
+    with explained(f"--out {out}"):
         parent = next(path for path in (out, *out.parents) if path.exists())
-    except OSError as error:
-        raise CairnError(f"--out {out}: {explain_os_error(error)}") from error
     if not parent.is_dir():
         raise CairnError(f"--out {out}: {parent} is a file, not a folder; give another one")
     if not os.access(parent, os.W_OK | os.X_OK):

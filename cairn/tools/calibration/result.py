@@ -14,7 +14,7 @@ from matplotlib.patches import Circle
 
 from cairn import CairnError
 from cairn.schemas.sensor_msgs import CameraInfo
-from cairn.system.files import explain_os_error, replacing
+from cairn.system.files import explained, replacing
 from cairn.tools.calibration.images import BoardCorners
 from cairn.vision.calibration import (
     Calibration,
@@ -171,13 +171,8 @@ def plot_calibration(
         axes = figure.add_subplot(grid[-1, :])
         _plot_errors(axes, stereo.errors, stereo.rms, ())
         axes.set_title(f"error of each pair, by its left image: rms {stereo.rms:.3f} px")
-    try:
-        with replacing(file) as part:
-            figure.savefig(part, dpi=100, format=file.suffix.lstrip(".") or "png")
-    except OSError as error:
-        raise CairnError(
-            f"{file}: the plot cannot be written: {explain_os_error(error)}"
-        ) from error
+    with explained(f"{file}: the plot cannot be written"), replacing(file) as part:
+        figure.savefig(part, dpi=100, format=file.suffix.lstrip(".") or "png")
 
 
 def _plot_residuals(axes: Axes, name: str, found: Calibration) -> None:

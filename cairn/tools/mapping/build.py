@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import CairnError, to_ns
-from cairn.components.replay.recording import (
+from cairn.components.replay_devices.recording import (
     ObservationStream,
     OdometryStream,
     Recording,
@@ -28,7 +28,7 @@ from cairn.planar.mount_estimation import estimate_mount_yaw, seems_upside_down
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, between, compose, relative, wrap
 from cairn.planar.scans import rays_of
-from cairn.system.files import explain_os_error, replace_file
+from cairn.system.files import explained, replace_file
 from cairn.visual_map.observations import Observation, observations_of
 
 Array = NDArray[np.float64]
@@ -281,10 +281,8 @@ def write_trajectory(path: Path, stamps: list[int], poses: Array) -> None:
         time = f"{seconds}.{rest // 1000:06d}" if rest % 1000 == 0 else f"{seconds}.{rest:09d}"
         z, w = np.sin(theta / 2), np.cos(theta / 2)
         lines.append(f"{time} {x:.6f} {y:.6f} 0 0 0 {z:.9f} {w:.9f}\n")
-    try:
+    with explained(f"{path} cannot be written"):
         replace_file(path, "".join(lines).encode())
-    except OSError as error:
-        raise CairnError(f"{path} cannot be written: {explain_os_error(error)}") from error
 
 
 def _recorded_mount(recording: Recording) -> Pose:

@@ -21,9 +21,9 @@ from cairn.components.map_builder.cli import (
     change_row,
     parse_mount,
 )
-from cairn.components.map_builder.why import time_text
-from cairn.components.replay.mrclam import MrclamRecording
-from cairn.components.replay.open_recording import open_recording
+from cairn.components.map_builder.evidence_chain import time_text
+from cairn.components.replay_devices.mrclam import MrclamRecording
+from cairn.components.replay_devices.open_recording import open_recording
 from cairn.planar.map_file import read_map, write_map
 from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.terminal.output import line, note, print_json

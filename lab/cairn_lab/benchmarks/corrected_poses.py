@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import spsolve
 
-from cairn.components.replay.bounded_streams import text_lines
-from cairn.components.replay.carmen_lines import LaserLine, read_log
-from cairn.components.replay.carmen_odometry import restore_driving_direction
+from cairn.components.replay_devices.bounded_streams import text_lines
+from cairn.components.replay_devices.carmen_lines import LaserLine, read_log
+from cairn.components.replay_devices.carmen_odometry import restore_driving_direction
 from cairn.planar.poses import compose, wrap, wrap_all
 
 Array = NDArray[np.float64]

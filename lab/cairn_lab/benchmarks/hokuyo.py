@@ -13,9 +13,9 @@ import psutil
 import zenoh
 
 from cairn.bus.session import open_peer
-from cairn.components.hokuyo.config import HokuyoConfig
-from cairn.components.hokuyo.emulator import EmulatedScip
-from cairn.components.hokuyo.sensor import Measurement, StampedScan
+from cairn.components.hokuyo_scanner.config import HokuyoConfig
+from cairn.components.hokuyo_scanner.emulator import EmulatedScip
+from cairn.components.hokuyo_scanner.sensor import Measurement, StampedScan
 from cairn.driver.emulator import Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.schemas.sensor_msgs import LaserScan

@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from cairn.components.localizer.config import LocalizationSettings
-from cairn.components.replay.mrclam import MrclamDataset
+from cairn.components.replay_devices.mrclam import MrclamDataset
 from cairn.visual_map.landmarks import ChangeKind, LandmarkRecord, LandmarkState, MapPosition
 from cairn_lab.benchmarks.localization_replay import (
     RobotRecording,

@@ -13,9 +13,9 @@ from cairn.components.localizer.localization import EvidenceFrame, Localization
 from cairn.components.localizer.messages import evidence_message
 from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.odometry import CommandedTrack
-from cairn.components.map_builder.component import evidence_of
 from cairn.components.map_builder.landmark_map import LandmarkMap
-from cairn.components.replay.mrclam import MrclamDataset, range_bearing_variance
+from cairn.components.map_builder.landmark_messages import evidence_of
+from cairn.components.replay_devices.mrclam import MrclamDataset, range_bearing_variance
 from cairn.schemas.std_msgs import Header
 from cairn.visual_map.landmarks import LandmarkChange, LandmarkRecord, LandmarkState
 from cairn.visual_map.observations import Observation

@@ -152,7 +152,8 @@ class Results(_Part):
             for number, figure in enumerate(figures):
                 if number < SHOWN or figure.missed:
                     value = f"**{figure.text}**" if figure.missed else figure.text
-                    yield f"{command}|{figure.name}|{value}|{figure.limit}"
+                    limit = figure.limit.replace("<= ", "≤").replace(">= ", "≥")
+                    yield f"{command}|{figure.name}|{value}|{limit}"
                     command = ""
 
     def _sources(self) -> Iterator[str]:

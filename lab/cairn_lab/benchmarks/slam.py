@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cairn.components.replay.carmen import CarmenRecording
+from cairn.components.replay_devices.carmen import CarmenRecording
 from cairn.components.slam.mapping import Mapper
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import rays_of

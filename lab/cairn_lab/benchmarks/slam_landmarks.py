@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.replay.mrclam import MrclamRecording
+from cairn.components.replay_devices.mrclam import MrclamRecording
 from cairn.components.slam.mapping import Mapper
 from cairn.components.slam.odometry_calibration import CalibrationEstimate
 from cairn.planar.motion_model import COMMANDED

@@ -22,10 +22,10 @@ import yaml
 from numpy.typing import NDArray
 
 from cairn import In, Out, every, on
+from cairn.bus.bus import Subscription
 from cairn.bus.exclusive import Exclusive
-from cairn.bus.lockstep_bus import LockstepSubscription
 from cairn.bus.qos import SENSOR
-from cairn.components.simulation.base import WheelDriveLimits
+from cairn.components.simulation.base import SimulatedBaseConfig
 from cairn.components.velocity_gate.collision_monitor import allowed_share
 from cairn.components.velocity_gate.config import VelocityGateConfig
 from cairn.errors import CairnError
@@ -87,7 +87,7 @@ class GatedRobot(DeploymentHarness):
         self.collisions = self.read("collisions", Collision).messages
         self.scans = self.read("scan", LaserScan).messages
         self.commands: list[tuple[int, float, float]] = []
-        self._gate: LockstepSubscription | None = None
+        self._gate: Subscription | None = None
         self._gate = self.bus.node("/robot/reader", _ignore).subscribe(
             "/robot/cmd_vel", Twist, SENSOR, self._note, Exclusive("/robot/velocity_gate")
         )
@@ -165,8 +165,8 @@ class GatedRobot(DeploymentHarness):
 
         The next complete scan shows it; until the base reacts to that, the robot may accelerate.
         """
-        base = WheelDriveLimits()
-        base = WheelDriveLimits()
+        base = SimulatedBaseConfig()
+        base = SimulatedBaseConfig()
         react_s = self.next_scan_s() + _SWEEP_S + base.lag_s + 2.0 * _TICK_S
         speed = abs(self.states[-1].forward)
         fastest = min(base.speed, speed + base.acceleration * react_s)

@@ -21,10 +21,10 @@ from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.component import Component
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import Transition
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.system.clock import SECOND
-from cairn.system.process_exit import ExitReport
 from cairn_lab.benchmarks.result import Metric
 
 Array = NDArray[np.float64]

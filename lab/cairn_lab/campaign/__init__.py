@@ -4,7 +4,7 @@ A package adds kinds of faults by entry points of group `cairn.faults`, and inva
 `cairn.invariants`; a campaign may also name them as `package.module:Class`.
 """
 
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.fault import Fault, Injection, SkippedFault
 from cairn_lab.campaign.invariants import Invariant
 from cairn_lab.campaign.model import Campaign, read_campaign
 from cairn_lab.campaign.observations import (

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from cairn.bus.keys import Attachment
 from cairn.runtime.parameters import Config
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.fault import Fault, Injection, SkippedFault
 from cairn_lab.campaign.parameters import Duration, Patterns
 from cairn_lab.campaign.robot import CampaignRobot
 
@@ -36,7 +36,7 @@ class Topics(Config):
         ("empty", "garbage", "changed", "repeated"),
         min_length=1,
         description="What may be published: no bytes; random bytes; a message of the topic with "
-        "one byte changed; a message of the topic again. Without a message at hand: random bytes.",
+        "one byte changed; a message of the topic again. Before the first message: random bytes.",
     )
 
 

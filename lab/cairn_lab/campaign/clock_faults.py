@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.fault import Fault, Injection, SkippedFault
 from cairn_lab.campaign.parameters import Duration, Patterns, matching
 from cairn_lab.campaign.robot import CampaignRobot
 

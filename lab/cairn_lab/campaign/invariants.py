@@ -7,8 +7,8 @@ from typing import Any, ClassVar, Final
 
 from cairn.deployment.model import Deployment
 from cairn.runtime.parameters import Config
-from cairn_lab.campaign.faults import Injection
-from cairn_lab.campaign.kinds import KindGroup
+from cairn_lab.campaign.entry_points import KindGroup
+from cairn_lab.campaign.fault import Injection
 from cairn_lab.campaign.observations import (
     DeploymentEnded,
     GoalEnded,

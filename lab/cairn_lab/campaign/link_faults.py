@@ -9,7 +9,7 @@ from random import Random
 
 from pydantic import Field
 
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.fault import Fault, Injection, SkippedFault
 from cairn_lab.campaign.link import Link, LinkConditions
 from cairn_lab.campaign.parameters import Duration, Patterns, matching
 from cairn_lab.campaign.robot import CampaignRobot

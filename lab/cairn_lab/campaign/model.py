@@ -19,9 +19,9 @@ from cairn.limits.yaml import read_yaml, yaml_fault
 from cairn.recording.recorder import RecorderSettings
 from cairn.runtime.parameters import Config, error_reason
 from cairn.system.files import explain_os_error
-from cairn_lab.campaign.faults import FAULTS
+from cairn_lab.campaign.entry_points import instance_of
+from cairn_lab.campaign.fault import FAULTS
 from cairn_lab.campaign.invariants import INVARIANTS
-from cairn_lab.campaign.kinds import instance_of
 
 Coordinate = Annotated[float, Field(ge=-10_000, le=10_000)]
 Pose = tuple[Coordinate, Coordinate, Annotated[float, Field(ge=-7, le=7)]]

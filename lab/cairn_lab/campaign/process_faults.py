@@ -16,7 +16,7 @@ from pydantic import Field
 from cairn.bus.control import ControlError, NoReplyError
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.fault import Fault, Injection, SkippedFault
 from cairn_lab.campaign.parameters import Duration, Targets, TargetsForTime, matching
 from cairn_lab.campaign.robot import CampaignRobot
 

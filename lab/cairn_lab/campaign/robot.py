@@ -21,8 +21,7 @@ from cairn.errors import CairnError
 from cairn.processes.orphan_cleanup import set_parent_death_signal
 from cairn.schemas.message import InvalidMessage
 from cairn.testing.launching import Launching, Run, await_any_end, title_of
-from cairn_lab.campaign.clocks import Clocks
-from cairn_lab.campaign.faults import SkippedFault
+from cairn_lab.campaign.fault import SkippedFault
 from cairn_lab.campaign.growth import anonymous_memory_mib
 from cairn_lab.campaign.model import CampaignDeployment
 from cairn_lab.campaign.network import Network
@@ -37,6 +36,7 @@ from cairn_lab.campaign.observations import (
 )
 from cairn_lab.campaign.parameters import Patterns, matching
 from cairn_lab.campaign.programs import Programs
+from cairn_lab.campaign.stepped_clock import Clocks
 
 _START_LIMIT_S = 180.0
 _POLL_S = 0.2

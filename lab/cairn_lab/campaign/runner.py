@@ -15,11 +15,10 @@ from random import Random
 
 from cairn.errors import CairnError
 from cairn.testing.launching import launching
-from cairn_lab.campaign.clocks import Clocks
-from cairn_lab.campaign.faults import FAULTS, Fault, Injection
+from cairn_lab.campaign.entry_points import instance_of
+from cairn_lab.campaign.fault import FAULTS, Fault, Injection
 from cairn_lab.campaign.goals import GoalSender
 from cairn_lab.campaign.invariants import INVARIANTS, Invariant
-from cairn_lab.campaign.kinds import instance_of
 from cairn_lab.campaign.model import Campaign
 from cairn_lab.campaign.network import Network
 from cairn_lab.campaign.observations import GoalEnded, LogLine
@@ -29,6 +28,7 @@ from cairn_lab.campaign.recordings import LaunchRecording, attachments_of, rerun
 from cairn_lab.campaign.report import OUTPUT_NAME, CampaignReport, FaultRecord, Violation
 from cairn_lab.campaign.resources import Resources
 from cairn_lab.campaign.robot import CampaignRobot
+from cairn_lab.campaign.stepped_clock import Clocks
 
 _TICK_S = 0.1
 _LATE_S = 1.0

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from cairn.errors import CairnError
 from cairn.runtime.parameters import Config
-from cairn_lab.campaign.faults import Fault, Injection, SkippedFault
+from cairn_lab.campaign.fault import Fault, Injection, SkippedFault
 from cairn_lab.campaign.free_space import free_space
 from cairn_lab.campaign.robot import CampaignRobot
 
@@ -61,7 +61,7 @@ class SwapObjects(Fault):
 
     @contextmanager
     def inject(self, robot: CampaignRobot, random: Random) -> Iterator[Injection]:
-        """Exchange them for good."""
+        """Exchange them permanently."""
         try:
             rows = request_world(robot, "list", {})
             objects = sorted(

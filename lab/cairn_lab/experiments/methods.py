@@ -34,20 +34,33 @@ Events = tuple[Mapping[str, Any], ...]
 
 @dataclass(frozen=True)
 class Method:
-    """Parameters of a localizer and a map builder; `title` is the method's name in reports."""
+    """Parameters of a localizer and a map builder; `title` is the method's name in reports.
+
+    With the parameters `comparison` and `rule` they are those of `comparison.py`.
+    """
 
     name: str
     title: str
     localizer: Mapping[str, Any] = field(default_factory=dict)
     map_builder: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def plugins(self) -> dict[str, str]:
+        """The plugins that replace those of the deployment, by the name of the component."""
+        module, plugins = "cairn_lab.experiments.comparison", {}
+        if "comparison" in self.localizer:
+            plugins[LOCALIZER] = f"{module}:ComparisonLocalizer"
+        if "rule" in self.map_builder:
+            plugins[MAP_BUILDER] = f"{module}:ComparisonMapBuilder"
+        return plugins
 
-OURS = Method("ours", "ours (likelihood ratio)", {"mode": "lr"}, {"rule": "reliability"})
-PAPER_RULE = Method("paper_rule", "paper, literal", {"mode": "paper_rule"}, {"rule": "paper_rule"})
-PAPER = Method("paper", "paper, clamped", {"mode": "paper"}, {"rule": "reliability"})
-CHI_SQUARE = Method(
-    "chi_square", "chi-square gate", {"mode": "chi_square"}, {"rule": "reliability"}
+
+OURS = Method("ours", "ours (likelihood ratio)", {"mode": "lr"})
+PAPER_RULE = Method(
+    "paper_rule", "paper, literal", {"comparison": "paper_rule"}, {"rule": "paper_rule"}
 )
+PAPER = Method("paper", "paper, clamped", {"mode": "paper"})
+CHI_SQUARE = Method("chi_square", "chi-square gate", {"comparison": "chi_square"})
 PERSISTENCE = Method("persistence", "persistence filter", {"mode": "lr"}, {"rule": "persistence"})
 NO_UPDATE = Method("no_update", "no update", {"mode": "lr"}, {"update_objects": False})
 
@@ -150,6 +163,8 @@ def _changes(setup: ExperimentSetup) -> Iterator[str]:
     if setup.driving is None:
         yield f"components.{LOCALIZER}.topics.objects={_NO_OBJECTS}"
     else:
+        for name, plugin in setup.driving.plugins.items():
+            yield f"components.{name}.plugin={plugin}"
         for name, value in setup.driving.localizer.items():
             yield f"components.{LOCALIZER}.parameters.{name}={json.dumps(value)}"
         for name, value in setup.driving.map_builder.items():
@@ -176,20 +191,27 @@ def _shadow(
     }
     return {
         # All share the grid map of the driving map builder: only the visual maps are compared.
-        f"{name}_{LOCALIZER}": _copy(localizer, method.localizer, outputs - _GRID, name),
-        f"{name}_{MAP_BUILDER}": _copy(map_builder, map_builder_parameters, outputs, name),
+        f"{name}_{LOCALIZER}": _copy(
+            localizer, method.plugins.get(LOCALIZER), method.localizer, outputs - _GRID, name
+        ),
+        f"{name}_{MAP_BUILDER}": _copy(
+            map_builder, method.plugins.get(MAP_BUILDER), map_builder_parameters, outputs, name
+        ),
         f"{name}_observer": observer,
     }
 
 
 def _copy(
-    spec: ChildSpec, parameters: Mapping[str, Any], own: set[str], name: str
+    spec: ChildSpec, plugin: str | None, parameters: Mapping[str, Any], own: set[str], name: str
 ) -> dict[str, Any]:
-    """Return the same component with other parameters; the ports `own` use topics below `name`."""
+    """Return the same component, or another plugin, with other parameters.
+
+    The ports `own` use topics below `name`.
+    """
     shared = {key: value for key, value in spec.parameters.items() if key not in _DRIVING_ONLY}
     topics = {port: f"{name}/{port}" for port in _ports(spec.plugin) if port in own}
     return {
-        "plugin": spec.plugin,
+        "plugin": plugin or spec.plugin,
         "parameters": shared | dict(parameters),
         "topics": spec.topics | topics,
     }

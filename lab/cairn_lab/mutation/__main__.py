@@ -38,6 +38,18 @@ from cairn_lab.mutation.faults import (
 )
 
 _MARK = "CAIRN_MUTATION"
+_PYTEST = [
+    sys.executable,
+    "-m",
+    "pytest",
+    "-x",
+    "-q",
+    "-p",
+    "no:cacheprovider",
+    "-m",
+    "not accuracy",
+]
+"""Only the tests of `make test` count."""
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/.*?)(?:\[.*| - .*)?$", re.MULTILINE)
 # `cairn` contains components, schemas, supervisors and deploy by symbolic links to folders next to
 # it; the copy keeps these links.
@@ -60,7 +72,7 @@ class Result:
     """
 
     id: str
-    room: str
+    area: str
     caught_by: str
     unreliable: str
     seconds: float
@@ -109,7 +121,7 @@ class Scratch:
         ):
             failed, unreliable = NO_TEST, failed
         seconds = round(time.monotonic() - started, 1)
-        return Result(fault.id, fault.room, failed, unreliable, seconds)
+        return Result(fault.id, fault.area, failed, unreliable, seconds)
 
     @contextmanager
     def _applied(self, fault: Fault) -> Iterator[Path]:
@@ -130,13 +142,14 @@ class Scratch:
 
     def _first_failed(self, tests: Sequence[str], cache: Path) -> str:
         """Return the first test that fails, `timeout` or `none`."""
-        pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
         try:
-            output = self._run(pytest, str(self.root), cache)
+            output = self._run([*_PYTEST, *tests], str(self.root), cache)
         except subprocess.TimeoutExpired:
             return "timeout"
         found = _FAILED.search(output)
-        if found is None and not re.search(r"^\d+ (passed|skipped)", output, re.MULTILINE):
+        if found is None and not re.search(
+            r"^\d+ (passed|skipped|deselected)", output, re.MULTILINE
+        ):
             return tests[0]  # pytest itself crashed
         return NO_TEST if found is None else found[1]
 
@@ -197,7 +210,7 @@ def main() -> int:
     """Run the tests with each of the chosen faults."""
     parser = argparse.ArgumentParser("python -m cairn_lab.mutation", description=__doc__)
     parser.add_argument("ids", nargs="*", metavar="ID", help="faults to apply; by default all")
-    parser.add_argument("--room", help="only the faults of this room")
+    parser.add_argument("--area", help="only the faults of this area")
     parser.add_argument(
         "--jobs", type=int, default=1, help="number of faults tried at the same time"
     )
@@ -215,7 +228,7 @@ def main() -> int:
         fault
         for fault in faults
         if fault.id in (arguments.ids or [fault.id])
-        and fault.room == (arguments.room or fault.room)
+        and fault.area == (arguments.area or fault.area)
     ]
     unknown = sorted(set(arguments.ids) - {fault.id for fault in faults})
     errors = [

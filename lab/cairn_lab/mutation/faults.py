@@ -25,7 +25,7 @@ class Fault(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     id: str = Field(pattern=r"^[a-z0-9-]+$")
-    room: str
+    area: str
     file: str
     find: str
     replace: str

@@ -51,7 +51,7 @@ def test_page_has_figures_that_miss_their_limit_in_bold(tmp_path: Path) -> None:
 
     page = Results.read(file).page(PAGE_TEXT)
 
-    assert "|`startup`|start|**3 s**|<= 2|\n||rays|12,346||\n" in page
+    assert "|`startup`|start|**3 s**|≤2|\n||rays|12,346||\n" in page
     assert page.endswith("<!-- end -->\nprose\n")
     assert Results.read(file).page(page) == page
 

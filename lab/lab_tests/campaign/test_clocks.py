@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cairn_lab.campaign import CampaignReport, SkippedFault
-from cairn_lab.campaign.clocks import Clocks
+from cairn_lab.campaign.stepped_clock import Clocks
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 

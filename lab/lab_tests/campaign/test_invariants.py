@@ -20,8 +20,8 @@ from cairn_lab.campaign import (
     LogLine,
     ProcessSample,
 )
+from cairn_lab.campaign.entry_points import instance_of
 from cairn_lab.campaign.invariants import INVARIANTS
-from cairn_lab.campaign.kinds import instance_of
 from cairn_lab.campaign.observations import Role
 
 DEPLOYMENT = Deployment.model_validate(

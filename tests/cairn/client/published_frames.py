@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from cairn import LATCHED, RELIABLE, from_ns
-from cairn.bus.zenoh_bus import ZenohBus, ZenohPublisher
+from cairn.bus.bus import Publisher
+from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import TransformStamped
 from cairn.schemas.std_msgs import Header
@@ -36,7 +37,7 @@ class PublishedFrames:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
-    def publisher(self, node: str, *, static: bool = False) -> ZenohPublisher:
+    def publisher(self, node: str, *, static: bool = False) -> Publisher:
         """One more publisher of this robot's transforms."""
         topic, qos = ("tf_static", LATCHED) if static else ("tf", RELIABLE)
         member = self._bus.node(f"/{self._robot}/{node}", print)

@@ -10,7 +10,7 @@ from cairn.components.simulation.ray_casting import cast
 from cairn.planar.mount_estimation import estimate_mount_yaw, seems_upside_down
 from cairn.planar.poses import Pose, compose
 from cairn.schemas.sensor_msgs import LaserScan
-from tests.components.replay.wild_logs import Drive, office_drive
+from tests.components.replay_devices.wild_logs import Drive, office_drive
 
 pytestmark = pytest.mark.slow
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.processes.zygote_client import ZygoteProcess, start_zygote
+from cairn.processes.launcher import ZygoteProcess, start_zygote
 
 from . import zygote_children
 from .reports import Reports, Tree

@@ -14,7 +14,7 @@ from cairn.processes.supervisor import ChildGroup
 from cairn.runtime.child_spec import ChildSpec, Supervision
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 
 T = TypeVar("T")
 

@@ -16,7 +16,7 @@ from cairn.bus.control import ControlError, ControlRequest, request
 from cairn.bus.keys import control_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.processes.child import ChildUnavailable
-from cairn.processes.component_host import ComponentHost
+from cairn.processes.component_process import ComponentHost
 from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.testing.launching import LIMIT_S, new_endpoint
@@ -229,7 +229,7 @@ def test_start_canceled_while_the_zygote_imports_starts_no_process(
         def close(self) -> None:
             """Do nothing."""
 
-    monkeypatch.setattr("cairn.processes.component_host.ZygoteClient", Importing)
+    monkeypatch.setattr("cairn.processes.component_process.ZygoteClient", Importing)
     child = LaunchRequest(
         name="child",
         spec=ChildSpec(plugin=f"{__name__}:Idle"),

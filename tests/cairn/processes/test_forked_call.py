@@ -8,7 +8,7 @@ import pytest
 
 from cairn import CairnError
 from cairn.processes.forked_call import call_in_fork
-from cairn.processes.zygote_client import ZygoteProcess
+from cairn.processes.launcher import ZygoteProcess
 from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes

@@ -16,10 +16,9 @@ from cairn.errors import Escalate
 from cairn.processes.child import ChildHandle
 from cairn.processes.child_channel import ChildChannel, Heartbeat, Request, TransitionAnswer
 from cairn.processes.component_process import log_stacks_on_signal
-from cairn.processes.launcher import TRACEBACK_SIGNAL, ProcessHandle
+from cairn.processes.launcher import TRACEBACK_SIGNAL, ChildProcess, ProcessHandle
 from cairn.processes.supervisor import ChildGroup
 from cairn.processes.zygote import Exited, Signal
-from cairn.processes.zygote_client import ChildProcess
 from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState

@@ -7,8 +7,7 @@ from typing import cast
 import pytest
 
 from cairn.processes import component_process
-from cairn.processes.component_host import ComponentHost
-from cairn.processes.component_process import MainLoop
+from cairn.processes.component_process import ComponentHost, MainLoop
 
 
 class HangingHost:

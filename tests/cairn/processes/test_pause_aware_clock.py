@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from cairn.processes.component_host import PAUSE_S, PERIOD_S, PauseAwareClock
+from cairn.processes.component_process import PAUSE_S, PERIOD_S, PauseAwareClock
 from tests.patience import LIMIT_S
 
 

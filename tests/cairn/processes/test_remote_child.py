@@ -14,8 +14,8 @@ from cairn.processes.supervisor import ChildGroup, StartFailed
 from cairn.runtime.child_spec import ChildSpec, Fallback, OnLoss
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.cairn_msgs import MachineChild
-from cairn.system.process_exit import ExitReport
 
 from .scripted_children import World, fails
 

@@ -11,7 +11,7 @@ from cairn.processes.supervisor import ChildGroup, StartFailed, UnknownChild
 from cairn.runtime.child_spec import ChildSpec, Supervision
 from cairn.runtime.launch_request import LaunchRequest
 from cairn.runtime.lifecycle import LifecycleState
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 from tests.wording import assert_words, words_in_order
 
 from .scripted_children import (

@@ -20,8 +20,8 @@ from cairn import CairnError
 from cairn.processes import zygote as zygote_module
 from cairn.processes.child import ZygoteLost
 from cairn.processes.child_channel import channel_pair
+from cairn.processes.launcher import ChildProcess, ZygoteClient, ZygoteProcess, start_zygote
 from cairn.processes.zygote import Exited, Spawn, _open_log, encode
-from cairn.processes.zygote_client import ChildProcess, ZygoteClient, ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 

@@ -16,10 +16,10 @@ import psutil
 import pytest
 
 from cairn import CairnError
-from cairn.processes import zygote_client
+from cairn.processes import launcher
 from cairn.processes.child import ChildUnavailable, ZygoteLost
+from cairn.processes.launcher import ZygoteProcess, start_zygote
 from cairn.processes.orphan_cleanup import kill_marked
-from cairn.processes.zygote_client import ZygoteProcess, start_zygote
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -94,7 +94,7 @@ def test_root_killed_during_the_imports_leaves_no_process(tree: Tree, tmp_path: 
     program = (
         f"import sys; sys.path[:] = {[str(tmp_path), *sys.path]!r}\n"
         "from pathlib import Path\n"
-        "from cairn.processes.zygote_client import start_zygote\n"
+        "from cairn.processes.launcher import start_zygote\n"
         f"zygote = start_zygote(['imports_slowly'], Path({str(tmp_path / 'run')!r}))\n"
         "sys.stdin.read()\n"
     )
@@ -156,7 +156,12 @@ def test_killed_processes_that_are_not_reaped_count_as_ended() -> None:
     program = (
         "import os, subprocess, sys\n"
         "environment = {**os.environ, 'CAIRN_TREE': sys.argv[1]}\n"
-        "print(subprocess.Popen(['sleep', 'infinity'], env=environment).pid, flush=True)\n"
+        "pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
+        "child = subprocess.Popen(['cat'], env=environment, **pipes)\n"
+        "child.stdin.write(b'executed')  # only from then on its environment can be read\n"
+        "child.stdin.flush()\n"
+        "child.stdout.read(1)\n"
+        "print(child.pid, flush=True)\n"
         "sys.stdin.read()\n"
     )
     with subprocess.Popen(
@@ -205,8 +210,8 @@ def test_process_whose_start_is_answered_just_at_the_time_limit_is_returned(
                 raise TimeoutError
             return answer
 
-    monkeypatch.setattr(zygote_client, "Future", LateAnswer)
-    monkeypatch.setattr(zygote_client, "_PIECE_S", 2 * LIMIT_S)  # its one wait is the last one
+    monkeypatch.setattr(launcher, "Future", LateAnswer)
+    monkeypatch.setattr(launcher, "_PIECE_S", 2 * LIMIT_S)  # its one wait is the last one
     driver = owner.spawn("run_until_killed")
     assert owner.reports.of("driver").pid == driver.pid
     driver.kill()

@@ -12,7 +12,7 @@ from typing import Any
 
 import psutil
 
-from cairn.processes.zygote_client import ZygoteClient
+from cairn.processes.launcher import ZygoteClient
 
 Argument = dict[str, Any]
 GRANDCHILD = (

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from cairn.processes.child import ZygoteLost
+from cairn.processes.launcher import ChildProcess, ZygoteClient, ZygoteProcess
 from cairn.processes.zygote import Exited
-from cairn.processes.zygote_client import ChildProcess, ZygoteClient, ZygoteProcess
 from tests.patience import LIMIT_S
 
 from . import zygote_children

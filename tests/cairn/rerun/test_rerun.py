@@ -31,8 +31,9 @@ from cairn.recording.rewrite import rewrite
 from cairn.rerun import cli
 from cairn.rerun.call_logs import component_starts
 from cairn.rerun.comparison import first_difference
-from cairn.rerun.engine import Payload, Rerun, RerunResult
+from cairn.rerun.engine import Payload, Rerun
 from cairn.rerun.files import with_files
+from cairn.rerun.result import RerunResult
 from cairn.rerun.run import CALL_BATCH, chosen_starts, prepared_rerun, starts_in
 from cairn.runtime.call_records import RecordEncoder, StartInfo
 from cairn.runtime.call_records import RecordKind as Kind

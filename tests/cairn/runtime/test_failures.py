@@ -6,7 +6,7 @@ import pytest
 
 from cairn import CairnError
 from cairn.runtime.component import ComponentContext
-from cairn.system.process_exit import ExitReport
+from cairn.runtime.process_exit import ExitReport
 from cairn.testing.lockstep import ComponentHarness
 from tests.cairn.runtime.recording_component import BOOM, STEPS, RecordingComponent, failing, word
 from tests.wording import assert_words

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import pytest
 
 from cairn import SECOND, CairnError, every
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.cairn_msgs import ComponentStatus
-from cairn.system.process_exit import ExitReport
 from cairn.testing.lockstep import ComponentHarness
 from tests.cairn.runtime.recording_component import BOOM, STEPS, RecordingComponent, failing, word
 from tests.wording import assert_words

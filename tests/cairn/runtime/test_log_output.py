@@ -102,7 +102,7 @@ def test_warnings_about_invented_names_are_limited_as_one_statement(
 PROGRAM = """
 import os, sys, logging
 from pathlib import Path
-from cairn.system.process_exit import log_reason
+from cairn.runtime.process_exit import log_reason
 from cairn.runtime.log_output import OutputFile, OutputHandler
 file = Path(sys.argv[1])
 stream = os.open(sys.argv[2], os.O_WRONLY | os.O_APPEND | os.O_CREAT)

@@ -9,8 +9,8 @@ import pytest
 from cairn import every, on
 from cairn.bus.lockstep_bus import LockstepBus
 from cairn.runtime.component import ComponentContext
+from cairn.runtime.process_exit import ExitReport
 from cairn.schemas.std_msgs import String
-from cairn.system.process_exit import ExitReport
 from tests.cairn.runtime.base import Base, word
 from tests.cairn.runtime.threaded import ThreadedComponent
 from tests.patience import LIMIT_S

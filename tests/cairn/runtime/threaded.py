@@ -14,9 +14,9 @@ from cairn.deployment.model import Deployment
 from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.loop import ThreadLoop
+from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
 from cairn.system.clock import SystemClock
-from cairn.system.process_exit import ExitReport
 from tests.patience import LIMIT_S
 
 T = TypeVar("T")

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from cairn.components.hokuyo.emulator import EmulatedScip
-from cairn.components.pbs.emulator import EmulatedPbs
+from cairn.components.hokuyo_scanner.emulator import EmulatedScip
+from cairn.components.pbs_scanner.emulator import EmulatedPbs
 from cairn.driver.emulator import EmulatedDevice, Emulator
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.schemas.sensor_msgs import LaserScan

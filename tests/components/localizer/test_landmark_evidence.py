@@ -171,21 +171,3 @@ def test_static_object_always_agrees(seed: int) -> None:
         verdicts.add(evidence_of(evaluator, 1, step % 10, (3.05 + dx, 1.0 + dy), sd=0.15).verdict)
 
     assert verdicts == {ObjectEvidence.AGREES}
-
-
-def test_gate_and_paper_rule_need_no_corroboration() -> None:
-    assert (
-        evidence_of(evaluator_of("chi_square"), 1, 0, (4.0, 2.0)).verdict
-        == ObjectEvidence.DISAGREES
-    )
-    assert evidence_of(evaluator_of("chi_square"), 1, 0, (4.0, 2.0)).similarity == pytest.approx(
-        0.1
-    )
-    assert (
-        evidence_of(evaluator_of("chi_square"), 1, 0, (3.0, 1.0)).verdict == ObjectEvidence.AGREES
-    )
-    # Without anything else seen, samples on a ring do not converge: no evidence.
-    assert (
-        evidence_of(evaluator_of("paper_rule"), 1, 0, (4.0, 2.0)).verdict
-        == ObjectEvidence.NOT_CONVERGED
-    )

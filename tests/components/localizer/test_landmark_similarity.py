@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 from cairn.components.localizer.landmark_evidence import (
     LEAST,
     convergence_radius,
-    gate_similarity,
     likelihood_ratio_similarity,
-    paper_rule_radius,
-    paper_rule_similarity,
     paper_similarity,
     sample_ring,
 )
@@ -71,21 +68,6 @@ def test_paper_similarity_is_radius_over_distance_clamped(
     radius: float, distance: float, similarity: float
 ) -> None:
     assert paper_similarity(radius, distance) == pytest.approx(similarity)
-
-
-def test_paper_rule_similarity_is_not_bounded() -> None:
-    assert paper_rule_similarity(0.2, 0.1) == 1.0
-    assert paper_rule_similarity(0.2, 0.0) == 1.0
-    assert paper_rule_similarity(0.2, 4.0) == pytest.approx(0.05)
-    assert paper_rule_similarity(0.0, 1.0) == 0.0
-    assert paper_rule_radius(pose(sd=0.001)) == pytest.approx(0.002)
-
-
-def test_gate_decides_by_one_observation() -> None:
-    landmark = Landmark(1, 2.0, 0.0)
-
-    assert gate_similarity(innovation(pose(), observed(2.1), landmark)) == 0.9
-    assert gate_similarity(innovation(pose(), observed(3.0), landmark)) == 0.1
 
 
 def test_convergence_radius_has_a_floor() -> None:

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from cairn.components.simulation.base import EncoderErrors, Encoders, WheelDrive, WheelDriveLimits
+from cairn.components.simulation.base import Encoders, SimulatedBaseConfig, WheelDrive
 from cairn.planar.poses import Pose, compose, relative, wrap
 
 STEP = 0.02
-LIMITS = WheelDriveLimits()
-ERRORS = EncoderErrors(
-    distance_scale=0.01, turn_scale=0.02, distance=0.01, turn=0.02, turn_per_meter=0.01
+LIMITS = ERRORS = SimulatedBaseConfig()
+NO_ERRORS = SimulatedBaseConfig(
+    distance_scale_sd=0.0, turn_scale_sd=0.0, distance_error=0.0, turn_error=0.0, turn_per_meter=0.0
 )
 
 
@@ -73,7 +73,7 @@ def test_wheels_stop_when_commands_are_stale() -> None:
     assert speeds[-1] == 0.0
 
 
-def odometry(seed: int, errors: EncoderErrors) -> tuple[Encoders, Pose]:
+def odometry(seed: int, errors: SimulatedBaseConfig) -> tuple[Encoders, Pose]:
     """Twelve meters in two bends: the measured pose and the true one."""
     encoders, true = Encoders(errors, np.random.default_rng(seed)), (0.0, 0.0, 0.0)
     for number in range(200):
@@ -87,12 +87,14 @@ def odometry(seed: int, errors: EncoderErrors) -> tuple[Encoders, Pose]:
     "errors",
     [
         ERRORS,
-        EncoderErrors(0.03, 0.0, 0.0, 0.0, 0.0),
-        EncoderErrors(0.0, 0.05, 0.0, 0.0, 0.0),
-        EncoderErrors(0.0, 0.0, 0.02, 0.03, 0.02),
+        NO_ERRORS.model_copy(update={"distance_scale_sd": 0.03}),
+        NO_ERRORS.model_copy(update={"turn_scale_sd": 0.05}),
+        NO_ERRORS.model_copy(
+            update={"distance_error": 0.02, "turn_error": 0.03, "turn_per_meter": 0.02}
+        ),
     ],
 )
-def test_odometry_errors_match_their_covariance(errors: EncoderErrors) -> None:
+def test_odometry_errors_match_their_covariance(errors: SimulatedBaseConfig) -> None:
     runs = [odometry(seed, errors) for seed in range(60)]
     off = np.array([(e.pose[0] - t[0], e.pose[1] - t[1], wrap(e.pose[2] - t[2])) for e, t in runs])
     stated = np.mean([encoders.covariance for encoders, _ in runs], axis=0)

@@ -2,22 +2,22 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cairn import Mount
 from cairn.components.simulation.layout import SURFACES
 from cairn.components.simulation.recognizer import (
-    RecognizerModel,
     SimulatedRecognition,
+    SimulatedRecognizerConfig,
     recognize,
 )
 from cairn.components.simulation.world_file import Surface
 from cairn.components.simulation.world_tracker import RayTargets, RecognizableObject
 from cairn.planar.poses import Pose
 
-EYE = RecognizerModel(
+EYE = SimulatedRecognizerConfig(
     field_of_view=math.radians(60),
     nearest=0.4,
     farthest=5.0,
@@ -40,11 +40,13 @@ def facing(x: float, y: float, object_id: int = 1, offset: float = 0.0) -> Recog
 def observe(
     objects: Sequence[RecognizableObject],
     around: RayTargets = NOWHERE,
-    eye: RecognizerModel = EYE,
+    eye: SimulatedRecognizerConfig = EYE,
     mount: Pose = (0.0, 0.0, 0.0),
     seed: int = 0,
 ) -> list[SimulatedRecognition]:
-    return recognize(eye, ROBOT, mount, objects, around, np.random.default_rng(seed))
+    x, y, theta = mount
+    eye = eye.model_copy(update={"mount": Mount(x=x, y=y, theta=theta)})
+    return recognize(eye, ROBOT, objects, around, np.random.default_rng(seed))
 
 
 def segment_at(x: float, surface: Surface = "plain") -> RayTargets:
@@ -98,10 +100,10 @@ def test_errors_have_the_configured_deviation() -> None:
 
 
 def test_objects_are_missed_and_confused_as_often_as_configured() -> None:
-    eye = replace(EYE, detection_probability=0.7, confusion_probability=0.2)
+    eye = EYE.model_copy(update={"detection_probability": 0.7, "confusion_probability": 0.2})
     objects = [facing(2, 0, 1), facing(-2, 0, 2), facing(-2, 1, 3)]
     random = np.random.default_rng(0)
-    found = [recognize(eye, ROBOT, (0, 0, 0), objects, NOWHERE, random) for _ in range(2000)]
+    found = [recognize(eye, ROBOT, objects, NOWHERE, random) for _ in range(2000)]
     ids = [one.object_id for sighting in found for one in sighting]
 
     assert len(ids) / 2000 == pytest.approx(0.7, abs=0.04)
@@ -110,7 +112,7 @@ def test_objects_are_missed_and_confused_as_often_as_configured() -> None:
 
 
 def test_random_numbers_of_objects_are_independent() -> None:
-    eye = replace(EYE, confusion_probability=0.5)
+    eye = EYE.model_copy(update={"confusion_probability": 0.5})
     other = facing(3, 0.2, 2)
     for seed in range(20):
         with_it = observe([facing(2, -0.5, 1), other], eye=eye, seed=seed)[-1]

@@ -1,7 +1,6 @@
 """Scanners measure as their data sheets specify, also in motion, with the configured faults."""
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,8 +9,8 @@ import pytest
 from cairn.components.simulation.layout import SURFACES
 from cairn.components.simulation.scanner import (
     MODELS,
-    BeamFaults,
     BeamPattern,
+    SimulatedScannerConfig,
     simulate_sweep,
 )
 from cairn.components.simulation.world_file import Surface
@@ -20,7 +19,7 @@ from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.scans import rays_of
 from cairn.schemas.sensor_msgs import LaserScan
 
-NONE = BeamFaults(dropouts=0.0, dark_dropouts=0.0, dark_reach=1.0, glass_returns=0.0)
+NONE = SimulatedScannerConfig(dropouts=0.0, dark_dropouts=0.0, dark_reach=1.0, glass_returns=0.0)
 EVERYWHERE = (-math.pi, math.pi, 1)
 # name: field of view [deg], steps, scans per second, least and largest range [m]
 SHEETS = {
@@ -42,7 +41,11 @@ def square(half: float, surface: Surface = "plain") -> RayTargets:
 
 
 def swept(
-    name: str, around: RayTargets, faults: BeamFaults = NONE, pose: Pose = (0, 0, 0), seed: int = 0
+    name: str,
+    around: RayTargets,
+    faults: SimulatedScannerConfig = NONE,
+    pose: Pose = (0, 0, 0),
+    seed: int = 0,
 ) -> tuple[np.ndarray, BeamPattern]:
     beams = BeamPattern.of(MODELS[name], *EVERYWHERE)
     poses = np.tile(np.array(pose, float), (beams.angles.size, 1))
@@ -103,14 +106,14 @@ def test_ranges_beyond_the_limit_are_infinite_and_too_near_ones_are_nan() -> Non
 
 
 def test_beams_fail_as_often_as_configured() -> None:
-    faults = replace(NONE, dropouts=0.1)
+    faults = NONE.model_copy(update={"dropouts": 0.1})
     failed = [np.isnan(swept("UST-10LX", square(2.0), faults, seed=n)[0]).mean() for n in range(10)]
 
     assert np.mean(failed) == pytest.approx(0.1, abs=0.012)
 
 
 def test_dark_surfaces_have_less_range_and_fail_more_often() -> None:
-    faults = replace(NONE, dark_dropouts=0.4, dark_reach=0.4)
+    faults = NONE.model_copy(update={"dark_dropouts": 0.4, "dark_reach": 0.4})
     near, _ = swept("UST-10LX", square(2.0, "dark"), faults)
     far, _ = swept("UST-10LX", square(5.0, "dark"), faults)
     plain, _ = swept("UST-10LX", square(5.0), faults)
@@ -127,7 +130,7 @@ def test_most_beams_pass_through_glass() -> None:
         np.concatenate((glass.surfaces, wall.surfaces)),
         np.zeros((0, 3)),
     )
-    ranges, beams = swept("UST-10LX", both, replace(NONE, glass_returns=0.2))
+    ranges, beams = swept("UST-10LX", both, NONE.model_copy(update={"glass_returns": 0.2}))
 
     at_glass = np.abs(ranges - to_wall(beams, 1.0)) < 0.1
     behind = np.abs(ranges - to_wall(beams, 3.0)) < 0.1

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cairn import CairnError
 from cairn.components.simulation.ray_casting import clearance
-from cairn.components.simulation.world import Contact, RobotBody, WheelSlip, World
+from cairn.components.simulation.world import Contact, RobotBody, SlipConfig, World
 from cairn.components.simulation.world_file import Furniture, Person, VisibleObject
 from cairn.schemas.cairn_sim_msgs import MOST_OBJECTS
 from tests.components.simulation.worlds import RADIUS, world_of
@@ -91,7 +91,11 @@ def test_robot_cannot_pass_a_wall_at_any_speed() -> None:
 @settings(max_examples=15, deadline=None)
 def test_robot_never_overlaps_anything(seed: int) -> None:
     random = np.random.default_rng(seed)
-    world = world_of(WheelSlip(0.01, 0.02, 0.01), furniture=[TABLE, CRATE], people=[ADA])
+    world = world_of(
+        SlipConfig(distance=0.01, turn=0.02, turn_per_meter=0.01),
+        furniture=[TABLE, CRATE],
+        people=[ADA],
+    )
     for _ in range(60):
         forward, turn = random.uniform(-1, 1), random.uniform(-3, 3)
         for _ in range(10):

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from cairn.components.simulation.world import RobotBody, WheelSlip, World
+from cairn.components.simulation.world import RobotBody, SlipConfig, World
 from cairn.components.simulation.world_file import WorldFile
 
 RADIUS = 0.22
-NO_SLIP = WheelSlip(0.0, 0.0, 0.0)
+NO_SLIP = SlipConfig(distance=0.0, turn=0.0, turn_per_meter=0.0)
 
 
 def box(width: float = 6.0, depth: float = 4.0, **more: Any) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def box(width: float = 6.0, depth: float = 4.0, **more: Any) -> dict[str, Any]:
     return {"walls": [{"points": corners}], "robot": middle, **more}
 
 
-def world_of(slip: WheelSlip = NO_SLIP, others: Sequence[RobotBody] = (), **more: Any) -> World:
+def world_of(slip: SlipConfig = NO_SLIP, others: Sequence[RobotBody] = (), **more: Any) -> World:
     """A world in such a room, with `others` beside its robot."""
     random = np.random.default_rng(0)
     return World(world_file(**more), RADIUS, slip, random, others=others)

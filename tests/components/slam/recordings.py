@@ -14,9 +14,9 @@ from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.people import Walker, circles_of
 from cairn.components.simulation.scanner import (
     MODELS,
-    BeamFaults,
     BeamPattern,
     ScannerModel,
+    SimulatedScannerConfig,
     simulate_sweep,
 )
 from cairn.components.simulation.world_tracker import RayTargets, sensor_poses
@@ -32,7 +32,9 @@ _TICK_S = 0.02  # of the simulated motion
 _SPEED, _TURN_RATE, _ACCELERATION, _SPIN = 0.5, 1.0, 0.7, 3.0  # [m/s], [rad/s] and per second
 _AHEAD_M = 0.3  # the robot steers to the point of its path this far ahead
 _ROBOT_RADIUS_M = 0.22
-_FAULTS = BeamFaults(dropouts=0.002, dark_dropouts=0.3, dark_reach=0.4, glass_returns=0.1)
+_FAULTS = SimulatedScannerConfig(
+    dropouts=0.002, dark_dropouts=0.3, dark_reach=0.4, glass_returns=0.1
+)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 
 from cairn.driver.diagnostics import ERROR, OK
 from cairn.driver.emulator_lines import SerialEnd
-from tests.components.hokuyo.emulated_driver import (
+from tests.components.hokuyo_scanner.emulated_driver import (
     REPLY_TIMEOUT_S,
     EmulatedDriver,
     assert_were_sent,

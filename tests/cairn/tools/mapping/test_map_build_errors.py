@@ -11,7 +11,7 @@ import pytest
 
 from cairn import SECOND
 from tests.commands import cairn
-from tests.components.replay.test_ros_bag import (
+from tests.components.replay_devices.test_ros_bag import (
     BEGIN,
     STORE,
     Messages,

@@ -1,1 +1,0 @@
-"""Records what the components of a deployment publish."""

@@ -1,0 +1,241 @@
+"""The messages of ROS 1 bags, ROS 2 bags and MCAP files that are replayed, with their types.
+
+`bag_files` reads the files.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from cairn import SECOND
+from cairn.bus.codec import Codec
+from cairn.components.replay_devices.bag_files import BagFile, BagTopic
+from cairn.errors import RecordingError
+from cairn.limits.files import megabytes
+from cairn.limits.sqlite import SchemaError
+from cairn.limits.yaml import yaml_fault
+from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap
+from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.sensor_msgs import CameraInfo
+
+SCAN_TYPE: Final = "sensor_msgs/msg/LaserScan"
+ODOMETRY_TYPE: Final = "nav_msgs/msg/Odometry"
+TRANSFORM_TYPES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""The types of topics of transforms, in ROS 2 and in ROS 1."""
+
+POSE_TYPES: Final = {
+    "geometry_msgs/msg/PoseStamped": lambda message: message.pose,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda message: message.pose.pose,
+    ODOMETRY_TYPE: lambda message: message.pose.pose,
+}
+OBJECTS_TYPE = type_name(RecognizedObjectArray)
+MAP_TYPE = type_name(VisualMap)
+INFO_TYPE = type_name(CameraInfo)
+# Are decoded to Cairn's classes.
+_OWN = {OBJECTS_TYPE: RecognizedObjectArray, MAP_TYPE: VisualMap, INFO_TYPE: CameraInfo}
+_READ = (SCAN_TYPE, ODOMETRY_TYPE, *TRANSFORM_TYPES, *POSE_TYPES, OBJECTS_TYPE, MAP_TYPE)
+TEXT_TYPE, _DESCRIPTION = "std_msgs/msg/String", "robot_description"
+
+
+_KEPT_BYTES: Final = 200_000_000
+_KEPT_RATIO: Final = 60
+_MESSAGE_COST: Final = 3_000  # what a message takes beside its serialized bytes, about [bytes]
+_TF_FACTOR: Final = 20  # what a transform takes in relation to its serialized bytes
+
+
+@dataclass(frozen=True)
+class BagContents:
+    """Messages with their times of receipt [ns], by topic; `notes` say what was lost.
+
+    `types` and `counts` are those of all topics.
+    """
+
+    types: Mapping[str, str]
+    counts: Mapping[str, int]
+    messages: Mapping[str, list[tuple[int, Any]]]
+    notes: list[str]
+
+
+def read_bag(path: Path) -> BagContents:
+    """Read the scans, odometry, transforms, poses and robot's description of the bag at `path`.
+
+    `path` is a ROS 1 bag, the folder of a ROS 2 bag, or one of its files. Messages have the
+    attributes of their ROS 2 definition. Raises `RecordingError`.
+    """
+    bag = BagFile(path)
+    messages: dict[str, list[tuple[int, Any]]] = {}
+    damaged: list[str] = []
+    kept = 0
+    with _explained(bag):
+        for topic, received, raw in bag.messages(_is_read):
+            kept += _MESSAGE_COST + len(raw) * (_TF_FACTOR if topic.type in TRANSFORM_TYPES else 1)
+            most = max(_KEPT_BYTES, _KEPT_RATIO * bag.size)
+            if kept > most:
+                raise RecordingError(
+                    f"{path}: its messages would take more than {megabytes(most)} MB of memory, "
+                    "the limit for a bag of its size. Replay a part of it."
+                )
+            try:
+                message = deserialize(bag, topic, raw)
+            except SerdeError as error:
+                if not bag.is_ros1:
+                    raise
+                damaged.append(f"a message of {topic.name} is damaged: {error_text(error)}")
+                continue
+            messages.setdefault(topic.name, []).append((received, message))
+        if not bag.counts.total() and bag.lost:
+            raise ValueError("; ".join(["it holds no message that can be read", *bag.lost[:5]]))
+        if not bag.counts.total():
+            raise RecordingError(f"{path} holds no message: nothing was recorded")
+        if damaged and not messages:
+            raise ValueError(damaged[0])
+    for of in messages.values():
+        of.sort(key=lambda pair: pair[0])  # files are almost in this order
+    notes = [*bag.lost, *damaged]
+    if len(notes) > _MOST_NOTES:
+        notes = [*notes[:_MOST_NOTES], f"{len(notes) - _MOST_NOTES} more damages of this kind"]
+    counts: dict[str, int] = {}
+    for topic, count in bag.counts.items():
+        counts[topic.name] = counts.get(topic.name, 0) + count
+    types = {topic.name: topic.type for topic in bag.counts}
+    chosen = {topic.name: messages.get(topic.name, []) for topic in bag.counts}
+    return BagContents(types, counts, chosen, notes)
+
+
+_MOST_NOTES: Final = 20
+
+
+def _is_read(topic: BagTopic) -> bool:
+    return topic.type in _READ or is_description(topic)
+
+
+def is_description(topic: BagTopic) -> bool:
+    """Return whether a topic has the robot's description (URDF)."""
+    return topic.type == TEXT_TYPE and topic.name.rpartition("/")[2] == _DESCRIPTION
+
+
+@contextmanager
+def _explained(bag: BagFile) -> Iterator[None]:
+    """Turn errors of reading a bag into `RecordingError` with the file and a remedy."""
+    try:
+        yield
+    except RecordingError:
+        raise
+    except UNREADABLE as error:
+        path = bag.path
+        why = error_text(error)
+        if isinstance(error, SchemaError):
+            raise RecordingError(
+                f"{path} is a database, but not a ROS 2 bag ({why}). Give a recording."
+            ) from error
+        if bag.is_ros1:
+            raise RecordingError(
+                f"{path} cannot be read as a ROS 1 bag ({why}). It is cut off or damaged: repair "
+                "it with `rosbag reindex`, or take a fresh copy."
+            ) from error
+        repair = f"mcap recover {path.name}" if _is_mcap(path) else f"ros2 bag reindex {path}"
+        raise RecordingError(
+            f"{path} cannot be read as a ROS 2 bag ({why}). It is cut off, damaged, or was not "
+            f"closed after recording: repair it with `{repair}`, or take a fresh copy."
+        ) from error
+
+
+UNREADABLE: Final = (
+    ValueError, OSError, struct.error, sqlite3.Error, yaml.YAMLError, SerdeError,
+)  # fmt: skip
+"""What reading a damaged bag raises, beside `RecordingError`."""
+
+
+def _is_mcap(path: Path) -> bool:
+    return path.suffix == ".mcap"
+
+
+def error_text(error: Exception) -> str:
+    """Return one of the `UNREADABLE` errors in one line of words."""
+    if isinstance(error, yaml.YAMLError):
+        position, fault = yaml_fault(error)
+        return f"metadata.yaml{position}: {fault}"
+    if isinstance(error, OSError):
+        return str(error.strerror or error)
+    return " ".join(str(error).split())[:500] or type(error).__name__
+
+
+@cache
+def _typestore(is_ros1: bool) -> Typestore:
+    """Return the definitions of ROS; those in a bag are not used, because they are code to run."""
+    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    humble = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+    transforms = humble[TRANSFORM_TYPES[0]]
+    store.register({name: transforms for name in TRANSFORM_TYPES if name not in store.fielddefs})
+    return store
+
+
+@cache
+def _codec() -> Codec:
+    return Codec()
+
+
+@cache
+def _md5(type_name: str) -> str:
+    return str(_typestore(is_ros1=True).generate_msgdef(type_name)[1])
+
+
+def deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
+    """Return a message; raise `SerdeError` if it is damaged, `ValueError` for an unknown type."""
+    store = _typestore(bag.is_ros1)
+    own = _OWN.get(topic.type)
+    if own is not None and not bag.is_ros1:
+        try:
+            return _codec().decode(own, raw)
+        except InvalidMessage as error:
+            raise SerdeError(error_text(error)) from error
+    if topic.type not in store.fielddefs:
+        raise ValueError(f"{topic.name} has the type {topic.type[:100]!r}, which is not known")
+    if bag.is_ros1 and topic.md5 not in ("", "*", _md5(topic.type)):
+        raise ValueError(
+            f"{topic.name} has the type {topic.type}, but another definition of it (MD5 "
+            f"{topic.md5[:40]!r}) than ROS"
+        )
+    try:
+        if bag.is_ros1:
+            return store.deserialize_ros1(raw, topic.type)
+        return store.deserialize_cdr(raw, topic.type)
+    except (AssertionError, IndexError, MemoryError) as error:
+        raise SerdeError(error_text(error)) from error
+
+
+# Stamps that are further from the time of receipt than this are of another clock [ns].
+_CLOCK_TOLERANCE = 60 * SECOND
+
+
+def message_stamps(topic: str, received: Sequence[tuple[int, Any]]) -> tuple[list[int], str]:
+    """Return the stamps [ns] of a topic's messages, and a note, or "".
+
+    If the stamps are of another clock, they are replaced by the times of receipt, with a note.
+
+    `received` are the times of receipt [ns] and the stamps (builtin_interfaces/Time).
+    """
+    if not received:
+        return [], ""
+    stamps = [stamp.sec * SECOND + stamp.nanosec for _, stamp in received]
+    apart = sorted(
+        abs(stamp - receipt) for (receipt, _), stamp in zip(received, stamps, strict=True)
+    )
+    if apart[len(apart) // 2] <= _CLOCK_TOLERANCE:
+        return stamps, ""
+    return [receipt for receipt, _ in received], (
+        f"stamps on {topic} are from another clock than the bag's (the first is "
+        f"{stamps[0] / SECOND:g} s): the times of receipt are used instead"
+    )

@@ -1,1 +1,0 @@
-"""Judges a run against the truth: table, report and pictures."""

@@ -1,1 +1,0 @@
-"""Publishes the frames of a robot."""

@@ -1,1 +1,0 @@
-"""Gives the topics and services of a robot their ROS names."""
