@@ -69,6 +69,9 @@ Robot = Annotated[
 IdentityName = Annotated[
     str, typer.Argument(metavar="NAME", help="Name of the machine or operator.")
 ]
+OptionalName = Annotated[
+    str, typer.Argument(metavar="[NAME]", help="Name of the machine or operator.")
+]
 Days = Annotated[
     int, typer.Option(min=1, max=3650, help="Days for which new certificates are valid.")
 ]
@@ -165,9 +168,7 @@ def init(
 
 @app.command("add")
 def add(
-    name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="Name of the machine or operator.")
-    ] = "",
+    name: OptionalName = "",
     address: Annotated[
         list[str] | None,
         typer.Option(
@@ -255,9 +256,7 @@ def list_identities(json: Json = False, robot: Robot = "") -> None:
 
 @app.command("renew")
 def renew(
-    name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="Name of the machine or operator.")
-    ] = "",
+    name: OptionalName = "",
     all_of_them: Annotated[
         bool, typer.Option("--all", help="Renew all whose keys are on this computer.")
     ] = False,

@@ -23,10 +23,10 @@ from cairn import (
     from_ns,
     on,
 )
-from cairn.planar.messages import transform_message, with_covariance
+from cairn.planar.messages import transform_message, twist_message, with_covariance
 from cairn.planar.poses import Pose, compose
 from cairn.schemas.cairn_sim_msgs import WheelMotion
-from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
+from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
@@ -239,15 +239,13 @@ class SimulatedBase(Component):
                 robot=self.robot,
             )
         )
-        measured_forward, measured_turn = self._encoders.speeds(forward, turn)
+        twist = twist_message(*self._encoders.speeds(forward, turn))
         header = Header(stamp=stamp, frame_id=_ODOM)
         odometry = Odometry(
             header=header,
             child_frame_id=_BASE,
             pose=with_covariance(self._encoders.pose, self._encoders.covariance),
-            twist=TwistWithCovariance(
-                twist=Twist(linear=Vector3(x=measured_forward), angular=Vector3(z=measured_turn))
-            ),
+            twist=TwistWithCovariance(twist=twist),
         )
         transform = transform_message(header, _BASE, self._encoders.pose)
         self._send(now, odometry, TFMessage(transforms=(transform,)))
