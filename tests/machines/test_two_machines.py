@@ -48,10 +48,8 @@ def start(machines: Machines, deployment: str, *of_brain: str) -> tuple[Run, Run
     return base, brain
 
 
-def test_nothing_is_lost_between_machines_commands_reach_both_and_all_are_re_run(
-    machines: Machines,
-) -> None:
-    deployment = tree(machines, talker=", parameters: {words: 60}") + "call_log: true\n"
+def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Machines) -> None:
+    deployment = tree(machines, talker=", parameters: {words: 60}")
     records = deployment.replace("brain: {", "brain: {role: view, ", 1)
     base, brain = start(machines, records, "--record")
     # The latched message of a component that started long before, and every word from the first.
@@ -83,8 +81,18 @@ def test_nothing_is_lost_between_machines_commands_reach_both_and_all_are_re_run
     with (brain.report / "recording.mcap").open("rb") as file:
         words = sum(1 for _ in make_reader(file).iter_messages(topics=["/robot/words"]))
     assert words == 60
+
+
+@pytest.mark.accuracy
+def test_components_of_both_machines_are_re_run_from_one_recording(machines: Machines) -> None:
+    deployment = tree(machines, talker=", parameters: {words: 20}") + "call_log: true\n"
+    brain = machines.up("brain", deployment)
+    base = machines.up("base", deployment, "--record")
+    brain.await_line("listener: received 20, the last was 20")
+    assert base.await_end() == 0
+    assert brain.stop() == 0
+    recording = str(base.report / "recording.mcap")
     components = ("talker", "listener", "mobile")
-    recording = str(brain.report / "recording.mcap")
     answer = cairn("rerun", recording, *(f"--component={name}" for name in components))
     for name in components:
         assert re.search(rf"^{name}: equal: \d", answer.out, re.MULTILINE), answer
