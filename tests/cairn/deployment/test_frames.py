@@ -129,7 +129,7 @@ def test_one_component_publishes_the_frames_of_a_robot_that_has_some(write: Writ
         one.name for one in load_deployment(file, sets=sets, import_plugins=False).members()
     ] == ["one"]
     taken = problems(file, "components={robot_frames: {plugin: acme_supervisor}}")
-    assert_words(taken, "components.ros_interface", "another name")
+    assert_words(taken, "components.robot_frames", "another name")
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,12 @@ def test_killed_processes_that_are_not_reaped_count_as_ended() -> None:
     program = (
         "import os, subprocess, sys\n"
         "environment = {**os.environ, 'CAIRN_TREE': sys.argv[1]}\n"
-        "print(subprocess.Popen(['sleep', 'infinity'], env=environment).pid, flush=True)\n"
+        "pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
+        "child = subprocess.Popen(['cat'], env=environment, **pipes)\n"
+        "child.stdin.write(b'executed')  # only from then on its environment can be read\n"
+        "child.stdin.flush()\n"
+        "child.stdout.read(1)\n"
+        "print(child.pid, flush=True)\n"
         "sys.stdin.read()\n"
     )
     with subprocess.Popen(
