@@ -20,6 +20,7 @@ pytestmark = pytest.mark.processes
 ROOT = Path(__file__).parents[3]
 
 
+@pytest.mark.accuracy
 def test_kidnapped_robot_reaches_its_goals(tmp_path: Path) -> None:
     answer = cairn(
         "evaluate",
