@@ -16,7 +16,7 @@ LOCKED = $(PIP) --require-hashes --requirement
 # Without build isolation: the build backend is locked, too.
 LOCAL = $(PIP) --no-deps --no-build-isolation --no-index --editable
 
-.PHONY: demo quick test attack browser test-hardware test-service check docs bench lock clean
+.PHONY: demo quick test accuracy attack browser test-hardware test-service check docs bench lock clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
 demo: $(VENV)/ready
@@ -27,14 +27,19 @@ demo: $(VENV)/ready
 ## The tests without real processes, images and long runs: a good minute on two cores.
 quick: $(VENV)/tests
 	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
-	    -m "not processes and not images and not realtime and not slow"
+	    -m "not processes and not images and not realtime and not slow and not accuracy"
 
-## All tests. One worker more than cores: many tests wait for processes that they have started. Those
-## that are judged by the clock run apart: mostly they wait, so that two at a time disturb no other.
+## The tests that judge a change: about five minutes on two cores. One worker more than cores: many
+## tests wait for processes that they have started. Those that are judged by the clock run apart:
+## mostly they wait, so that two at a time disturb no other.
 test: $(VENV)/tests
-	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime"
+	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime and not accuracy"
 	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m realtime \
 	    $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)  # the longest first
+
+## What `make test` checks once, with more seeds, recordings, types and drivers: minutes.
+accuracy: $(VENV)/tests
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m accuracy
 
 ## Hostile files, requests, messages and users against a simulated robot: minutes, on loopback only.
 attack: $(VENV)/tests

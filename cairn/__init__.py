@@ -26,7 +26,14 @@ if TYPE_CHECKING:
     from cairn.runtime.component import Component
     from cairn.runtime.handlers import cancel, every, goal, on, serve
     from cairn.runtime.lifecycle import LifecycleState
-    from cairn.runtime.parameters import Config, Mount, ParameterRejected, ReadPath, SensorFrame
+    from cairn.runtime.parameters import (
+        Config,
+        FromRobot,
+        Mount,
+        ParameterRejected,
+        ReadPath,
+        SensorFrame,
+    )
     from cairn.runtime.rate_limited_log import RateLimitedLog
     from cairn.runtime.retried_save import RetriedSave
     from cairn.runtime.service_ports import Client, Server
@@ -47,6 +54,7 @@ __all__ = [
     "Clock",
     "Component",
     "Config",
+    "FromRobot",
     "In",
     "LifecycleState",
     "Mount",
@@ -85,6 +93,7 @@ _MODULES: Final = {
     "cairn.runtime.lifecycle": ("LifecycleState",),
     "cairn.runtime.parameters": (
         "Config",
+        "FromRobot",
         "Mount",
         "ParameterRejected",
         "ReadPath",

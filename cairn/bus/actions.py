@@ -14,7 +14,7 @@ from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
-from cairn.bus.bus import Call, ServiceClient, ServiceError
+from cairn.bus.bus import Call, OnFailure, OnReply, ServiceClient, ServiceError
 from cairn.errors import CairnError, Escalate
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
@@ -340,7 +340,7 @@ class GoalServer(Generic[Goal, Result, Feedback]):
         )
 
 
-CallService = Callable[[Any, Callable[[Any], None], Callable[[ServiceError], None], float], None]
+CallService = Callable[[Any, OnReply, OnFailure, float], None]
 """Calls a service: request, what gets the response, what gets a failure, time limit [s]."""
 
 
@@ -391,7 +391,7 @@ class GoalClient(Generic[Goal, Result, Feedback]):
         on_accepted: Callable[[], None],
         on_feedback: Callable[[Feedback], None] | None,
         on_result: Callable[[int, Result], None],
-        on_failure: Callable[[ServiceError], None],
+        on_failure: OnFailure,
         timeout_s: float,
     ) -> ClientGoal[Goal, Result, Feedback]:
         """Send a goal. `on_result` or `on_failure` is called once, at its end.
@@ -424,7 +424,7 @@ class GoalClient(Generic[Goal, Result, Feedback]):
         self,
         identity: bytes,
         on_result: Callable[[int, Result], None],
-        on_failure: Callable[[ServiceError], None],
+        on_failure: OnFailure,
     ) -> None:
         """Wait for the end of a goal, also of one that another client has sent."""
 
@@ -581,7 +581,7 @@ class ActionCaller(Generic[Goal, Result, Feedback]):
 
     def _ends(
         self, sent: SentGoal[Goal, Result, Feedback]
-    ) -> tuple[Callable[[int, Result], None], Callable[[ServiceError], None]]:
+    ) -> tuple[Callable[[int, Result], None], OnFailure]:
         def on_result(status: int, result: Result) -> None:
             sent.result = result
             sent.status = status

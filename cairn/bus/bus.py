@@ -8,9 +8,19 @@ from cairn.bus.exclusive import Exclusive
 from cairn.bus.message_limits import default_max_bytes
 from cairn.bus.qos import Qos
 from cairn.errors import CairnError
-from cairn.schemas.message import Service
+from cairn.schemas.message import Service, type_name
 
 End = TypeVar("End", bound="Publisher | Subscription | ServiceServer | ServiceClient")
+
+
+Report = Callable[[str], None]
+"""Takes a sentence for the log; called on any thread."""
+
+Post = Callable[[Callable[[], None]], None]
+"""Has a call made, now or later, as one of a component's own."""
+
+OnReply = Callable[[Any], None]
+"""Takes the response to a call of a service."""
 
 
 class MessageId(NamedTuple):
@@ -85,6 +95,10 @@ class ServiceError(CairnError):
     """A service was not provided: no server, no answer in time, or the server refused the call."""
 
 
+OnFailure = Callable[[ServiceError], None]
+"""Takes what has prevented the response to a call of a service."""
+
+
 class Call(Protocol):
     """A call that a server has received; it is answered once, now or later."""
 
@@ -143,11 +157,7 @@ class ServiceClient(Protocol):
         """Whether there is a server, as far as this process knows."""
 
     def call(
-        self,
-        request: Any,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
+        self, request: Any, on_reply: OnReply, on_failure: OnFailure, timeout_s: float
     ) -> None:
         """Send a request; never waits for the answer.
 
@@ -196,8 +206,8 @@ class ClientOptions(NamedTuple):
 
     name: str
     service: type[Service[Any, Any]]
-    post: Callable[[Callable[[], None]], None]
-    deliver: Callable[[Callable[[], None]], None]
+    post: Post
+    deliver: Post
 
 
 class Node(ABC):
@@ -267,11 +277,7 @@ class Node(ABC):
         return self._opened(self._open_server(options))
 
     def client(
-        self,
-        name: str,
-        service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None] | None = None,
+        self, name: str, service: type[Service[Any, Any]], post: Post, deliver: Post | None = None
     ) -> ServiceClient:
         """Return a client of the service `name`, whose answers arrive through `post`.
 
@@ -311,12 +317,7 @@ class Node(ABC):
 class Bus(Protocol):
     """The connection of one process to all other processes."""
 
-    def node(
-        self,
-        name: str,
-        report: Callable[[str], None],
-        warn: Callable[[str], None] | None = None,
-    ) -> Node:
+    def node(self, name: str, report: Report, warn: Report | None = None) -> Node:
         """Join the bus under a full name (`/robot/localizer`).
 
         `report` is called, on any thread, with an error message when another node uses a topic of
@@ -331,6 +332,14 @@ class Bus(Protocol):
 
         Returns the processes that were not reached within the timeout, such as "process 4711".
         """
+
+
+def check_response(response: Any, expected: type[Any]) -> None:
+    """Raise `TypeError` unless the answer to a call is of the service's response class."""
+    if type(response) is not expected:
+        raise TypeError(
+            f"the answer is a {type(response).__qualname__}, not a {type_name(expected)}"
+        )
 
 
 def full_name(robot: str, topic: str) -> str:

@@ -22,6 +22,7 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, Field
 
+from cairn.bus.channels import arriving
 from cairn.bus.keys import control_key
 from cairn.bus.message_limits import REPLY_BYTES, REQUEST_BYTES
 from cairn.bus.reply_thread import ReplyThread
@@ -218,11 +219,7 @@ class ControlServer:
 
     def _serve(self, channel: Any, urgent: str) -> None:
         """Receive the requests with an urgent verb; "": all others."""
-        while True:
-            try:
-                query = channel.recv()
-            except zenoh.ZError:  # the queryable was undeclared
-                return
+        for query in arriving(channel):
             if self._kind(_verb(query)) == urgent:
                 self._receive(query)
             del query  # the requester learns of this process's end when nothing holds its query

@@ -29,6 +29,7 @@ from typing import Any, cast
 
 import zenoh
 
+from cairn.bus.channels import arriving
 from cairn.bus.keys import CAIRN_ID_PREFIX, process_id, router_key, session_key
 from cairn.bus.message_limits import REPLY_BYTES
 from cairn.bus.session import is_member, process_of
@@ -216,12 +217,7 @@ class DiscoveryBarrier:
         return status.rpartition(b")")[2].split()[:1] in ([b"T"], [b"t"])
 
     def _answer(self, own_key: str) -> None:
-        channel = self._queryable.handler
-        while True:
-            try:
-                query = channel.recv()
-            except zenoh.ZError:  # the queryable was undeclared
-                return
+        for query in arriving(self._queryable.handler):
             nonce = b"" if query.payload is None else query.payload.to_bytes()[:_NONCE_BYTES]
             silent = json.dumps(self._silent.left_s()).encode()
             with query, suppress(zenoh.ZError):  # the process that asked may have ended

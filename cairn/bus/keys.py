@@ -108,6 +108,12 @@ class Attachment(NamedTuple):
             return None
 
 
+def sent_ns(sample: "zenoh.Sample") -> int:
+    """Return when a sample was sent [ns]; 0 if its attachment does not have it."""
+    sent = Attachment.of(sample)
+    return 0 if sent is None else sent.sent_ns
+
+
 def plain_attachment(sequence: int, sent_ns: int, gid: bytes) -> bytes:
     """Return the bytes of an attachment without proof."""
     return _ATTACHMENT.pack(sequence, sent_ns, 16, gid)

@@ -10,13 +10,13 @@ from cairn.bus.bus import (
     MessageId,
     Node,
     PublisherOptions,
+    Report,
     ServerOptions,
     SubscriptionOptions,
 )
-from cairn.bus.conflicts import type_conflict
 from cairn.bus.drop_oldest_queue import DropOldestQueue
 from cairn.bus.exclusive import RefusalLog
-from cairn.bus.lockstep_services import LockstepClient, LockstepServer
+from cairn.bus.lockstep_services import LockstepClient, LockstepServer, report_conflict
 from cairn.bus.message_limits import (
     FIXED_BYTES,
     PENDING_BYTES,
@@ -25,7 +25,6 @@ from cairn.bus.message_limits import (
     length_of,
     too_long,
 )
-from cairn.schemas.message import type_name
 
 End = TypeVar("End", "LockstepPublisher", "LockstepSubscription")
 
@@ -41,12 +40,7 @@ class LockstepBus:
         """Called with every message and its publisher, before it is handed over."""
         self._topics: dict[str, _LockstepTopic] = {}
 
-    def node(
-        self,
-        name: str,
-        report: Callable[[str], None],
-        warn: Callable[[str], None] | None = None,
-    ) -> "LockstepNode":
+    def node(self, name: str, report: Report, warn: Report | None = None) -> "LockstepNode":
         """Join the bus under a full name; `report` receives errors about conflicting types."""
         return LockstepNode(self, name, report)
 
@@ -69,7 +63,7 @@ class LockstepBus:
 class LockstepNode(Node):
     """One component on the lockstep bus."""
 
-    def __init__(self, bus: LockstepBus, name: str, report: Callable[[str], None]) -> None:
+    def __init__(self, bus: LockstepBus, name: str, report: Report) -> None:
         super().__init__()
         self.name = name
         self.report = report
@@ -226,11 +220,7 @@ class _LockstepTopic:
             *self.publishers, *self.subscriptions,
         ]  # fmt: skip
         for other in others:
-            if other.message is not end.message:
-                ours, theirs = type_name(end.message), type_name(other.message)
-                first, second = end.node, other.node
-                first.report(type_conflict(self.name, second.name, theirs, first.name, ours))
-                second.report(type_conflict(self.name, first.name, ours, second.name, theirs))
+            report_conflict(self.name, end.node, end.message, other.node, other.message)
         ends.append(end)
 
     def leave(self, end: End, ends: list[End]) -> None:

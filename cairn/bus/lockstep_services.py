@@ -3,10 +3,17 @@
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from cairn.bus import keys
-from cairn.bus.bus import ClientOptions, ServerOptions, ServiceError
+from cairn.bus.bus import (
+    ClientOptions,
+    OnFailure,
+    OnReply,
+    ServerOptions,
+    ServiceError,
+    check_response,
+)
 from cairn.bus.conflicts import type_conflict
 from cairn.bus.message_limits import length_of
 from cairn.bus.services import MOST_PENDING
@@ -32,7 +39,7 @@ class LockstepServer:
         self._pending: deque[LockstepCall] = deque()
         self._servers = node.bus.servers.setdefault(self.name, [])
         for other in self._servers:
-            report_conflict(self, other)
+            report_conflict(self.name, node, self.service, other.node, other.service, "service")
         self._servers.append(self)
 
     def take(self) -> "LockstepCall | None":
@@ -74,10 +81,7 @@ class LockstepCall:
 
     def reply(self, response: Any) -> None:
         """Answer with a message of the service's response class; `TypeError` for another one."""
-        if type(response) is not self._response:
-            raise TypeError(
-                f"the answer is a {type(response).__qualname__}, not a {type_name(self._response)}"
-            )
+        check_response(response, self._response)
         self._finish(response)
 
     def refuse(self, reason: str) -> None:
@@ -103,7 +107,7 @@ class LockstepClient:
         self._post = options.post
         self._closed = False
         for server in self._bus.servers.get(self.name, ()):
-            report_conflict(self, server)
+            report_conflict(self.name, node, self.service, server.node, server.service, "service")
 
     @property
     def is_available(self) -> bool:
@@ -111,11 +115,7 @@ class LockstepClient:
         return not self._closed and self._server() is not None
 
     def call(
-        self,
-        request: Any,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
+        self, request: Any, on_reply: OnReply, on_failure: OnFailure, timeout_s: float
     ) -> None:
         """Hand over a request; one of the functions is posted later."""
         if self._closed:
@@ -148,11 +148,16 @@ class LockstepClient:
         return next((one for one in servers if one.service is self.service), None)
 
 
-def report_conflict(end: LockstepServer | LockstepClient, other: LockstepServer) -> None:
-    """Report to both nodes that their types of one service differ, if they do."""
-    if other.service is end.service:
-        return
-    ours, theirs = type_name(end.service), type_name(other.service)
-    first, second = end.node, other.node
-    first.report(type_conflict(end.name, second.name, theirs, first.name, ours, "service"))
-    second.report(type_conflict(end.name, first.name, ours, second.name, theirs, "service"))
+def report_conflict(
+    name: str,
+    first: "LockstepNode",
+    ours: type[Any],
+    second: "LockstepNode",
+    theirs: type[Any],
+    kind: Literal["topic", "service"] = "topic",
+) -> None:
+    """Report to both nodes that their types of one topic or service differ, if they do."""
+    if ours is not theirs:
+        one, other = type_name(ours), type_name(theirs)
+        first.report(type_conflict(name, second.name, other, first.name, one, kind))
+        second.report(type_conflict(name, first.name, one, second.name, other, kind))

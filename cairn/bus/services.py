@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 import zenoh
 
 from cairn.bus import keys
-from cairn.bus.bus import ServerOptions, ServiceError
+from cairn.bus.bus import OnFailure, OnReply, Post, ServerOptions, ServiceError, check_response
+from cairn.bus.channels import arriving
 from cairn.bus.codec import Codec
 from cairn.bus.message_limits import (
     PENDING_BYTES,
@@ -161,11 +162,7 @@ class _Queries:
             self._thread.join(timeout=2.0)
 
     def _read(self, channel: Any) -> None:
-        while True:
-            try:
-                query = channel.recv()
-            except zenoh.ZError:  # the queryable was undeclared
-                return
+        for query in arriving(channel):
             self._receive(query)
             del query  # the client learns of the end of this process when nothing holds its query
 
@@ -252,10 +249,7 @@ class ZenohCall:
 
     def reply(self, response: Any) -> None:
         """Answer with a message of the service's response class; `TypeError` for another one."""
-        if type(response) is not self._response:
-            raise TypeError(
-                f"the answer is a {type(response).__qualname__}, not a {type_name(self._response)}"
-            )
+        check_response(response, self._response)
         payload = self._codec.encode(response)
         query, self._query = self._query, None
         if query is None:
@@ -285,8 +279,8 @@ class ZenohClient:
         key: str,
         gid: bytes,
         service: type[Service[Any, Any]],
-        post: Callable[[Callable[[], None]], None],
-        deliver: Callable[[Callable[[], None]], None],
+        post: Post,
+        deliver: Post,
         on_close: Callable[[], None] = lambda: None,
         on_available: Callable[[], None] = lambda: None,
     ) -> None:
@@ -332,11 +326,7 @@ class ZenohClient:
         return not self._closed and bool(status.matching)
 
     def call(
-        self,
-        request: Any,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
+        self, request: Any, on_reply: OnReply, on_failure: OnFailure, timeout_s: float
     ) -> None:
         """Send a request; never waits for the answer.
 
@@ -443,7 +433,7 @@ class ZenohClient:
 class _Waiter:
     """A thread that waits for the answer to one call of a client at a time."""
 
-    def __init__(self, name: str, deliver: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(self, name: str, deliver: Post) -> None:
         self.deliver = deliver
         """Hands the answer to the component; this thread may make the call itself."""
         self.thread_id = 0
@@ -508,11 +498,7 @@ class _PendingCall:
     """A call whose answer has not arrived; Zenoh's threads call its methods."""
 
     def __init__(
-        self,
-        client: ZenohClient,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
+        self, client: ZenohClient, on_reply: OnReply, on_failure: OnFailure, timeout_s: float
     ) -> None:
         self._client = client
         self._on_reply = on_reply

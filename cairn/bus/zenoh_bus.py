@@ -25,9 +25,11 @@ from cairn.bus.bus import (
     MessageId,
     Node,
     PublisherOptions,
+    Report,
     ServerOptions,
     SubscriptionOptions,
 )
+from cairn.bus.channels import arriving
 from cairn.bus.codec import Codec
 from cairn.bus.conflicts import endpoint_qos_mismatch, endpoint_type_conflict
 from cairn.bus.discovery import DiscoveryBarrier
@@ -84,12 +86,7 @@ class ZenohBus:
         self._barrier = DiscoveryBarrier(session, secret, several_machines=several_machines)
         self._closed = False
 
-    def node(
-        self,
-        name: str,
-        report: Callable[[str], None],
-        warn: Callable[[str], None] | None = None,
-    ) -> "ZenohNode":
+    def node(self, name: str, report: Report, warn: Report | None = None) -> "ZenohNode":
         """Join the bus under a full name; see `cairn.bus.bus.Bus`."""
         return ZenohNode(self, name, report, warn or report)
 
@@ -119,13 +116,7 @@ class ZenohBus:
 class ZenohNode(Node):
     """One component on the bus: a ROS 2 node with its endpoints."""
 
-    def __init__(
-        self,
-        bus: ZenohBus,
-        name: str,
-        report: Callable[[str], None],
-        warn: Callable[[str], None],
-    ) -> None:
+    def __init__(self, bus: ZenohBus, name: str, report: Report, warn: Report) -> None:
         super().__init__()
         self.bus = bus
         self.name = name
@@ -425,11 +416,7 @@ class ZenohSubscription:
         self._announcement.close()
 
     def _collect(self, channel: Any) -> None:
-        while True:
-            try:
-                sample = channel.recv()
-            except zenoh.ZError:  # the subscriber was undeclared
-                return
+        for sample in arriving(channel):
             size = len(sample.payload)
             if size > self._max_bytes:  # before it is copied or decoded
                 self._reject_long(sample, size)

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cairn.deployment.load import load_deployment
+from cairn.deployment.load import assemble, contradictions_of, read_sources
 from cairn.deployment.problems import DeploymentError, Problem
 from cairn.deployment.qos_mismatches import qos_mismatches
 from cairn.deployment.shipped import FOLDER, shipped
@@ -39,7 +39,8 @@ def check(
 ) -> None:
     """Check a deployment as a whole; report each problem with file, line and what is expected.
 
-    A QoS that does not match by the rules of ROS 2 is a warning: Cairn delivers the messages.
+    These are warnings: a parameter that differs from what the section `robot` says, and a QoS that
+    does not match by the rules of ROS 2, as Cairn delivers the messages.
 
     A deployment is code: the check imports the modules that it names, as `cairn up` does. With
     --no-import, it reads the deployment and the metadata of the installed packages only.
@@ -47,10 +48,16 @@ def check(
     not_checked = {"not_checked": NOT_CHECKED} if no_import else {}
     try:
         with deferred_compilation():  # a check must not wait for kernels
-            deployment = load_deployment(
-                file, overlay or (), set_ or (), import_plugins=not no_import
+            sources, sets = read_sources(file, overlay or ()), set_ or ()
+            deployment = assemble(sources, sets, import_plugins=not no_import)
+            warnings = (
+                []
+                if no_import
+                else [
+                    *map(str, contradictions_of(sources, sets)),
+                    *qos_mismatches(deployment),
+                ]
             )
-            warnings = () if no_import else qos_mismatches(deployment)
     except DeploymentError as error:
         if not json:
             raise

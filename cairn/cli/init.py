@@ -82,5 +82,5 @@ def _write(folder: Path, names: dict[str, str]) -> int:
 def _robot(package: str) -> str:
     """Return the shipped deployment of a robot, with this name and a map that is not made yet."""
     text = (FOLDER / "robot.yaml").read_text(encoding="utf-8")
-    text = re.sub("^robot: robot$", f"robot: {package}", text, flags=re.MULTILINE)
+    text = text.replace("\n  name: robot\n", f"\n  name: {package}\n", 1)
     return text.replace("/maps/room.", f"/maps/{_FIRST_MAP}.")

@@ -12,7 +12,7 @@ import psutil
 import typer
 
 from cairn.bus.keys import is_infrastructure
-from cairn.cli.nodes import marked, note_on, uses
+from cairn.cli.nodes import AllTopics, marked, note_on, uses
 from cairn.client import NodeInfo, Topic
 from cairn.client import connect as connect_to
 from cairn.client.connection import check_robot
@@ -120,10 +120,7 @@ def graph(
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
-    all_: Annotated[
-        bool,
-        typer.Option("--all", help="Also those that every component has, such as /rosout."),
-    ] = False,
+    all_: AllTopics = False,
     json: Json = False,
 ) -> None:
     """List every topic with its message type, its publishers and its subscribers."""

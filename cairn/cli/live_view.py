@@ -7,7 +7,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from datetime import UTC, datetime
-from types import TracebackType
+from typing import Any
 
 import psutil
 from rich.console import Console, Group, RenderableType
@@ -93,17 +93,12 @@ class LiveView:
         self._live.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         """Leave the last picture on the terminal, if it is still there."""
         with suppress(OSError):
             self._draw()
         with suppress(OSError):
-            self._live.__exit__(kind, error, trace)
+            self._live.__exit__(*error)
 
     def _draw(self) -> None:
         self._drawn = time.monotonic()

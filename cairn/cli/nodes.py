@@ -23,6 +23,10 @@ NODE_SERVICES = frozenset({
 })  # fmt: skip
 """Services that every component has: lists leave them out unless they are asked for."""
 
+AllTopics = Annotated[
+    bool, typer.Option("--all", help="Also those that every component has, such as /rosout.")
+]
+
 _VERBS = {
     "publishes": ("publisher",),
     "subscribes": ("subscriber",),

@@ -239,7 +239,7 @@ def _parameters(connection: Connection, deployment: Deployment) -> dict[str, Any
     running = set(connection.nodes())
     found: dict[str, Any] = {}
     for member in deployment.members():
-        name = full_name(deployment.robot, member.name)
+        name = full_name(deployment.robot.name, member.name)
         if name in running:
             with suppress(ControlError, NoReplyError):  # it is ending, or hangs
                 answer = connection.request(name, "parameters", timeout_s=_PARAMETERS_LIMIT_S)

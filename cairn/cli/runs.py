@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from logging.handlers import RotatingFileHandler
 from pathlib import Path
+from typing import Any
 
 from cairn.errors import CairnError
 from cairn.runtime.child_spec import Storage
@@ -100,5 +101,5 @@ class _Formatter(logging.Formatter):
         super().__init__(LOG_FORMAT)
         self._now = now
 
-    def formatTime(self, record: logging.LogRecord, datefmt: str | None = None) -> str:  # noqa: ARG002, N802
+    def formatTime(self, *_: Any) -> str:  # noqa: N802
         return f"{self._now() / SECOND:.6f}"

@@ -69,6 +69,9 @@ Robot = Annotated[
 IdentityName = Annotated[
     str, typer.Argument(metavar="NAME", help="Name of the machine or operator.")
 ]
+OptionalName = Annotated[
+    str, typer.Argument(metavar="[NAME]", help="Name of the machine or operator.")
+]
 Days = Annotated[
     int, typer.Option(min=1, max=3650, help="Days for which new certificates are valid.")
 ]
@@ -135,11 +138,12 @@ def init(
     }
     loaded = _loaded(deployment, overlay, set_)
     if loaded is not None:
-        if robot not in ("", loaded.robot):
+        if robot not in ("", loaded.robot.name):
             raise CairnError(
-                f"--robot {robot}: the robot of {deployment} is {loaded.robot}; leave out --robot"
+                f"--robot {robot}: the robot of {deployment} is {loaded.robot.name}; leave out "
+                "--robot"
             )
-        robot = loaded.robot
+        robot = loaded.robot.name
         of_deployment: dict[str, tuple[str, ...]] = {
             name: (one.address,) for name, one in loaded.machines.items()
         }
@@ -164,9 +168,7 @@ def init(
 
 @app.command("add")
 def add(
-    name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="Name of the machine or operator.")
-    ] = "",
+    name: OptionalName = "",
     address: Annotated[
         list[str] | None,
         typer.Option(
@@ -215,7 +217,7 @@ def _add_machines(deployment: Deployment, days: int) -> None:
     """Add the machines of a deployment that have no identity, and note what else differs."""
     from cairn.security.authority import members_of
 
-    authority = _authority(deployment.robot)
+    authority = _authority(deployment.robot.name)
     roster = authority.roster()
     machines = {name: one.address for name, one in deployment.machines.items()}
     known = {name: entry for name in machines if (entry := roster.current(name)) is not None}
@@ -254,9 +256,7 @@ def list_identities(json: Json = False, robot: Robot = "") -> None:
 
 @app.command("renew")
 def renew(
-    name: Annotated[
-        str, typer.Argument(metavar="[NAME]", help="Name of the machine or operator.")
-    ] = "",
+    name: OptionalName = "",
     all_of_them: Annotated[
         bool, typer.Option("--all", help="Renew all whose keys are on this computer.")
     ] = False,

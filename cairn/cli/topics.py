@@ -18,7 +18,7 @@ import yaml
 
 from cairn.bus import keys
 from cairn.bus.codec import to_plain
-from cairn.cli.nodes import marked
+from cairn.cli.nodes import AllTopics, marked
 from cairn.cli.topic_plot import plot_topic
 from cairn.client import NoMessageError, Robot, Subscription
 from cairn.client import connect as connect_to
@@ -48,6 +48,7 @@ TopicName = Annotated[
         autocompletion=completion.topics,
     ),
 ]
+Count = Annotated[int | None, typer.Option(min=1, help="Stop after this number of messages.")]
 Wait = Annotated[
     float, typer.Option(min=0.1, help="Give up after this time without a message [s].")
 ]
@@ -58,10 +59,7 @@ def list_topics(
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",
-    all_: Annotated[
-        bool,
-        typer.Option("--all", help="Also those that every component has, such as /rosout."),
-    ] = False,
+    all_: AllTopics = False,
     json: Json = False,
 ) -> None:
     """List the topics with message type and numbers of publishers and subscribers."""
@@ -135,9 +133,7 @@ def echo_topic(
             autocompletion=completion.fields,
         ),
     ] = None,
-    count: Annotated[
-        int | None, typer.Option(min=1, help="Stop after this number of messages.")
-    ] = None,
+    count: Count = None,
     full: Annotated[
         bool, typer.Option("--full", help="Print long sequences completely, as JSON always does.")
     ] = False,
@@ -192,9 +188,7 @@ def publish_topic(
         float | None,
         typer.Option(min=0.001, max=_MAX_HZ, help="Publish again and again [Hz], until Ctrl-C."),
     ] = None,
-    count: Annotated[
-        int | None, typer.Option(min=1, help="Stop after this number of messages.")
-    ] = None,
+    count: Count = None,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,
     robot: RobotName = "",

@@ -149,7 +149,7 @@ def up(
         output = RunOutput()
         stack.callback(output.close)
         where = ", lockstep" if lockstep else f", machine {machine}" if machine else ""
-        title = f"{file.name}: robot {deployment.robot}{where}"
+        title = f"{file.name}: robot {deployment.robot.name}{where}"
         live = sys.stdout.isatty() and not plain
         if not live:
             output.line(f"{title}; logs and report: {folder}")
@@ -203,7 +203,7 @@ def _check_this_machine(
         return  # the plan reports these problems, together with those that only plugins know
     check_machine(deployment, machine, file.name)
     if machine:
-        machine_identity(deployment.robot, machine)
+        machine_identity(deployment.robot.name, machine)
 
 
 def _new_recording(folder: Path) -> Path:
@@ -261,7 +261,7 @@ def _run_processes(
             names = plan.machine, deployment.main_machine
             return LogWatch(
                 bus,
-                deployment.robot,
+                deployment.robot.name,
                 view,
                 clock=deployment.clock == "simulated",
                 hurry=hurry,
@@ -274,7 +274,7 @@ def _run_processes(
 
 def _run_lockstep(deployment: Deployment, seed: int, logs: Path, view: View) -> ExitReport:
     run = LockstepRun(deployment, seed)
-    watch = Watch(run.bus, deployment.robot, view, clock=run.simulated)
+    watch = Watch(run.bus, deployment.robot.name, view, clock=run.simulated)
     events = 0
 
     def refresh() -> None:

@@ -275,7 +275,7 @@ class Robot(Closing):
         with self.subscribe(topic, message, depth=1) as subscription:
             samples, _ = self.connection.cached(subscription.key)
             if samples:
-                newest = max(samples, key=_sent_ns)
+                newest = max(samples, key=keys.sent_ns)
                 return self._codec.decode(message, newest.payload.to_bytes())
             return subscription.next(timeout_s)
 
@@ -612,8 +612,3 @@ def _topics_of(ends: list[keys.EndpointEntity]) -> Iterator[Topic]:
         publishers, subscribers = nodes_in(found, "publisher"), nodes_in(found, "subscriber")
         name = found[0].name
         yield Topic(name, message, publishers, subscribers, foreign_in(found), problems)
-
-
-def _sent_ns(sample: Any) -> int:
-    sent = keys.Attachment.of(sample)
-    return 0 if sent is None else sent.sent_ns

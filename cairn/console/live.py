@@ -337,7 +337,7 @@ class _TopicReader:
     def _read_kept(self) -> None:
         with suppress(zenoh.ZError):
             samples, _ = self._connection.cached(self._key)
-            self._pass_on(sorted(samples, key=_sent))
+            self._pass_on(sorted(samples, key=keys.sent_ns))
 
     def _pass_on(self, samples: Iterable[Any]) -> None:
         """Pass samples to the event loop one by one, those that are not older than the last."""
@@ -383,8 +383,3 @@ class _TopicReader:
 
     def _kept_bytes(self) -> int:
         return sum(len(one.payload) for messages in self._kept.values() for one in messages)
-
-
-def _sent(sample: Any) -> int:
-    sent = keys.Attachment.of(sample)
-    return 0 if sent is None else sent.sent_ns

@@ -348,10 +348,10 @@ class RecordedOperations:
         self._state = StateEvents(hub, lambda message: message.time_ns)
         methods = {name: _refused(name) for name in LIVE_METHODS}
         methods |= {
-            "play": ConsoleMethod(Nothing, self._play, changes=False),
-            "pause": ConsoleMethod(Nothing, self._pause, changes=False),
-            "seek": ConsoleMethod(Seek, self._seek, changes=False),
-            "speed": ConsoleMethod(Speed, self._speed, changes=False),
+            "play": self._playback(Nothing, lambda _: source.set_playing(True)),
+            "pause": self._playback(Nothing, lambda _: source.set_playing(False)),
+            "seek": self._playback(Seek, lambda to: source.seek(to.time_ns)),
+            "speed": self._playback(Speed, lambda to: source.set_speed(to.factor)),
             "logs": ConsoleMethod(OfRobot, self._logs, changes=False),
             "parameters": ConsoleMethod(OfComponent, self._parameters, changes=False),
         }
@@ -385,21 +385,14 @@ class RecordedOperations:
         del browser, robot
         return _REFUSAL
 
-    async def _play(self, _: Browser, __: Nothing) -> Any:
-        self._source.set_playing(True)
-        return self._source.playback()
+    def _playback(self, arguments: type[Arguments], change: Callable[[Any], None]) -> ConsoleMethod:
+        """Return the method that changes the playback; its value is the new state."""
 
-    async def _pause(self, _: Browser, __: Nothing) -> Any:
-        self._source.set_playing(False)
-        return self._source.playback()
+        async def call(_: Browser, given: Any) -> Any:
+            change(given)
+            return self._source.playback()
 
-    async def _seek(self, _: Browser, to: Seek) -> Any:
-        self._source.seek(to.time_ns)
-        return self._source.playback()
-
-    async def _speed(self, _: Browser, to: Speed) -> Any:
-        self._source.set_speed(to.factor)
-        return self._source.playback()
+        return ConsoleMethod(arguments, call, changes=False)
 
     async def _logs(self, _: Browser, of: OfRobot) -> Any:
         now = self._source.now

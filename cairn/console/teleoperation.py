@@ -106,15 +106,11 @@ class Driver:
         self._now = now
         self._dead_man = DeadMan(now())
         self._changed = threading.Condition()
-        self._is_ready = self._ending = self._ended = False
+        self.is_ready = False  # whether it has the gate's lease
+        self._ending = self._ended = False
         self._error = ""
         self._thread = threading.Thread(target=self._run, name="cairn drive", daemon=True)
         self._thread.start()
-
-    @property
-    def is_ready(self) -> bool:
-        """Whether it has the gate's lease."""
-        return self._is_ready
 
     @property
     def is_over(self) -> bool:
@@ -124,7 +120,7 @@ class Driver:
     def wait(self, timeout_s: float) -> None:
         """Wait until the gate's lease is acquired; `CairnError` says why it cannot be."""
         with self._changed:
-            ready = self._changed.wait_for(lambda: self._is_ready or self._ended, timeout_s)
+            ready = self._changed.wait_for(lambda: self.is_ready or self._ended, timeout_s)
             if self._error:
                 raise CairnError(self._error)
             if not ready:
@@ -162,7 +158,7 @@ class Driver:
                 before.join(_RELEASE_LIMIT_S)
             with self._acquire() as drive:
                 with self._changed:
-                    self._is_ready = True
+                    self.is_ready = True
                     self._changed.notify_all()
                 try:
                     while (velocity := self._next()) is not None:

@@ -223,7 +223,7 @@ def operator_topics(deployment: Deployment) -> dict[str, tuple[str, ...]]:
     """Return the topics (full names) on which operators may publish, each with its keys."""
     topics = input_topics(deployment, "operator_inputs")
     for name in deployment.external_topics:  # the type may be one that no component here has
-        topic = full_name(deployment.robot, name)
+        topic = full_name(deployment.robot.name, name)
         topics[topic] = (f"{deployment.domain}{topic}/*/*",)
     for one in ros_topics(deployment) if deployment.ros_names else ():
         if one.target in topics:
@@ -235,7 +235,7 @@ def confidential_topics(deployment: Deployment) -> dict[str, tuple[str, ...]]:
     """Return the topics (full names, or what they are) that only `administer` may read, as keys."""
     topics = input_topics(deployment, "confidential_inputs")
     if deployment.has_call_log:  # which has the arguments of requests, such as the tokens of leases
-        logs = f"{deployment.robot}/{call_log_topic('*')}"
+        logs = f"{deployment.robot.name}/{call_log_topic('*')}"
         topics["call logs"] = (f"{deployment.domain}/{logs}/*/*",)
     # The calls of services may have such arguments, too.
     topics["service events"] = (f"{deployment.domain}/**/{SERVICE_EVENT_TOPIC}/*/*",)
@@ -251,7 +251,7 @@ def input_topics(
         cls = load_plugin(member.spec.plugin)
         ports = ports_of(cls)
         for port in sorted(getattr(cls, attribute)):
-            topic = full_name(deployment.robot, member.spec.topics.get(port, port))
+            topic = full_name(deployment.robot.name, member.spec.topics.get(port, port))
             kind = type_name(ports[port].interface)
             topics[topic] = (f"{deployment.domain}{topic}/{keys.dds_type(kind)}/*",)
     return topics
@@ -264,7 +264,7 @@ def _services(deployment: Deployment) -> dict[str, Role]:
         cls = load_plugin(member.spec.plugin)
         actions = actions_of(cls)
         for port, role in sorted(cls.service_roles.items()):
-            name = full_name(deployment.robot, member.spec.topics.get(port, port))
+            name = full_name(deployment.robot.name, member.spec.topics.get(port, port))
             if port in actions:
                 found |= {f"{name}/{part}": role for part in actions[port].services()}
             else:
@@ -282,15 +282,15 @@ def requests_by_role(deployment: Deployment) -> dict[Role, list[str]]:
     roots = [root_name(one, main) for one in deployment.machines] or [ROOT]
     for root in roots:
         found["view"].append(
-            keys.control_key(deployment.domain, full_name(deployment.robot, root), _RUN)
+            keys.control_key(deployment.domain, full_name(deployment.robot.name, root), _RUN)
         )
     nodes = (*roots, *(member.name for member in deployment.members()))
-    for node in (full_name(deployment.robot, one) for one in nodes):
+    for node in (full_name(deployment.robot.name, one) for one in nodes):
         found["view"] += [f"{deployment.domain}{node}/{name}/*/*" for name in _VIEWED_SERVICES]
     for service, role in _services(deployment).items():
         found[role].append(f"{deployment.domain}{service}/*/*")
     for member in deployment.members():
-        component = full_name(deployment.robot, member.name)
+        component = full_name(deployment.robot.name, member.name)
         roles = {_VIEWED_BY_ALL: "view", **load_plugin(member.spec.plugin).request_roles}
         for verb, role in sorted(roles.items()):
             found[role].append(keys.control_key(deployment.domain, component, verb))

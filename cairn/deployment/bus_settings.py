@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from pydantic import (
     AfterValidator,
     BaseModel,
-    ConfigDict,
     Field,
     TypeAdapter,
     ValidationError,
@@ -29,6 +28,7 @@ from cairn.bus.endpoints import is_encrypted, is_loopback, parse_endpoint, socke
 from cairn.bus.message_limits import LONGEST_MAX_BYTES, MAX_MESSAGE_SIZE
 from cairn.bus.roles import Role
 from cairn.errors import CairnError
+from cairn.runtime.child_spec import Section
 from cairn.system.runtime_folder import check_private, group_id
 
 _REMEDY = (
@@ -64,11 +64,7 @@ CommonName = Annotated[str, Field(min_length=1, max_length=64)]
 FilePath = Annotated[str, Field(min_length=1, max_length=4096)]
 
 
-class _BusSection(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, validate_default=True)
-
-
-class BusUser(_BusSection):
+class BusUser(Section):
     """A user on the network, who connects with a password."""
 
     role: Role = Field(
@@ -80,7 +76,7 @@ class BusUser(_BusSection):
     )
 
 
-class TlsSettings(_BusSection):
+class TlsSettings(Section):
     """Certificates (PEM files) for encrypted endpoints, tls/HOST:PORT and quic/HOST:PORT."""
 
     identity: UserName | None = Field(
@@ -124,7 +120,7 @@ class TlsSettings(_BusSection):
         return self
 
 
-class BusSettings(_BusSection):
+class BusSettings(Section):
     """How the components of the deployment connect to each other over Zenoh, and who else may."""
 
     allow_remote: bool = Field(

@@ -133,9 +133,10 @@ def _fallbacks(
             continue
         name, path = fallback_name(component.name), (*component.path, "fallback")
         plugin = section.find("plugin") or component.node.find("plugin")
+        inherited = component.node.find("parameters") if section.find("plugin") is None else None
         keys = {
             "plugin": plugin,
-            "parameters": _merged(component.node.find("parameters"), section.find("parameters")),
+            "parameters": _merged(inherited, section.find("parameters")),
             "topics": component.node.find("topics"),
         }
         entries = {key: node for key, node in keys.items() if node is not None}
@@ -336,7 +337,7 @@ class _PortUse:
 
 def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:
     """Yield conflicts of types and of writers, inputs without a publisher, clock conflicts."""
-    robot = root.find("robot")
+    robot = root.find("robot", "name")
     own = f"/{robot.value if robot is not None else 'robot'}/"
     topics: defaultdict[str, list[_PortUse]] = defaultdict(list)
     for component in components:

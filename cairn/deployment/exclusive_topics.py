@@ -24,7 +24,7 @@ def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
     readers: defaultdict[str, list[str]] = defaultdict(list)
     for member in deployment.members():
         for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
+            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
             if port.direction == "out":
                 writers[topic].append(member.name)
             elif port.exclusive:
@@ -32,7 +32,7 @@ def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
     if deployment.ros_names:  # it passes on what the entitled component has published
         for names in readers.values():
             names.append(ROS_NAMES)
-    external = {full_name(deployment.robot, topic) for topic in deployment.external_topics}
+    external = {full_name(deployment.robot.name, topic) for topic in deployment.external_topics}
     found = []
     for topic in sorted(readers):
         names = sorted(set(writers[topic]))

@@ -15,6 +15,7 @@ from cairn.deployment.frames import FRAMES
 from cairn.deployment.interpolation import interpolate
 from cairn.deployment.model import Deployment
 from cairn.deployment.problems import DeploymentError, Location, Problem, suggestion
+from cairn.deployment.robot_defaults import contradictions, with_keys, with_robot_defaults
 from cairn.deployment.yaml_document import (
     DocumentNode,
     KeyPath,
@@ -24,6 +25,7 @@ from cairn.deployment.yaml_document import (
     read_document,
 )
 from cairn.limits.yaml import YAML_VALUES
+from cairn.runtime.robot import Robot
 
 _SECTIONS = frozenset(Deployment.model_fields)
 
@@ -65,9 +67,9 @@ def read_names(
     problems += found
     if problems:
         raise DeploymentError(problems)
-    robot, domain = root.find("robot"), root.find("domain")
+    robot, domain = root.find("robot", "name"), root.find("domain")
     return DeploymentNames(
-        Deployment.model_fields["robot"].default if robot is None else str(robot.value),
+        Robot.model_fields["name"].default if robot is None else str(robot.value),
         domain.value if domain is not None and isinstance(domain.value, int) else default_domain(),
         tuple(name for name, _, _ in component_nodes(root)),
     )
@@ -96,6 +98,9 @@ def assemble(
     if _exceeds(root, YAML_VALUES):
         found_too_much = f"with its settings the deployment holds more than {YAML_VALUES:,} values"
         raise DeploymentError([*problems, Problem(root.at, "", found_too_much, "write fewer")])
+    if import_plugins:
+        root, found = with_robot_defaults(root)
+        problems += found
     reported = {(problem.path, problem.at.line) for problem in problems}
     checked = check_document(root, unresolved, import_plugins=import_plugins)
     problems += [one for one in checked if (one.path, one.at.line) not in reported]
@@ -103,6 +108,12 @@ def assemble(
         origins = [str(source.file) for source in sources]
         raise DeploymentError(sorted(problems, key=lambda problem: _order(problem, origins)))
     return Deployment.model_validate(root.plain())
+
+
+def contradictions_of(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> list[Problem]:
+    """Return where parameters contradict the robot, in files with a valid deployment."""
+    root, _ = _merge_sources(sources, sets)
+    return contradictions(interpolate(root)[0])
 
 
 def merge(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> DocumentNode:
@@ -119,7 +130,7 @@ def merge(sources: Sequence[SourceDocument], sets: Sequence[str] = ()) -> Docume
 def apply_overlay(base: DocumentNode, over: DocumentNode) -> tuple[DocumentNode, list[Problem]]:
     """Return the base changed by an overlay, and problems; locations are those of the values."""
     problems: list[Problem] = []
-    return _merged(base, over, (), problems), problems
+    return _merged(with_keys(base), with_keys(over), (), problems), problems
 
 
 def apply_set(
@@ -160,7 +171,7 @@ def _merge_sources(
     nodes = [source.node for source in sources if source.node is not None]
     if len(nodes) < len(sources):
         raise DeploymentError(problems)
-    root = nodes[0]
+    root = with_keys(nodes[0])
     for over in nodes[1:]:
         root, found = apply_overlay(root, over)
         problems += found

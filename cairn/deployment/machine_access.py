@@ -87,7 +87,7 @@ def machine_access(deployment: Deployment, machine: str) -> dict[str, Any]:
 
 def _machine_rules(deployment: Deployment, machine: str) -> list[dict[str, Any]]:
     """Return what a machine may do at the router of another one."""
-    domain, robot = deployment.domain, deployment.robot
+    domain, robot = deployment.domain, deployment.robot.name
     names = _nodes_on(deployment, machine)
     rights = _rights(deployment, machine, names)
     published, caches = _with_caches(rights.publish)
@@ -142,7 +142,7 @@ def _nodes_on(deployment: Deployment, machine: str) -> list[str]:
 
 def _rights(deployment: Deployment, machine: str, names: Collection[str]) -> _Rights:
     """Return what the nodes of a machine need, and what its role adds."""
-    domain, robot = deployment.domain, deployment.robot
+    domain, robot = deployment.domain, deployment.robot.name
     rights = _Rights()
     # Names below those of the nodes: a topic itself may have the name of a component.
     own = [f"{domain}/{robot}/{name}/*/*/*/**" for name in names]
@@ -193,7 +193,7 @@ def _add_ports(rights: _Rights, deployment: Deployment, member: Member) -> set[s
     used = set()
 
     def name_of(port: str) -> str:
-        return full_name(deployment.robot, member.spec.topics.get(port, port))
+        return full_name(deployment.robot.name, member.spec.topics.get(port, port))
 
     def add_topic(topic: str, port: In[Any] | Out[Any]) -> None:
         key = f"{domain}{topic}/{keys.dds_type(type_name(port.interface))}/*"

@@ -82,7 +82,7 @@ def remote_inputs(deployment: Deployment) -> tuple[RemoteInput, ...]:
     readers: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for member in deployment.members():
         for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
+            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
             if port.direction == "out":
                 writers[topic].append(member.name)
             else:

@@ -20,11 +20,11 @@ from cairn.runtime.child_spec import (
     Supervision,
     Topic,
 )
+from cairn.runtime.robot import FrameName, Robot, RobotOrName
 from cairn.tf.robot_frames import BASE_FRAME
 from cairn.tf.transform import Transform
 from cairn.tf.urdf import Joint
 
-FrameName = Annotated[str, Field(pattern=r"^[a-zA-Z_][a-zA-Z0-9_]*$")]
 Meters = Annotated[float, Field(ge=-5, le=5, allow_inf_nan=False)]
 
 ROOT = "root"
@@ -112,7 +112,10 @@ class Deployment(Section):
     """A whole deployment of a robot: the tree of components, their bus and their clock."""
 
     cairn: Literal[1] = Field(description="Version of this format.")
-    robot: Name = Field("robot", description="Namespace of every name on the bus.")
+    robot: RobotOrName = Field(
+        default_factory=Robot,
+        description="The robot: its name, or what its components have in common.",
+    )
     domain: int = Field(
         default_factory=default_domain,
         ge=0,
@@ -282,9 +285,10 @@ def _with_fallbacks(specs: Mapping[str, ChildSpec], machine: str) -> dict[str, C
         own = spec.machine or machine
         found[name] = spec.model_copy(update={"children": _with_fallbacks(spec.children, own)})
         if spec.fallback is not None and own != machine:
+            inherited = spec.parameters if spec.fallback.plugin is None else {}
             found[fallback_name(name)] = ChildSpec(
                 plugin=spec.fallback.plugin or spec.plugin,
-                parameters={**spec.parameters, **spec.fallback.parameters},
+                parameters={**inherited, **spec.fallback.parameters},
                 topics=spec.topics,
                 max_age_s=spec.max_age_s,
                 log_level=spec.log_level,

@@ -18,8 +18,8 @@ def qos_mismatches(deployment: Deployment) -> tuple[str, ...]:
     topics: defaultdict[str, list[tuple[str, In[Any] | Out[Any]]]] = defaultdict(list)
     for member in deployment.members():
         for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
-            topics[topic].append((full_name(deployment.robot, member.name), port))
+            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
+            topics[topic].append((full_name(deployment.robot.name, member.name), port))
     found = (
         qos_mismatch(topic, publisher, offered.qos, subscriber, requested.qos)
         for topic, uses in sorted(topics.items())

@@ -78,7 +78,7 @@ def ros_topics(deployment: Deployment) -> list[RosTopic]:
             continue
         outputs = [one.port for one in uses if isinstance(one.port, Out)]
         inputs = [one.port for one in uses if isinstance(one.port, In)]
-        own, other = full_name(deployment.robot, name), ros_name(name)
+        own, other = full_name(deployment.robot.name, name), ros_name(name)
         is_exclusive = any(one.exclusive for one in inputs)
         if outputs:
             message, qos = outputs[0].interface, outputs[0].qos
@@ -93,7 +93,7 @@ def ros_topics(deployment: Deployment) -> list[RosTopic]:
             limit = max(longest) if len(longest) == len(inputs) else None
             found.append(RosTopic(other, own, inputs[0].interface, qos, limit))
     if deployment.clock == "simulated" and CLOCK_TOPIC in external - ports.keys():
-        own = full_name(deployment.robot, CLOCK_TOPIC)
+        own = full_name(deployment.robot.name, CLOCK_TOPIC)
         found.append(RosTopic(ros_name(CLOCK_TOPIC), own, Clock, RELIABLE))
     return found
 
@@ -109,7 +109,7 @@ def ros_services(deployment: Deployment) -> list[RosService]:
     for name, port in ports.items():
         if _keeps_its_name(name, ports):
             continue
-        own, other = full_name(deployment.robot, name), ros_name(name)
+        own, other = full_name(deployment.robot.name, name), ros_name(name)
         if port.role == "server":
             found.append(RosService(other, own, port.interface))
         elif name.partition("/_action/")[0] in external:
@@ -156,4 +156,4 @@ def _keeps_its_name(name: str, known: Mapping[str, Any]) -> bool:
 
 
 def _short(deployment: Deployment, name: str) -> str:
-    return name.removeprefix(f"/{deployment.robot}/")
+    return name.removeprefix(f"/{deployment.robot.name}/")

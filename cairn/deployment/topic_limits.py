@@ -29,13 +29,13 @@ def topic_limits(deployment: Deployment) -> MessageLimits:
     for topic, message in (
         (STATUS_TOPIC, ComponentStatus), (CLOCK_TOPIC, Clock), (ROSOUT, Log),
     ):  # fmt: skip
-        longest[full_name(deployment.robot, topic)] = default_max_bytes(message)
+        longest[full_name(deployment.robot.name, topic)] = default_max_bytes(message)
     for machine in deployment.machines:
-        topic = machine_status_topic(deployment.robot, machine, deployment.main_machine)
+        topic = machine_status_topic(deployment.robot.name, machine, deployment.main_machine)
         longest[topic] = default_max_bytes(MachineStatus)
     for member in deployment.members():
         for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
+            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
             if port.direction == "in":
                 size = port.max_bytes or default_max_bytes(port.interface)
                 longest[topic] = max(longest[topic], size)

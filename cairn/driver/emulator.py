@@ -102,7 +102,7 @@ class Emulator:
         self._faults = FrameFaults(shares or {}, np.random.default_rng(seed))
         self._queue = _SendQueue(end, self._faults, paced=paced)
         self._hangs_until = -math.inf
-        self._plugged = False
+        self.plugged_in = False  # connected to its line
         self._returns_at = math.inf
         self._calls: deque[tuple[Callable[[], object], Future[Any]]] = deque()
         self._wake_read, self._wake_write = os.pipe()
@@ -181,11 +181,6 @@ class Emulator:
         return done.result()
 
     @property
-    def plugged_in(self) -> bool:
-        """Whether the device is connected to its line."""
-        return self._plugged
-
-    @property
     def frames_sent(self) -> int:
         """Frames that were sent, or would have been without a fault, so far."""
         return self._queue.frames_sent
@@ -196,16 +191,16 @@ class Emulator:
         return dict(self._faults.counts)
 
     def _plug_in(self) -> None:
-        if self._plugged:
+        if self.plugged_in:
             return
         self._end.plug_in()
         self._device.powered_on(time.monotonic())
-        self._plugged = True
+        self.plugged_in = True
         self._returns_at = math.inf
 
     def _pull(self) -> None:
         self._end.unplug()
-        self._plugged = False
+        self.plugged_in = False
         self._queue.clear()
 
     def _stop(self) -> None:
@@ -228,7 +223,7 @@ class Emulator:
         try:
             if time.monotonic() >= self._returns_at:
                 self._plug_in()
-            if self._plugged and self._running:
+            if self.plugged_in and self._running:
                 self._serve()
         except LinkLost:  # a real line may be gone, and come back
             self._pull()
@@ -250,7 +245,7 @@ class Emulator:
         now = time.monotonic()
         writable = self._end.writable()
         sending: list[int] = []
-        if not self._plugged:
+        if not self.plugged_in:
             next_at = self._returns_at
         elif now < self._hangs_until:
             next_at = self._hangs_until

@@ -12,7 +12,8 @@ import re
 import select
 import socket
 import termios
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Protocol
 
 import serial
@@ -99,49 +100,39 @@ class SerialLink:
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has been received, waiting up to `timeout_s` [s] for the first byte."""
-        try:
+        with _lost_on_failure(self.name):
             descriptor = self._serial.fileno()
             ready, _, _ = select.select([descriptor], [], [], timeout_s)
             if not ready:
                 return b""
             data = os.read(descriptor, _CHUNK_BYTES)
-        except (serial.SerialException, OSError, termios.error) as error:
-            raise self._lost(error) from error
         if not data:
             raise LinkLost(f"{self.name} is gone: it was unplugged, or hung up")
         return data
 
     def write(self, data: bytes) -> None:
         """Send all bytes."""
-        try:
+        with _lost_on_failure(self.name):
             self._serial.write(data)
-        except (serial.SerialException, OSError, termios.error) as error:
-            raise self._lost(error) from error
 
     def set_baud(self, baud: int) -> None:
         """Change the speed [bit/s]."""
-        try:
-            self._serial.baudrate = baud
-        except ValueError as error:
-            raise DeviceError(f"{self.name}: the port has no speed of {baud} bit/s") from error
-        except (serial.SerialException, OSError, termios.error) as error:
-            raise self._lost(error) from error
+        with _lost_on_failure(self.name):
+            try:
+                self._serial.baudrate = baud
+            except ValueError as error:
+                raise DeviceError(f"{self.name}: the port has no speed of {baud} bit/s") from error
 
     def discard(self) -> None:
         """Discard what was received and not read."""
-        try:
+        with _lost_on_failure(self.name):
             self._serial.reset_input_buffer()
-        except (serial.SerialException, OSError, termios.error) as error:
-            raise self._lost(error) from error
 
     def close(self) -> None:
         """Close the port."""
         # A port that was unplugged cannot be closed in good order; it is gone all the same.
         with suppress(serial.SerialException, OSError, termios.error):
             self._serial.close()
-
-    def _lost(self, error: Exception) -> LinkLost:
-        return LinkLost(f"{self.name} is gone: {_cause(error)}")
 
 
 class TcpLink:
@@ -160,13 +151,11 @@ class TcpLink:
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has been received, waiting up to `timeout_s` [s] for the first byte."""
-        try:
+        with _lost_on_failure(self.name):
             ready, _, _ = select.select([self._socket], [], [], timeout_s)
             if not ready:
                 return b""
             data = self._socket.recv(_CHUNK_BYTES)
-        except (OSError, ValueError) as error:
-            raise self._lost(error) from error
         if not data:
             raise LinkLost(
                 f"{self.name} has closed the connection: the device was switched off, or another "
@@ -176,10 +165,8 @@ class TcpLink:
 
     def write(self, data: bytes) -> None:
         """Send all bytes."""
-        try:
+        with _lost_on_failure(self.name):
             self._socket.sendall(data)
-        except OSError as error:
-            raise self._lost(error) from error
 
     def set_baud(self, baud: int) -> None:
         """Do nothing: TCP has no speed."""
@@ -192,9 +179,6 @@ class TcpLink:
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
-
-    def _lost(self, error: Exception) -> LinkLost:
-        return LinkLost(f"{self.name} is gone: {_cause(error)}")
 
 
 def find_port(port: str) -> str:
@@ -225,6 +209,15 @@ def find_port(port: str) -> str:
             "name"
         )
     raise LinkLost(f"{port}: no such device is plugged in; `cairn doctor` lists those that are")
+
+
+@contextmanager
+def _lost_on_failure(name: str) -> Iterator[None]:
+    """Turn what a line raises when it fails into `LinkLost`, with the cause."""
+    try:
+        yield
+    except (serial.SerialException, OSError, termios.error, ValueError) as error:
+        raise LinkLost(f"{name} is gone: {_cause(error)}") from error
 
 
 def _cause(error: BaseException) -> str:

@@ -19,6 +19,7 @@ from cairn.schemas.geometry_msgs import (
     Quaternion,
     Transform,
     TransformStamped,
+    Twist,
     Vector3,
 )
 from cairn.schemas.packed import Packed
@@ -72,6 +73,11 @@ def duration_message(seconds: float) -> Duration:
     """Return a time [s] as a message, at most the longest one (68 years)."""
     sec, nanosec = divmod(round(min(seconds, 2.0**31 - 1) * 1e9), 10**9)
     return Duration(sec=sec, nanosec=nanosec)
+
+
+def twist_message(forward: float, turn: float) -> Twist:
+    """Return a velocity in the plane [m/s], [rad/s]."""
+    return Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
 
 
 def transform_message(header: Header, child_frame: str, pose: poses.Pose) -> TransformStamped:

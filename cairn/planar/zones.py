@@ -28,7 +28,7 @@ from cairn.limits.json import parse_json
 from cairn.planar.polygons import crossing, edges_of, is_inside, ring_bounds
 from cairn.schemas.cairn_nav_msgs import MAX_ZONES, ZONE_KINDS, Zone, Zones
 from cairn.schemas.message import InvalidMessage
-from cairn.system.files import explain_os_error, replace_file
+from cairn.system.files import explain_os_error
 
 ZONE_FILE_BYTES: Final = 16 * 1024 * 1024
 """Largest zones file that is read [bytes]: more than `MAX_ZONES` zones of the most points need."""
@@ -120,11 +120,6 @@ def zones_in(data: bytes) -> tuple[Zone, ...]:
     except ValidationError as error:
         raise CairnError(f"not a GeoJSON FeatureCollection: {_fault(error)}; correct it") from error
     return zones_of(features)
-
-
-def write_zones(file: Path, zones: Sequence[Zone]) -> None:
-    """Write the zones to a file, which is replaced atomically; raises `OSError`."""
-    replace_file(file, file_content(zones))
 
 
 def file_content(zones: Sequence[Zone]) -> bytes:

@@ -45,7 +45,7 @@ def machine_links(deployment: Deployment, machine: str, access: Mapping[str, Any
     `access` is its `machine_access`. Raises `CairnError` if this machine's own identity is not in
     force.
     """
-    identity = machine_identity(deployment.robot, machine)
+    identity = machine_identity(deployment.robot.name, machine)
     names = list(deployment.machines)
     before = names[: names.index(machine)]
     return MachineLinks(

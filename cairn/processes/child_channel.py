@@ -103,7 +103,7 @@ class SupervisorChannel:
         self._end = end
         self._lock = threading.Lock()  # while another thread sends, this end stays open
         self._number = 0
-        self._answer: TransitionAnswer | None = None
+        self.answer: TransitionAnswer | None = None  # to the last request
 
     def announce_stop(self, limit_s: float) -> None:
         """Tell the child that all below it must stop within `limit_s` [s]; from any thread."""
@@ -117,13 +117,8 @@ class SupervisorChannel:
         It cannot if the child is gone, or has not read its requests for long.
         """
         self._number += 1
-        self._answer = None
+        self.answer = None
         return not self.closed and _send(self._end, Request(self._number, verb), 0.0)
-
-    @property
-    def answer(self) -> TransitionAnswer | None:
-        """The answer to the last request, None as long as there is none."""
-        return self._answer
 
     def receive(self, timeout_s: float) -> None:
         """Take all messages that have arrived; wait at most `timeout_s` [s] for the first one.
@@ -138,7 +133,7 @@ class SupervisorChannel:
                 self.heartbeat = message
                 self.heartbeats += 1
             elif message.number == self._number:  # otherwise the request has timed out before
-                self._answer = message
+                self.answer = message
 
     def close(self) -> None:
         """Close this end."""

@@ -47,7 +47,7 @@ class LockstepRun:
         self.simulated = deployment.clock == "simulated"
         self.end: ExitReport | None = None
         context = RunContext(
-            robot=deployment.robot,
+            robot=deployment.robot.name,
             simulated_time=deployment.clock == "simulated",
             seed=seed,
             stop_limit_s=deployment.stop_limit_s,

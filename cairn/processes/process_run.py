@@ -132,7 +132,7 @@ def run_processes(
     bus_settings, folder = deployment.bus, zygote.socket_path.parent
     if bus_settings.connect:
         _check_robot_name_is_free(deployment)
-    common = machine_secrets(deployment.robot) if machine else None
+    common = machine_secrets(deployment.robot.name) if machine else None
     secret = secrets.token_hex(16) if common is None else common.of_sessions()
     spec = plan.root()
     for one in _in_parent_process(spec, machine):
@@ -142,7 +142,7 @@ def run_processes(
         name=root_name(machine, deployment.main_machine),
         spec=spec,
         context=RunContext(
-            robot=deployment.robot,
+            robot=deployment.robot.name,
             domain=deployment.domain,
             endpoints=endpoints(deployment),
             simulated_time=deployment.clock == "simulated",
@@ -251,7 +251,7 @@ def _opened_bus(
                 open_linked = partial(opened_for_machines, open_own, secret)
                 links = CertifiedRouter("links to other machines", read, open_linked)
                 certified.append(stack.enter_context(closing(links)))
-                poll = AuthorityPoll(deployment.robot, plan.machine)
+                poll = AuthorityPoll(deployment.robot.name, plan.machine)
                 certified.append(stack.enter_context(closing(poll)))
                 name = root_name(plan.machine, deployment.main_machine)
                 session = open_peer(
@@ -284,12 +284,12 @@ def _open_gateway(
     if tls is None or tls.identity is None:
         stack.enter_context(closing(gateway.open(router, folder)))
         return
-    read = partial(gateway_for_operators, gateway, deployment.robot, tls.identity)
+    read = partial(gateway_for_operators, gateway, deployment.robot.name, tls.identity)
     open_it = partial(opened_for_operators, router, folder)
     operators = CertifiedRouter("network endpoints", read, open_it)
     certified.append(stack.enter_context(closing(operators)))
     if tls.identity != plan.machine:  # which is polled for already
-        poll = AuthorityPoll(deployment.robot, tls.identity)
+        poll = AuthorityPoll(deployment.robot.name, tls.identity)
         certified.append(stack.enter_context(closing(poll)))
 
 
@@ -314,18 +314,18 @@ def router_socket(deployment: Deployment) -> Path:
 
 def _check_robot_name_is_free(deployment: Deployment) -> None:
     """Two robots of one name would execute each other's commands, and share their topics."""
-    name = full_name(deployment.robot, ROOT)
+    name = full_name(deployment.robot.name, ROOT)
     session = open_client(deployment.bus.connect, deployment.bus.credentials)
     try:
         if not read_graph(session, nodes_pattern(deployment.domain, name)):
             return
-        answers = answering(session, deployment.domain, deployment.robot, _ANSWER_LIMIT_S)
+        answers = answering(session, deployment.domain, deployment.robot.name, _ANSWER_LIMIT_S)
         runs = next(answers, None) is not None
     finally:
         close_session(session, _CLOSE_LIMIT_S)
     if runs:
         raise CairnError(
-            f"a robot {deployment.robot} runs already on the bus of "
+            f"a robot {deployment.robot.name} runs already on the bus of "
             f"{', '.join(deployment.bus.connect)}; give this one another name "
             "(`--set robot=NAME`), or stop the other"
         )

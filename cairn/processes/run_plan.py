@@ -89,7 +89,9 @@ def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:
     exclusive = exclusive_topics(deployment)
     tls = deployment.bus.tls
     if gateway is not None and tls is not None and tls.identity is not None:
-        gateway_for_operators(gateway, deployment.robot, tls.identity)  # to report what is wrong
+        gateway_for_operators(
+            gateway, deployment.robot.name, tls.identity
+        )  # to report what is wrong
     if not machine:
         return RunPlan(deployment, exclusive, limits, gateway)
     access = machine_access(deployment, machine)

@@ -34,7 +34,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Literal, NoReturn
 
-from cairn.bus.bus import full_name
+from cairn.bus.bus import Post, full_name
 from cairn.deployment.model import fallback_name
 from cairn.errors import CairnError, Escalate, LoggedFailure
 from cairn.processes.child import (
@@ -92,7 +92,7 @@ class Supervisor(Component):
         from cairn.processes.logged_children import LoggedChildren
 
         self._launch = launch
-        self._post: Callable[[Callable[[], None]], None] = host.post
+        self._post: Post = host.post
         on_exit = partial(host.post, self.reconcile)
         log = self._context.call_log
         if log is None:
@@ -125,9 +125,7 @@ class Supervisor(Component):
     def _state_of(self, name: str) -> str:
         return {status.name: status.state for status in self.children.status()}[name]
 
-    def adopt_recorded(
-        self, children: "ChildGroup", post: Callable[[Callable[[], None]], None]
-    ) -> None:
+    def adopt_recorded(self, children: "ChildGroup", post: Post) -> None:
         """Take over children of which a call log has what they answered, for a re-run."""
         self._launch = self._context.launch
         self._post = post

@@ -82,7 +82,7 @@ def drop_in_text(command: RunCommand, deployment: Deployment, *, for_user: bool)
     lines = [
         "# Written by `cairn service install`, which replaces it. Your own changes: systemctl edit",
         "[Unit]",
-        f"Description=Cairn robot {deployment.robot}"
+        f"Description=Cairn robot {deployment.robot.name}"
         + (f", machine {command.machine}" if command.machine else ""),
         "[Service]",
         "ExecStart=",

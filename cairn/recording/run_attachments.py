@@ -27,7 +27,7 @@ def run_attachments(
     `parameters` are those of each component, by their names.
     """
     run = {
-        "robot": deployment.robot,
+        "robot": deployment.robot.name,
         "domain": deployment.domain,
         "seed": seed,
         "lockstep": lockstep,

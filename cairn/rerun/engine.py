@@ -15,6 +15,7 @@ from cairn.bus.bus import (
     MessageId,
     Node,
     PublisherOptions,
+    Report,
     ServerOptions,
     ServiceError,
     SubscriptionOptions,
@@ -519,12 +520,7 @@ class _RerunBus:
     def __init__(self, rerun: Rerun) -> None:
         self._rerun = rerun
 
-    def node(
-        self,
-        name: str,
-        report: Callable[[str], None],
-        warn: Callable[[str], None] | None = None,
-    ) -> "_RerunNode":
+    def node(self, name: str, report: Report, warn: Report | None = None) -> "_RerunNode":
         return _RerunNode(self._rerun)
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:

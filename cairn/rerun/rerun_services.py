@@ -1,9 +1,8 @@
 """The services of a re-run: recorded calls, and answers and requests that are compared."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from cairn.bus.bus import ClientOptions, ServerOptions, ServiceError
+from cairn.bus.bus import ClientOptions, OnFailure, OnReply, ServerOptions, check_response
 from cairn.rerun.call_environment import Sent
 
 if TYPE_CHECKING:
@@ -54,8 +53,7 @@ class RerunCall:
 
     def reply(self, response: Any) -> None:
         """Compare a response; `TypeError` if it is not of the service's response class."""
-        if type(response) is not self._server.service.Response:
-            raise TypeError(f"the answer is a {type(response).__qualname__}")
+        check_response(response, self._server.service.Response)
         self._send("an answer", self._server.codec.encode(response))
 
     def refuse(self, reason: str) -> None:
@@ -75,7 +73,7 @@ class RerunClient:
         self.name = options.name
         self.service = options.service
         self.sent = 0
-        self.pending: dict[int, tuple[Callable[[Any], None], Callable[[ServiceError], None]]] = {}
+        self.pending: dict[int, tuple[OnReply, OnFailure]] = {}
         self._rerun = rerun
         self._port = rerun.open_client(self)
 
@@ -85,11 +83,7 @@ class RerunClient:
         return self._rerun.saw_server(self._port)
 
     def call(
-        self,
-        request: Any,
-        on_reply: Callable[[Any], None],
-        on_failure: Callable[[ServiceError], None],
-        timeout_s: float,
+        self, request: Any, on_reply: OnReply, on_failure: OnFailure, timeout_s: float
     ) -> None:
         """Compare the request with the recording; the log says when it is answered."""
         del timeout_s

@@ -18,7 +18,7 @@ from cairn.bus.actions import (
     GoalServer,
     ServerGoal,
 )
-from cairn.bus.bus import ServiceError
+from cairn.bus.bus import OnFailure, OnReply, ServiceError
 from cairn.bus.qos import LATCHED
 from cairn.errors import CairnError
 from cairn.runtime.component import ComponentContext
@@ -155,7 +155,7 @@ class ActionClient(Port, Generic[Goal, Result, Feedback]):
         self,
         goal: Goal,
         on_result: Callable[[int, Result], None],
-        on_failure: Callable[[ServiceError], None] | None = None,
+        on_failure: OnFailure | None = None,
         *,
         on_accepted: Callable[[], None] | None = None,
         on_feedback: Callable[[Feedback], None] | None = None,
@@ -233,11 +233,11 @@ def _services(action: type[Action[Any, Any, Any]]) -> dict[str, type[Service[Any
 def _call(
     client: Client[Any, Any],
     request: Any,
-    on_response: Callable[[Any], None],
-    on_failure: Callable[[ServiceError], None],
+    on_reply: OnReply,
+    on_failure: OnFailure,
     timeout_s: float,
 ) -> None:
-    client.call(request, on_response, on_failure, timeout_s=timeout_s)
+    client.call(request, on_reply, on_failure, timeout_s=timeout_s)
 
 
 def _ignore() -> None:

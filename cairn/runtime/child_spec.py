@@ -68,7 +68,9 @@ class Fallback(Section):
         None, description="Plugin of the fallback; by default that of the component."
     )
     parameters: dict[str, Any] = Field(
-        default_factory=dict, description="Parameters in which it differs from the component."
+        default_factory=dict,
+        description="Parameters in which it differs from the component; all if it has a plugin of "
+        "its own.",
     )
     max_round_trip_s: float = Field(
         0.5,

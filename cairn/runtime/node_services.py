@@ -274,83 +274,71 @@ def _description_message(described: Mapping[str, Any]) -> TypeDescription:
     )
 
 
+_VALUE_FIELDS: Final = (
+    "bool_value", "integer_value", "double_value", "string_value", "byte_array_value",
+    "bool_array_value", "integer_array_value", "double_array_value", "string_array_value",
+)  # fmt: skip
+"""The fields of `ParameterValue` with the values of the types 1 to 9 of `ParameterType`."""
+
+
 def ros_value(value: Any) -> ParameterValue:
     """Return a parameter's value as ROS 2 has it; what it has no type for, as JSON in a string."""
-    kinds = ParameterType
     if value is None:
         return ParameterValue()
     if isinstance(value, bool):
-        return ParameterValue(type=kinds.PARAMETER_BOOL, bool_value=value)
+        return _of_type(ParameterType.PARAMETER_BOOL, value)
     if isinstance(value, int):
-        return ParameterValue(type=kinds.PARAMETER_INTEGER, integer_value=value)
+        return _of_type(ParameterType.PARAMETER_INTEGER, value)
     if isinstance(value, float):
-        return ParameterValue(type=kinds.PARAMETER_DOUBLE, double_value=value)
+        return _of_type(ParameterType.PARAMETER_DOUBLE, value)
     if isinstance(value, list | tuple) and value:
-        if all(isinstance(one, bool) for one in value):
-            return ParameterValue(
-                type=kinds.PARAMETER_BOOL_ARRAY, bool_array_value=np.array(value, np.bool_)
-            )
-        if all(isinstance(one, int) and not isinstance(one, bool) for one in value):
-            return ParameterValue(
-                type=kinds.PARAMETER_INTEGER_ARRAY, integer_array_value=np.array(value, np.int64)
-            )
-        if all(isinstance(one, int | float) and not isinstance(one, bool) for one in value):
-            return ParameterValue(
-                type=kinds.PARAMETER_DOUBLE_ARRAY, double_array_value=np.array(value, np.float64)
-            )
+        kinds = {type(one) for one in value}
+        if kinds == {bool}:
+            return _of_type(ParameterType.PARAMETER_BOOL_ARRAY, np.array(value, np.bool_))
+        if kinds == {int}:
+            return _of_type(ParameterType.PARAMETER_INTEGER_ARRAY, np.array(value, np.int64))
+        if kinds <= {int, float}:
+            return _of_type(ParameterType.PARAMETER_DOUBLE_ARRAY, np.array(value, np.float64))
         if all(isinstance(one, str) for one in value):
-            return ParameterValue(
-                type=kinds.PARAMETER_STRING_ARRAY, string_array_value=tuple(value)
-            )
+            return _of_type(ParameterType.PARAMETER_STRING_ARRAY, tuple(value))
     if isinstance(value, list | tuple | dict):
-        return ParameterValue(
-            type=kinds.PARAMETER_STRING, string_value=json.dumps(value, default=str)
-        )
-    return ParameterValue(type=kinds.PARAMETER_STRING, string_value=str(value))
+        value = json.dumps(value, default=str)
+    return _of_type(ParameterType.PARAMETER_STRING, str(value))
+
+
+def _of_type(kind: int, value: Any) -> ParameterValue:
+    return ParameterValue(type=kind, **{_VALUE_FIELDS[kind - 1]: value})
 
 
 def python_value(parameter: RosParameter) -> Any:
     """Return the value of a ROS 2 parameter; raises `ParameterRejected` for an unknown type."""
-    value = parameter.value
-    fields = {
-        0: lambda: None,
-        1: lambda: value.bool_value,
-        2: lambda: value.integer_value,
-        3: lambda: value.double_value,
-        4: lambda: value.string_value,
-        5: value.byte_array_value.tolist,
-        6: value.bool_array_value.tolist,
-        7: value.integer_array_value.tolist,
-        8: value.double_array_value.tolist,
-        9: lambda: list(value.string_array_value),
-    }
-    if value.type not in fields:
+    kind = parameter.value.type
+    if kind == ParameterType.PARAMETER_NOT_SET:
+        return None
+    if kind > len(_VALUE_FIELDS):
         raise ParameterRejected(
-            f"parameter {parameter.name}: there is no parameter type {value.type} (0 to 9)"
+            f"parameter {parameter.name}: there is no parameter type {kind} (0 to 9)"
         )
-    return fields[value.type]()
+    value = getattr(parameter.value, _VALUE_FIELDS[kind - 1])
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _descriptor(parameter: ParameterDescription) -> ParameterDescriptor:
     value = ros_value(parameter.value)
     low, high = parameter.range
+    is_limited = (low, high) != (None, None)
     integer: tuple[IntegerRange, ...] = ()
     floating: tuple[FloatingPointRange, ...] = ()
-    if (low, high) != (None, None):
-        if value.type == ParameterType.PARAMETER_INTEGER:
-            least, most = -(2**63) if low is None else int(low), 2**63 - 1
-            integer = (
-                IntegerRange(
-                    from_value=least, to_value=most if high is None else int(high), step=1
-                ),
-            )
-        elif value.type == ParameterType.PARAMETER_DOUBLE:
-            floating = (
-                FloatingPointRange(
-                    from_value=float("-inf") if low is None else low,
-                    to_value=float("inf") if high is None else high,
-                ),
-            )
+    if is_limited and value.type == ParameterType.PARAMETER_INTEGER:
+        least = -(2**63) if low is None else int(low)
+        most = 2**63 - 1 if high is None else int(high)
+        integer = (IntegerRange(from_value=least, to_value=most, step=1),)
+    elif is_limited and value.type == ParameterType.PARAMETER_DOUBLE:
+        lowest = float("-inf") if low is None else low
+        highest = float("inf") if high is None else high
+        floating = (FloatingPointRange(from_value=lowest, to_value=highest),)
     return ParameterDescriptor(
         name=parameter.name,
         type=value.type,

@@ -31,6 +31,7 @@ from pydantic_core import ErrorDetails
 
 from cairn.errors import CairnError
 from cairn.runtime.child_spec import LogLevel
+from cairn.runtime.robot import QUANTITIES
 
 C = TypeVar("C", bound="Config")
 M = TypeVar("M")
@@ -112,6 +113,24 @@ SensorFrame = Annotated[str, Field(min_length=1), SensorFrameMark()]
 
 `cairn check` reports it if the deployment has frames, but not this one.
 """
+
+
+@dataclass(frozen=True)
+class FromRobot:
+    """Marks a parameter whose default is a quantity of the deployment's section `robot`.
+
+    `radius: Annotated[float, FromRobot("shape.radius_m")] = Field(0.2, gt=0)`: if the section does
+    not give the quantity, the default is that of the field. `QUANTITIES` has their names.
+    """
+
+    quantity: str
+
+    def __post_init__(self) -> None:
+        """Raise `CairnError` if there is no such quantity."""
+        if self.quantity not in QUANTITIES:
+            close = get_close_matches(self.quantity, QUANTITIES, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"give one of {sorted(QUANTITIES)}"
+            raise CairnError(f"the robot has no quantity {self.quantity}; {hint}")
 
 
 @dataclass(frozen=True)
@@ -256,6 +275,13 @@ def marked_parameters(config: BaseModel, kind: type[M]) -> Iterator[MarkedParame
         elif value is not None:
             for mark in _marks_within([*field.metadata, field.annotation], kind):
                 yield MarkedParameter(name, value, mark, config)
+
+
+def field_marks(model: type[BaseModel], kind: type[M]) -> Iterator[tuple[str, M]]:
+    """Yield the name of each field of a model that has a mark of class `kind`, with the mark."""
+    for name, field in model.model_fields.items():
+        for mark in _marks_within([*field.metadata, field.annotation], kind):
+            yield name, mark
 
 
 def _marks_within(parts: list[Any], kind: type[M]) -> Iterator[M]:

@@ -29,17 +29,12 @@ class RetriedSave:
         self._subject = subject
         self._warnings = RateLimitedLog(component.log)
         self._wait_s = 0.0
-        self._due_ns = 0
+        self.due_ns = 0  # of the next attempt, by the component's clock; 0 after a success
 
     @property
     def has_failed(self) -> bool:
         """Whether the last attempt failed."""
         return self._wait_s > 0.0
-
-    @property
-    def due_ns(self) -> int:
-        """When the next attempt is due, by the component's clock [ns]; 0 after a success."""
-        return self._due_ns
 
     def attempt(
         self, write: Callable[[], None], lost: Callable[[], str], *, now: bool = False
@@ -51,7 +46,7 @@ class RetriedSave:
         """
         at = self._component.clock.now()
         # A clock that was set back must not delay the next attempt.
-        waits = at < self._due_ns <= at + round(_LONGEST_WAIT_S * SECOND)
+        waits = at < self.due_ns <= at + round(_LONGEST_WAIT_S * SECOND)
         if waits and not now:
             return False
         try:
@@ -60,14 +55,14 @@ class RetriedSave:
             self._failed(at, error, lost())
             return False
         if self.has_failed:
-            self._wait_s, self._due_ns = 0.0, 0
+            self._wait_s, self.due_ns = 0.0, 0
             self._component.report_problem(self._subject, None)
             self._warnings.resolved(self._subject, f"{self._subject} saved again")
         return True
 
     def _failed(self, at: int, error: OSError | CairnError, lost: str) -> None:
         self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S) or 1.0
-        self._due_ns = at + round(self._wait_s * SECOND)
+        self.due_ns = at + round(self._wait_s * SECOND)
         reason = str(error)
         if isinstance(error, OSError):
             file = f"{error.filename}: " if error.filename else ""

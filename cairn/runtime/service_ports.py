@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, ClassVar, Generic, Literal, TypeVar
 
-from cairn.bus.bus import Call, ServiceClient, ServiceError, ServiceServer
+from cairn.bus.bus import Call, OnFailure, ServiceClient, ServiceError, ServiceServer
 from cairn.errors import CairnError
 from cairn.runtime.call_log import CallLog
 from cairn.runtime.call_records import RecordKind
@@ -179,7 +179,7 @@ class Client(Port, Generic[Request, Response]):
         self,
         request: Request,
         on_response: Callable[[Response], None],
-        on_failure: Callable[[ServiceError], None] | None = None,
+        on_failure: OnFailure | None = None,
         *,
         timeout_s: float = 5.0,
     ) -> None:
@@ -281,16 +281,26 @@ def answering(method: Callable[[Any], Any], service: str) -> Callable[[Call], No
     return answer
 
 
-class _LoggedCall:
-    """A call whose answer is logged."""
+class _WrappedCall:
+    """A call whose answer has further effects."""
 
-    def __init__(self, call: Call, port: str, log: CallLog) -> None:
+    def __init__(self, call: Call) -> None:
         self._call = call
-        self._port = port
-        self._log = log
         self.request = call.request
         self.client = call.client
         self.sequence = call.sequence
+
+    def refuse(self, reason: str) -> None:
+        self._call.refuse(reason)
+
+
+class _LoggedCall(_WrappedCall):
+    """A call whose answer is logged."""
+
+    def __init__(self, call: Call, port: str, log: CallLog) -> None:
+        super().__init__(call)
+        self._port = port
+        self._log = log
 
     def reply(self, response: Any) -> None:
         self._call.reply(response)
@@ -298,23 +308,17 @@ class _LoggedCall:
         self._log.add(RecordKind.REPLIED, self._port, self.client, self.sequence, content)
 
     def refuse(self, reason: str) -> None:
-        self._call.refuse(reason)
+        super().refuse(reason)
         self._log.add(RecordKind.REFUSED, self._port, self.client, self.sequence, reason)
 
 
-class _ObservedCall:
+class _ObservedCall(_WrappedCall):
     """A call whose answer is published as an event."""
 
     def __init__(self, call: Call, publish: Callable[[int, Call, Any], None]) -> None:
-        self._call = call
+        super().__init__(call)
         self._publish = publish
-        self.request = call.request
-        self.client = call.client
-        self.sequence = call.sequence
 
     def reply(self, response: Any) -> None:
         self._call.reply(response)
         self._publish(ServiceEventInfo.RESPONSE_SENT, self._call, response)
-
-    def refuse(self, reason: str) -> None:
-        self._call.refuse(reason)

@@ -15,7 +15,6 @@ class Clock(Protocol):
 
     def now(self) -> int:
         """Return the time in nanoseconds since the clock's epoch."""
-        ...
 
 
 class SystemClock:

@@ -20,7 +20,7 @@ import pytest
 from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.testing import timing as timed
-from cairn.testing.driver_contract import Contract, DriverContract
+from cairn.testing.driver_contract import DriverContract, StampedContract
 from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 from cairn.testing.scanner_contract import check_frame
 from cairn.testing.timing import undisturbed
@@ -57,7 +57,7 @@ class Pictures:
     """Port and stamp [ns] of each message, in order of arrival."""
 
 
-class PicturesContract(Contract):
+class PicturesContract(StampedContract):
     """Tests the contents and stamps of images and camera infos."""
 
     component: ClassVar[str] = "camera"
@@ -72,18 +72,6 @@ class PicturesContract(Contract):
 
     moving: ClassVar[bool] = True
     """False if successive images may be identical, such as those of a test picture."""
-
-    rate_tolerance: ClassVar[float] = 0.1
-    """Allowed relative deviation of the rate from the nominal rate."""
-
-    jitter: ClassVar[float] = 0.3
-    """Allowed relative deviation of an interval between stamps from the median interval."""
-
-    oldest_s: ClassVar[float] = 0.5
-    """Maximum age of an image on arrival [s]."""
-
-    early_s: ClassVar[float] = 0.005
-    """How far in the future a stamp may be [s]."""
 
     frames: ClassVar[Mapping[str, str]] = {
         "left": "left_camera_optical_frame",

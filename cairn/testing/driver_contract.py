@@ -120,6 +120,22 @@ class Contract:
         output.await_count(2, after=after, limit_s=cls.return_limit_s + 2.0 / cls.rate_hz)
 
 
+class StampedContract(Contract):
+    """The settings of the contracts of what is published at a rate, with stamps."""
+
+    rate_tolerance: ClassVar[float] = 0.1
+    """Allowed relative deviation of the rate from the nominal rate."""
+
+    jitter: ClassVar[float] = 0.3
+    """Allowed relative deviation of an interval between stamps from the median interval."""
+
+    oldest_s: ClassVar[float] = 0.5
+    """Maximum age of a message on arrival [s]."""
+
+    early_s: ClassVar[float] = 0.005
+    """How far in the future a stamp may be [s]."""
+
+
 @dataclass
 class Cycles:
     """Resource usage after each life cycle, and the error if a cycle failed."""

@@ -381,7 +381,7 @@ class DeploymentHarness(Lockstep):
         self.run: LockstepRun = LockstepRun(
             deployment, seed, None if beside is None else beside.run
         )
-        super().__init__(robot=deployment.robot, executor=self.run.executor, bus=self.run.bus)
+        super().__init__(robot=deployment.robot.name, executor=self.run.executor, bus=self.run.bus)
         self._started = False
 
     @property

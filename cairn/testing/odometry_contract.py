@@ -21,7 +21,7 @@ from cairn.schemas.geometry_msgs import Quaternion
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.testing import timing as timed
-from cairn.testing.driver_contract import Contract
+from cairn.testing.driver_contract import StampedContract
 from cairn.testing.robot import Arrival, Bench, Reading, RunningDeployment
 from cairn.testing.timing import undisturbed
 
@@ -51,24 +51,15 @@ class Drive:
         return [arrival.message for part in parts for arrival in part]
 
 
-class OdometryContract(Contract):
+class OdometryContract(StampedContract):
     """Tests the contents and stamps of odometry."""
 
     component: ClassVar[str] = "base"
     port: ClassVar[str] = "odom"
     message: ClassVar[type[Any]] = Odometry
 
-    rate_tolerance: ClassVar[float] = 0.1
-    """Allowed relative deviation of the rate from the nominal rate."""
-
     jitter: ClassVar[float] = 0.5
-    """Allowed relative deviation of an interval between stamps from the median interval."""
-
     oldest_s: ClassVar[float] = 0.25
-    """Maximum age of odometry on arrival [s]."""
-
-    early_s: ClassVar[float] = 0.005
-    """How far in the future a stamp may be [s]."""
 
     odom_frame: ClassVar[str] = "odom"
     """Expected frame of the poses (`frame_id`)."""

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Generic, TypeVar
 
 import zenoh
@@ -437,16 +436,11 @@ class Bench:
         """Launch nothing yet."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         """Stop the deployment, and check that nothing of it is left."""
         if self._robot is not None:
             self._robot.close()
-        self._stack.__exit__(kind, error, trace)
+        self._stack.__exit__(*error)
 
 
 def settings(values: Mapping[str, object]) -> list[str]:

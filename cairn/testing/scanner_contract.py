@@ -15,7 +15,7 @@ import pytest
 
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.testing import timing as timed
-from cairn.testing.driver_contract import Contract, DriverContract
+from cairn.testing.driver_contract import DriverContract, StampedContract
 from cairn.testing.robot import Arrival, Bench
 from cairn.testing.timing import undisturbed
 
@@ -25,24 +25,12 @@ _ROUNDING = 1e-5  # of float32, as a share
 _TURN = 2.0 * math.pi
 
 
-class ScanContract(Contract):
+class ScanContract(StampedContract):
     """Tests the contents and stamps of scans."""
 
     component: ClassVar[str] = "scanner"
     port: ClassVar[str] = "scan"
     message: ClassVar[type[Any]] = LaserScan
-
-    rate_tolerance: ClassVar[float] = 0.1
-    """Allowed relative deviation of the rate from the nominal rate."""
-
-    jitter: ClassVar[float] = 0.3
-    """Allowed relative deviation of an interval between stamps from the median interval."""
-
-    oldest_s: ClassVar[float] = 0.5
-    """Maximum age of a scan on arrival [s]."""
-
-    early_s: ClassVar[float] = 0.005
-    """How far in the future a stamp may be [s]."""
 
     live: ClassVar[bool] = True
     """False for a recording: its scans are published at the time of their stamps."""

@@ -192,3 +192,15 @@ def _check_least(name: str, width: int, height: int) -> None:
             f"{name} has {width} x {height} pixels, too few to recognize anything: give one of at "
             f"least {LEAST_SIDE} x {LEAST_SIDE}."
         )
+
+
+def write_picture(picture: Gray, file: Path) -> None:
+    """Write an image; raise `CairnError` if that fails."""
+    try:
+        written = cv2.imwrite(str(file), picture)
+    except cv2.error as error:
+        raise CairnError(
+            f"{file}: unknown picture format ({error.err}); use .png or .jpg"
+        ) from error
+    if not written:
+        raise CairnError(f"{file}: cannot be written; check that the folder exists and is writable")

@@ -15,11 +15,18 @@ RIGHT_FRAME: Final = "right_camera_optical_frame"
 _LOOKING_AHEAD = Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5)  # z along the mount's x axis: REP 103
 
 
-def optical_transform(header: Header, frame: str, baseline: float) -> TransformStamped:
-    """Return the transform of an optical frame, `baseline` [m] to the right of the left camera.
+def optical_transforms(header: Header, baseline: float | None) -> tuple[TransformStamped, ...]:
+    """Return the transforms of both optical frames, the right one `baseline` [m] to the right.
 
     The header's frame is that on which the left camera is mounted, looking along its x axis.
+    Without a baseline there is only the left one.
     """
-    translation = Vector3(y=-baseline)
-    transform = Transform(translation=translation, rotation=_LOOKING_AHEAD)
-    return TransformStamped(header=header, child_frame_id=frame, transform=transform)
+    offsets = {LEFT_FRAME: 0.0} if baseline is None else {LEFT_FRAME: 0.0, RIGHT_FRAME: baseline}
+    return tuple(
+        TransformStamped(
+            header=header,
+            child_frame_id=frame,
+            transform=Transform(translation=Vector3(y=-offset), rotation=_LOOKING_AHEAD),
+        )
+        for frame, offset in offsets.items()
+    )

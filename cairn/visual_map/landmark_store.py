@@ -111,21 +111,20 @@ class LandmarkStore:
 
     def version(self) -> int:
         """Return the number of changes made so far."""
-        with explained_errors(self.path):
-            row = self._connection.execute("SELECT max(version) FROM changes").fetchone()
-        return int(row[0] or 0)
+        return int(self._first("SELECT max(version) FROM changes") or 0)
 
     def last_stamp_ns(self) -> int:
         """Return the time of the newest evidence [ns], 0 before the first."""
-        with explained_errors(self.path):
-            row = self._connection.execute("SELECT max(stamp_ns) FROM evidence").fetchone()
-        return int(row[0] or 0)
+        return int(self._first("SELECT max(stamp_ns) FROM evidence") or 0)
 
     def digest(self) -> str:
         """Return the digest of the map that this one was copied from, "" for an original."""
+        return str(self._first("SELECT digest FROM origin") or "")
+
+    def _first(self, query: str) -> Any:
         with explained_errors(self.path):
-            row = self._connection.execute("SELECT digest FROM origin").fetchone()
-        return str(row[0]) if row else ""
+            row = self._connection.execute(query).fetchone()
+        return row[0] if row else None
 
     def history(self) -> list[tuple[int, int, int, str, float, str]]:
         """Return the changes: version, stamp [ns], object, kind, reliability, reason."""

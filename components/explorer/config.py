@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cairn import Config
+from cairn import Config, FromRobot
 
 
 class ExplorerConfig(Config):
     """Parameters of the component Explorer."""
 
-    radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    radius: Annotated[float, FromRobot("shape.radius_m")] = Field(
+        0.22, gt=0, le=5, description="Radius of the robot [m]."
+    )
     margin: float = Field(
         0.05,
         ge=0,

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from cairn import Config, SensorFrame
+from cairn import Config, FromRobot, SensorFrame
 from cairn.components.hokuyo_scanner.client import BAUDS
 from cairn.components.hokuyo_scanner.messages import Echo
 from cairn.components.hokuyo_scanner.protocol import Encoding
@@ -36,7 +36,9 @@ class HokuyoConfig(Config):
         None, description="Address of a sensor on Ethernet, as 192.168.0.10. Either this or port."
     )
     tcp_port: int = Field(10940, ge=1, le=65535, description="Its TCP port [1].")
-    frame_id: SensorFrame = Field("laser", description="Frame of the scans.")
+    frame_id: Annotated[SensorFrame, FromRobot("mounts.scanner.frame")] = Field(
+        "laser", description="Frame of the scans."
+    )
     angle_min: float = Field(
         -math.pi, ge=-math.pi, le=math.pi, description="Direction of the first ray, at least [rad]."
     )

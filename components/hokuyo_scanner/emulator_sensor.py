@@ -342,29 +342,6 @@ class EmulatedRoom:
         return TurnValues(distances, intensities)
 
 
-@dataclass(frozen=True)
-class FixedScene:
-    """The same values at every turn, for tests."""
-
-    measured: TurnValues
-
-    def turn(self, number: int, began_s: float) -> TurnValues:  # noqa: ARG002 - the protocol has them
-        """Return these values."""
-        return self.measured
-
-    @classmethod
-    def of(cls, distances: Values, intensities: Values | None = None) -> FixedScene:
-        """Return a scene with one echo at each step, from step 0 on."""
-
-        def alone(values: Values) -> Values:
-            table = np.full((values.size, ECHOES), NO_ECHO, np.int32)
-            table[:, 0] = values
-            return table
-
-        strengths = np.zeros_like(distances) if intensities is None else intensities
-        return cls(TurnValues(alone(distances), alone(strengths)))
-
-
 def _box(
     angles: NDArray[np.float64], *, ahead: float, behind: float, left: float, right: float
 ) -> NDArray[np.float64]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cairn import Config, Mount
+from cairn import Config, FromRobot, Mount
 from cairn.components.localizer.landmark_evidence import SimilarityMode
 from cairn.components.localizer.odometry import CommandedTrack, MeasuredTrack, OdometryTrack
 from cairn.planar.motion_model import MotionModel
@@ -110,7 +110,9 @@ class LocalizerConfig(Config):
         description="File of the last pose, from which a localizer that is restarted within a "
         "minute continues; none: it starts at `start` again.",
     )
-    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Field(
+        Mount(), description="Pose of the scanner on the robot."
+    )
     particles: int = Field(
         500, ge=50, le=20_000, description="Least number of particles while located [1]."
     )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from cairn import Config, Mount, ReadPath
+from cairn import Config, FromRobot, Mount, ReadPath
 from cairn.components.map_builder.landmark_map import MOST_LEARNED
 
 
@@ -55,8 +56,10 @@ class MapBuilderConfig(Config):
         "map MAP.yaml. It is written with each change; one that does not exist has no zones. "
         "none: no zones.",
     )
-    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
-    radius: float = Field(
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Field(
+        Mount(), description="Pose of the scanner on the robot."
+    )
+    radius: Annotated[float, FromRobot("shape.radius_m")] = Field(
         0.22,
         gt=0,
         le=2,

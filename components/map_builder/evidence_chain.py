@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -90,29 +91,29 @@ def find_landmark(store: LandmarkStore, called: str) -> LandmarkRecord:
 def history_of(store: LandmarkStore, landmark: LandmarkRecord) -> list[HistoryStep]:
     """Return changes and evidence of a landmark, oldest first, and summaries of old evidence."""
     steps: list[HistoryStep] = []
-    changes = list(store.changes_of(landmark.object_id))
+    coming = deque(store.changes_of(landmark.object_id))
     position: tuple[float, float] | None = None
     before: StoredEvidence | None = None
+
+    def pass_changes(until_ns: float) -> None:
+        nonlocal position
+        while coming and coming[0].stamp_ns <= until_ns:
+            change = coming.popleft()
+            position = change.new
+            steps.append(_change_step(change))
+
     for summary in sorted(
         store.evidence_summaries_of(landmark.object_id), key=lambda one: one.last_ns
     ):
-        while changes and changes[0].stamp_ns <= summary.last_ns:
-            change = changes.pop(0)
-            position = change.new
-            steps.append(_change_step(change))
+        pass_changes(summary.last_ns)
         steps.append(_summary_step(summary))
     for evidence in store.evidence_of(landmark.object_id):
-        while changes and changes[0].stamp_ns < evidence.stamp_ns:
-            change = changes.pop(0)
-            position = change.new
-            steps.append(_change_step(change))
+        pass_changes(evidence.stamp_ns - 1)
         steps.append(_evidence_step(evidence, before, position))
         before = evidence
-        while changes and changes[0].stamp_ns == evidence.stamp_ns:
-            change = changes.pop(0)
-            position = change.new
-            steps.append(_change_step(change))
-    return [*steps, *map(_change_step, changes)]
+        pass_changes(evidence.stamp_ns)
+    pass_changes(math.inf)
+    return steps
 
 
 def summarize(steps: Sequence[HistoryStep]) -> list[HistoryStep]:

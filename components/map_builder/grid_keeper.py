@@ -50,16 +50,17 @@ class _StoredDecision(BaseModel):
 
     @classmethod
     def of(cls, one: Decision) -> _StoredDecision:
-        texts = {
-            name: f"{members:x}"
-            for name, members in (
-                ("free", one.free),
-                ("occupied", one.occupied),
-                ("unknown", one.unknown),
-            )
-            if members
-        }
-        return cls(robot=one.robot, tile=one.tile, stamp_ns=one.stamp_ns, **texts)
+        free, occupied, unknown = (
+            f"{cells:x}" if cells else None for cells in (one.free, one.occupied, one.unknown)
+        )
+        return cls(
+            robot=one.robot,
+            tile=one.tile,
+            stamp_ns=one.stamp_ns,
+            free=free,
+            occupied=occupied,
+            unknown=unknown,
+        )
 
     def decision(self) -> Decision:
         free, occupied, unknown = (

@@ -65,14 +65,6 @@ class AppliedEvidence:
     refused: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True)
-class AppliedAdditions:
-    """What the addition of landmarks changed; `refused` as in `AppliedEvidence`."""
-
-    changes: tuple[LandmarkChange, ...]
-    refused: tuple[int, ...] = ()
-
-
 class LandmarkMap:
     """All landmarks by identifier, in memory, with a journal of the last `undo_s` seconds.
 
@@ -131,7 +123,7 @@ class LandmarkMap:
                 changes.append(change)
         return AppliedEvidence(tuple(after), tuple(changes), tuple(refused))
 
-    def add(self, landmarks: Iterable[LandmarkRecord], reason: str) -> AppliedAdditions:
+    def add(self, landmarks: Iterable[LandmarkRecord], reason: str) -> AppliedEvidence:
         """Add landmarks with positions, except objects that the map has already."""
         added: list[LandmarkChange] = []
         refused: list[int] = []
@@ -154,7 +146,7 @@ class LandmarkMap:
                     reason,
                 )
             )
-        return AppliedAdditions(tuple(added), tuple(refused))
+        return AppliedEvidence((), tuple(added), tuple(refused))
 
     def replace(self, landmark: LandmarkRecord, change: LandmarkChange | None) -> None:
         """Replace a landmark by what other robots know; after a `change` nothing of it is undone.

@@ -214,10 +214,6 @@ class LandmarkSharing:
             moved = replace(moved, history=record_arrival(moved.history, shared.position, now_s))
         return moved, _described(known, shared)
 
-    def is_shared(self, object_id: int) -> bool:
-        """Return whether a landmark is one of the original map, or known to the record."""
-        return object_id in self._originals or object_id in self.record
-
     def _present(self, object_id: int) -> SharedLandmark | None:
         """Return what the record knows; without contributions, what the original map has."""
         known = self.landmark(object_id)

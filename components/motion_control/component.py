@@ -46,7 +46,7 @@ from cairn.components.motion_control.scan_memory import (
 )
 from cairn.components.motion_control.velocity_limits import STAND, Command, CommandLimiter
 from cairn.components.motion_control.zone_limits import ZoneLimits, slowed
-from cairn.planar.messages import packed_poses, planar_pose, planar_poses
+from cairn.planar.messages import packed_poses, planar_pose, planar_poses, twist_message
 from cairn.planar.odometry import OdometryChange, time_went_back
 from cairn.planar.pose_tracker import PoseTracker, WaitingScans
 from cairn.planar.poses import Pose, compose, relative
@@ -61,7 +61,7 @@ from cairn.schemas.cairn_nav_msgs import (
     VelocityGateStatus,
     Zones,
 )
-from cairn.schemas.geometry_msgs import PoseArray, Twist, Vector3
+from cairn.schemas.geometry_msgs import PoseArray, Twist
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
@@ -350,7 +350,7 @@ class MotionControl(Component):
         self._result, command = self._next(now)
         if command is STAND:
             self._limiter.stop(now)
-        self.cmd_vel.publish(Twist(linear=Vector3(x=command[0]), angular=Vector3(z=command[1])))
+        self.cmd_vel.publish(twist_message(*command))
         if self._logged != (self._command_id, self._result.state):
             before, state = self._logged, self._result.state
             self._logged = (self._command_id, state)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from cairn import Config, Mount
+from cairn import Config, FromRobot, Mount
 from cairn.components.motion_control.velocity_limits import MotionLimits
 
 
@@ -33,7 +33,9 @@ class MotionControlConfig(Config):
     """Parameters of motion control."""
 
     # At most 1: the scan memory knows the ground up to 1.6 m from the robot's center.
-    radius: float = Field(0.22, gt=0.05, le=1, description="Radius of the round robot [m].")
+    radius: Annotated[float, FromRobot("shape.radius_m")] = Field(
+        0.22, gt=0.05, le=1, description="Radius of the round robot [m]."
+    )
     margin: float = Field(
         0.05, ge=0.01, le=1, description="Free space that is kept around the robot [m]."
     )
@@ -46,15 +48,19 @@ class MotionControlConfig(Config):
     full_speed_clearance: float = Field(
         0.2, gt=0, le=2, description="Clearance beside the robot that full speed requires [m]."
     )
-    speed: float = Field(0.6, gt=0, le=3, description="Maximum speed [m/s].")
+    speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
+        0.6, gt=0, le=3, description="Maximum speed [m/s]."
+    )
     creep_speed: float = Field(
         0.15, gt=0, le=1, description="Speed when only the margin is free beside the robot [m/s]."
     )
-    turn_speed: float = Field(1.5, gt=0, le=6, description="Maximum turn rate [rad/s].")
-    acceleration: float = Field(
+    turn_speed: Annotated[float, FromRobot("limits.turn_rad_s")] = Field(
+        1.5, gt=0, le=6, description="Maximum turn rate [rad/s]."
+    )
+    acceleration: Annotated[float, FromRobot("limits.acceleration_m_s2")] = Field(
         0.8, gt=0, le=10, description="Acceleration of velocity commands [m/s^2]."
     )
-    turn_acceleration: float = Field(
+    turn_acceleration: Annotated[float, FromRobot("limits.turn_acceleration_rad_s2")] = Field(
         3.0, gt=0, le=30, description="Angular acceleration of velocity commands [rad/s^2]."
     )
     braking: float = Field(
@@ -90,7 +96,7 @@ class MotionControlConfig(Config):
         0.3, ge=0, le=1, description="Least localization health for following a path [1]."
     )
     timeouts: Timeouts = Timeouts()
-    mount: Mount = Mount()
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Mount()
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:

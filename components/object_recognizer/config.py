@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field, model_validator
 
-from cairn import Config, Mount, ReadPath
+from cairn import Config, FromRobot, Mount, ReadPath
 from cairn.vision.verification import LEAST
 
 
@@ -17,7 +19,9 @@ class ObjectRecognizerConfig(Config):
         "belongs to the robot. Objects taught while the robot runs are recognized a second later."
     )
     stereo: bool = Field(True, description="Whether there is a right camera.")
-    mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
+    mount: Annotated[Mount, FromRobot("mounts.camera")] = Field(
+        Mount(), description="Pose of the left camera on the robot."
+    )
     least_inliers: int = Field(
         LEAST,
         ge=LEAST,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from cairn import Config, Mount, ReadPath
+from cairn import Config, FromRobot, Mount, ReadPath
 
 
 class ObjectFinderConfig(Config):
@@ -25,7 +25,9 @@ class ObjectFinderConfig(Config):
         "on_request",
         description="Whether a proposal becomes an object when an operator accepts it, or at once.",
     )
-    mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
+    mount: Annotated[Mount, FromRobot("mounts.camera")] = Field(
+        Mount(), description="Pose of the left camera on the robot."
+    )
     nearest: float = Field(0.4, gt=0, le=100, description="Nearest thing [m].")
     farthest: float = Field(3.5, gt=0, le=100, description="Farthest thing [m].")
     images_per_s: float = Field(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -496,7 +497,7 @@ MAX_SHOWN_POSES = 500  # poses of a path for display
 def plan_message(header: Header, command_id: int, result: PlanResult) -> Plan:
     """Return the result for a goal as a message."""
     nearest = result.nearest or (float("nan"), float("nan"))
-    summary = Plan(
+    message = Plan(
         header=header,
         command_id=command_id,
         outcome=int(result.outcome),
@@ -504,15 +505,10 @@ def plan_message(header: Header, command_id: int, result: PlanResult) -> Plan:
         nearest_x=nearest[0],
         nearest_y=nearest[1],
     )
-    if result.route is None:
-        return summary
-    return Plan(
-        header=header,
-        command_id=command_id,
-        outcome=int(result.outcome),
-        length=result.route.length(),
-        poses=packed_poses(result.route.poses),
-    )
+    route = result.route
+    if route is None:
+        return message
+    return replace(message, length=route.length(), poses=packed_poses(route.poses))
 
 
 def path_message(header: Header, result: PlanResult, most: int = MAX_SHOWN_POSES) -> Path:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cairn import Config, Mount
+from cairn import Config, FromRobot, Mount
 from cairn.components.path_planner.cost_map import CostParameters
 
 
 class PathPlannerConfig(Config):
     """Parameters of the path planner; all may change at run time."""
 
-    radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    radius: Annotated[float, FromRobot("shape.radius_m")] = Field(
+        0.22, gt=0, le=5, description="Radius of the robot [m]."
+    )
     margin: float = Field(
         0.05,
         ge=0,
@@ -36,7 +38,7 @@ class PathPlannerConfig(Config):
     )
     allow_unknown: bool = Field(False, description="Whether paths may lead through unknown cells.")
     step: float = Field(0.1, ge=0.02, le=1, description="Distance between the poses of a path [m].")
-    mount: Mount = Mount()
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Mount()
     obstacle_memory_s: float = Field(
         3.0,
         ge=0,
@@ -89,7 +91,7 @@ class PathPlannerConfig(Config):
         description="What a robot with a goal does in a keepout zone: `leave` by the shortest way, "
         "or `stop` and report it until the zone is changed or an operator drives it out.",
     )
-    speed: float = Field(
+    speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
         0.6,
         gt=0,
         le=3,

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from cairn import Config, SensorFrame
+from cairn import Config, FromRobot, SensorFrame
 from cairn.driver.device_names import SerialPort
 
 
@@ -23,7 +23,9 @@ class PbsConfig(Config):
         "[:SERIAL] with hexadecimal numbers."
     )
     data_bits: Literal[7, 8] = Field(7, description="Data bits on the line; the sensor has 7 [1].")
-    frame_id: SensorFrame = Field("laser", description="Frame of the scans.")
+    frame_id: Annotated[SensorFrame, FromRobot("mounts.scanner.frame")] = Field(
+        "laser", description="Frame of the scans."
+    )
     resolution: float = Field(
         math.radians(1.8),
         ge=math.radians(1.7),

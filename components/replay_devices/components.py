@@ -23,9 +23,9 @@ from cairn.components.replay_devices.recording import (
     RecordedObservation,
     Recording,
 )
-from cairn.planar.messages import pose_message, with_covariance
+from cairn.planar.messages import pose_message, twist_message, with_covariance
 from cairn.schemas.cairn_msgs import RecognizedObject, RecognizedObjectArray, VisualMap
-from cairn.schemas.geometry_msgs import PoseStamped, Twist, TwistWithCovariance, Vector3
+from cairn.schemas.geometry_msgs import PoseStamped, TwistWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.rosgraph_msgs import Clock
 from cairn.schemas.sensor_msgs import LaserScan
@@ -102,15 +102,13 @@ class ReplayOdometry(ReplayComponent):
     def publish(self, index: int) -> None:
         """Publish the record with an index."""
         x, y, theta = self._odometry.poses[index].tolist()
-        forward, turn = self._odometry.twists[index].tolist()
+        twist = twist_message(*self._odometry.twists[index].tolist())
         self.odom.publish(
             Odometry(
                 header=Header(stamp=from_ns(self._odometry.stamps[index]), frame_id="odom"),
                 child_frame_id="base_link",
                 pose=with_covariance((x, y, theta), self._odometry.covariances[index]),
-                twist=TwistWithCovariance(
-                    twist=Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
-                ),
+                twist=TwistWithCovariance(twist=twist),
             )
         )
 

@@ -51,9 +51,9 @@ class MrclamRecording(Recording):
     def odometry(self) -> OdometryStream:
         """Return the commanded velocities, and the poses that they add up to."""
         rows = self._dataset.odometry(self._robot)
-        reckoned = integrate_commands(rows)
-        covariances = covariances_of(reckoned.deviations)
-        return OdometryStream(nanoseconds(rows[:, 0]), reckoned.poses, covariances, rows[:, 1:])
+        poses, deviations = integrate_commands(rows)
+        covariances = covariances_of(deviations)
+        return OdometryStream(nanoseconds(rows[:, 0]), poses, covariances, rows[:, 1:])
 
     def observations(self) -> ObservationStream:
         """Return the observations of landmarks, those of one time as one frame.
@@ -116,18 +116,7 @@ def read_landmarks(folder: Path) -> VisualMap:
     """
     return VisualMap(
         header=Header(frame_id="map"),
-        objects=tuple(
-            VisualObject(
-                object_id=survey.subject,
-                name=f"landmark {survey.subject}",
-                x=survey.x,
-                y=survey.y,
-                covariance=np.array([survey.x_sd**2, 0.0, 0.0, survey.y_sd**2]),
-                reliability=0.5,
-                state=VisualObject.LIVE,
-            )
-            for survey in MrclamDataset(folder).landmarks()
-        ),
+        objects=tuple(MrclamDataset(folder).landmarks()),
     )
 
 
@@ -142,19 +131,12 @@ def range_bearing_variance(range_m: float) -> tuple[float, float]:
     return range_sd**2, math.radians(0.8) ** 2 + sideways**2
 
 
-@dataclass(frozen=True)
-class DeadReckoning:
-    """Poses (n, 3: x [m], y [m], theta [rad]) and standard deviations (n, 2: m, rad)."""
+def integrate_commands(odometry: Array) -> tuple[Array, Array]:
+    """Return poses (n, 3: m, m, rad) and their standard deviations (n, 2: m, rad) at records.
 
-    poses: Array
-    deviations: Array
-
-
-def integrate_commands(odometry: Array) -> DeadReckoning:
-    """Return the pose at each record (n, 3: time [s], forward [m/s], turn [rad/s]).
-
-    A command holds until the next one. The deviations assume that the base executes a command with
-    an error of 10 % and drifts by 0.04 rad and 2.5 cm per square root of a second of motion.
+    These are (n, 3): time [s], forward [m/s], turn [rad/s]. A command holds until the next one. The
+    deviations assume that the base executes a command with an error of 10 % and drifts by 0.04 rad
+    and 2.5 cm per square root of a second of motion.
     """
     time, forward, turn = odometry.T
     step = np.diff(time)
@@ -169,7 +151,7 @@ def integrate_commands(odometry: Array) -> DeadReckoning:
     path = np.concatenate([[0.0], np.cumsum(np.abs(advanced))])
     turn_sd = np.sqrt(0.04**2 * moving + (0.1 * np.abs(theta)) ** 2)
     position_sd = np.sqrt(0.025**2 * moving + (0.1 * path) ** 2 + (0.5 * turn_sd * path) ** 2)
-    return DeadReckoning(np.stack([x, y, theta], axis=1), np.stack([position_sd, turn_sd], axis=1))
+    return np.stack([x, y, theta], axis=1), np.stack([position_sd, turn_sd], axis=1)
 
 
 ROBOTS = range(1, 6)  # subjects 1..5 are robots, 6..20 landmarks
@@ -194,17 +176,6 @@ _DEVIATIONS = (_Column("standard deviation of x [m]", 0.0, 1e3),
 _VELOCITIES = (_Column("forward [m/s]", -100.0, 100.0), _Column("turn [rad/s]", -100.0, 100.0))
 _OBSERVATION = (_BARCODE, _Column("range [m]", 1e-6, 1e4), _Column("bearing [rad]", -7.0, 7.0))
 _HEADING = _Column("heading [rad]", -1e3, 1e3)
-
-
-@dataclass(frozen=True)
-class SurveyedLandmark:
-    """A surveyed landmark: subject number, position [m] and its standard deviations [m]."""
-
-    subject: int
-    x: float
-    y: float
-    x_sd: float
-    y_sd: float
 
 
 @dataclass(frozen=True)
@@ -235,16 +206,24 @@ class MrclamDataset:
             subjects[number] = _whole(path, line, subject, "subject")
         return subjects
 
-    def landmarks(self) -> list[SurveyedLandmark]:
+    def landmarks(self) -> list[VisualObject]:
         """Return the surveyed landmarks, in the order of the file."""
         path = self._find("Landmark_Groundtruth.dat")
         table, lines = _read(path, (_SUBJECT, *_POSITION, *_DEVIATIONS))
-        surveys: dict[int, SurveyedLandmark] = {}
-        for row, line in zip(table, lines, strict=True):
-            subject = _whole(path, line, row[0], "subject")
+        surveys: dict[int, VisualObject] = {}
+        for (number, x, y, x_sd, y_sd), line in zip(table.tolist(), lines, strict=True):
+            subject = _whole(path, line, number, "subject")
             if subject in surveys:
                 raise damaged_line(path, line, f"landmark {subject} is listed twice")
-            surveys[subject] = SurveyedLandmark(subject, *(float(value) for value in row[1:]))
+            surveys[subject] = VisualObject(
+                object_id=subject,
+                name=f"landmark {subject}",
+                x=x,
+                y=y,
+                covariance=np.array([x_sd**2, 0.0, 0.0, y_sd**2]),
+                reliability=0.5,
+                state=VisualObject.LIVE,
+            )
         return list(surveys.values())
 
     def odometry(self, robot: int) -> Array:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field, model_validator
 
-from cairn import Config
+from cairn import Config, FromRobot
 from cairn.components.roboclaw_base.drive_loop import DriveSettings
 from cairn.components.roboclaw_base.kinematics import BaseLimits, MotorChannel, WheelGeometry
 from cairn.components.roboclaw_base.odometry import OdometryNoise
@@ -30,14 +32,16 @@ class RoboclawBaseConfig(Config):
     address: int = Field(
         0x80, ge=0x80, le=0x87, description="Address of the RoboClaw, 128 to 135; any over USB."
     )
-    wheel_radius: float = Field(gt=0.005, le=1, description="Radius of the left wheel [m].")
+    wheel_radius: Annotated[float, FromRobot("drive.wheel_radius_m")] = Field(
+        gt=0.005, le=1, description="Radius of the left wheel [m]."
+    )
     radius_ratio: float = Field(
         1.0,
         gt=0.9,
         lt=1.1,
         description="Radius of the right wheel divided by that of the left one [1].",
     )
-    wheel_separation: float = Field(
+    wheel_separation: Annotated[float, FromRobot("drive.wheel_separation_m")] = Field(
         gt=0.02, le=3, description="Distance of the points where the wheels touch the floor [m]."
     )
     counts_per_turn: float = Field(
@@ -52,10 +56,16 @@ class RoboclawBaseConfig(Config):
     right_inverted: bool = Field(
         False, description="Whether the right wheel rolls backwards at positive speeds."
     )
-    speed: float = Field(0.6, gt=0, le=5, description="Highest speed [m/s].")
-    turn: float = Field(1.5, gt=0, le=10, description="Highest turn rate [rad/s].")
-    acceleration: float = Field(0.8, ge=0.05, le=20, description="Highest acceleration [m/s^2].")
-    turn_acceleration: float = Field(
+    speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
+        0.6, gt=0, le=5, description="Highest speed [m/s]."
+    )
+    turn: Annotated[float, FromRobot("limits.turn_rad_s")] = Field(
+        1.5, gt=0, le=10, description="Highest turn rate [rad/s]."
+    )
+    acceleration: Annotated[float, FromRobot("limits.acceleration_m_s2")] = Field(
+        0.8, ge=0.05, le=20, description="Highest acceleration [m/s^2]."
+    )
+    turn_acceleration: Annotated[float, FromRobot("limits.turn_acceleration_rad_s2")] = Field(
         3.0, ge=0.1, le=50, description="Highest acceleration of turns [rad/s^2]."
     )
     rate: float = Field(

@@ -8,9 +8,9 @@ from cairn import from_ns
 from cairn.components.roboclaw_base.health import ControllerHealth
 from cairn.components.roboclaw_base.odometry import OdometryNoise, WheelOdometry, WheelStep
 from cairn.driver.diagnostics import ERROR, OK, WARN, diagnostics
-from cairn.planar.messages import transform_message, with_covariance
+from cairn.planar.messages import transform_message, twist_message, with_covariance
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
-from cairn.schemas.geometry_msgs import TransformStamped, Twist, TwistWithCovariance, Vector3
+from cairn.schemas.geometry_msgs import TransformStamped, TwistWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import BatteryState
 from cairn.schemas.std_msgs import Header
@@ -36,12 +36,11 @@ def odometry_message(
     covariance[_TURN] = (
         noise.turn**2 * abs(step.turn) + noise.turn_per_meter**2 * abs(step.distance)
     ) / seconds**2
-    twist = Twist(linear=Vector3(x=speed[0]), angular=Vector3(z=speed[1]))
     return Odometry(
         header=Header(stamp=from_ns(step.stamp), frame_id=_ODOM),
         child_frame_id=_BASE,
         pose=with_covariance(odometry.pose, odometry.covariance),
-        twist=TwistWithCovariance(twist=twist, covariance=covariance),
+        twist=TwistWithCovariance(twist=twist_message(*speed), covariance=covariance),
     )
 
 

@@ -12,11 +12,10 @@ from cairn import (
     every,
     on,
 )
-from cairn.components.ros2_devices.command_relay import CommandRelay, stamped_twist, twist
+from cairn.components.ros2_devices.command_relay import CommandRelay, stamped_twist
 from cairn.components.ros2_devices.config import Ros2BaseConfig
 from cairn.components.ros2_devices.odometry import (
     OdometryContinuity,
-    OdometryLimits,
     odometry_message,
     odometry_transform,
     rejection,
@@ -24,13 +23,11 @@ from cairn.components.ros2_devices.odometry import (
 from cairn.driver.command_timeout import REST
 from cairn.driver.diagnostics import OK, WARN
 from cairn.driver.ros2_source import Ros2Source, SourceLimits
-from cairn.planar.messages import planar_pose
+from cairn.planar.messages import planar_pose, twist_message
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.geometry_msgs import Twist, TwistStamped
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.tf2_msgs import TFMessage
-
-_FASTER = 2.0  # times the commanded speed: the base may slow down late, or be pushed
 
 
 class Ros2Base(Component):
@@ -71,15 +68,7 @@ class Ros2Base(Component):
 
     def on_configure(self) -> None:
         """Start without knowledge of the base."""
-        config = self.config
-        self._limits = OdometryLimits(
-            config.odom_frame,
-            config.base_frame,
-            _FASTER * config.speed,
-            _FASTER * config.turn,
-            config.odom_timeout_s,
-        )
-        self._continuity = OdometryContinuity(self._limits)
+        self._continuity = OdometryContinuity(self.config)
 
     def on_activate(self) -> None:
         """Command rest, whatever was commanded before."""
@@ -123,7 +112,7 @@ class Ros2Base(Component):
     def on_base_odom(self, message: Odometry) -> None:
         """Publish the base's odometry if it is usable."""
         stamp = self._source.stamp_of(message.header.stamp)
-        reason = rejection(message, self._limits) or self._untimely(stamp)
+        reason = rejection(message, self.config) or self._untimely(stamp)
         if reason is not None:
             self._source.reject(reason)
             return
@@ -182,7 +171,7 @@ class Ros2Base(Component):
             frame = self.config.base_frame
             self.base_cmd_vel_stamped.publish(stamped_twist(stamp, frame, forward, turn))
         else:
-            self.base_cmd_vel.publish(twist(forward, turn))
+            self.base_cmd_vel.publish(twist_message(forward, turn))
 
     def _seconds(self) -> float:
         return self.clock.now() / SECOND

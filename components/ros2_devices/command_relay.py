@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from cairn import from_ns
 from cairn.driver.command_timeout import REST, LatestCommand, Velocity
-from cairn.schemas.geometry_msgs import Twist, TwistStamped, Vector3
+from cairn.planar.messages import twist_message
+from cairn.schemas.geometry_msgs import TwistStamped
 from cairn.schemas.std_msgs import Header
 
 
@@ -57,15 +58,10 @@ class CommandRelay:
         return REST if is_due else None
 
 
-def twist(forward: float, turn: float) -> Twist:
-    """Return a command message [m/s, rad/s]."""
-    return Twist(linear=Vector3(x=forward), angular=Vector3(z=turn))
-
-
 def stamped_twist(stamp: int, frame: str, forward: float, turn: float) -> TwistStamped:
     """Return a stamped command [ns] in the base's own frame; 0 means the base's present time."""
     return TwistStamped(
-        header=Header(stamp=from_ns(stamp), frame_id=frame), twist=twist(forward, turn)
+        header=Header(stamp=from_ns(stamp), frame_id=frame), twist=twist_message(forward, turn)
     )
 
 

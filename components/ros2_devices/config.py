@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field
 
-from cairn import Config, SensorFrame
+from cairn import Config, FromRobot, SensorFrame
 
 
 class Ros2BaseConfig(Config):
@@ -15,8 +17,12 @@ class Ros2BaseConfig(Config):
         description="Send geometry_msgs/TwistStamped on base_cmd_vel_stamped instead of Twist on "
         "base_cmd_vel, as diff_drive_controller requires since Jazzy.",
     )
-    speed: float = Field(0.6, gt=0, le=5, description="Highest speed sent to the base [m/s].")
-    turn: float = Field(1.5, gt=0, le=10, description="Highest turn rate sent to the base [rad/s].")
+    speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
+        0.6, gt=0, le=5, description="Highest speed sent to the base [m/s]."
+    )
+    turn: Annotated[float, FromRobot("limits.turn_rad_s")] = Field(
+        1.5, gt=0, le=10, description="Highest turn rate sent to the base [rad/s]."
+    )
     command_timeout_s: float = Field(
         0.3,
         gt=0,
@@ -53,7 +59,9 @@ class Ros2ScannerConfig(Config):
     """A range scanner whose node publishes `sensor_msgs/LaserScan`."""
 
     source_frame: str = Field("laser", min_length=1, description="Frame of the node's scans.")
-    frame_id: SensorFrame = Field("laser", description="Frame of the scans that are published.")
+    frame_id: Annotated[SensorFrame, FromRobot("mounts.scanner.frame")] = Field(
+        "laser", description="Frame of the scans that are published."
+    )
     upside_down: bool = Field(
         False, description="The scanner is mounted upside down: its beams turn to the right."
     )
@@ -77,7 +85,7 @@ class Ros2StereoCameraConfig(Config):
         description="The nodes' images are read from source_left_compressed and "
         "source_right_compressed (sensor_msgs/CompressedImage: JPEG, PNG).",
     )
-    mount_frame: SensorFrame = Field(
+    mount_frame: Annotated[SensorFrame, FromRobot("mounts.camera.frame")] = Field(
         "camera",
         description="Frame on the robot at the left camera, which looks along its x axis; the "
         "optical frames are published in it.",

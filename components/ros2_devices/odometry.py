@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import SECOND, from_ns
+from cairn.components.ros2_devices.config import Ros2BaseConfig
 from cairn.planar.messages import pose_message, transform_message
 from cairn.planar.odometry import (
     ODOMETRY_DISORDER_S,
@@ -27,31 +28,20 @@ Array = NDArray[np.float64]
 
 _ODOM, _BASE = "odom", "base_link"  # frames of Cairn's robots
 _NORM_TOLERANCE = 0.05  # how far the norm of an orientation may differ from 1
+_FASTER = 2.0  # times the commanded speed: the base may slow down late, or be pushed
 _SLACK_M = 0.1
 _SLACK_RAD = 0.2
 _SLACK_S = 0.1  # a motion that takes this much longer than the time passed is still possible
 _ORIGIN: Pose = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class OdometryLimits:
-    """Frames of the base's odometry, and its highest speeds [m/s, rad/s]."""
-
-    odom_frame: str
-    base_frame: str
-    speed: float
-    turn: float
-    silence_s: float
-    """A base that was silent for longer may have been restarted [s]."""
-
-
-def rejection(message: Odometry, limits: OdometryLimits) -> str | None:
+def rejection(message: Odometry, config: Ros2BaseConfig) -> str | None:
     """Return why a message of odometry cannot be used, as a sentence; None if it can."""
     frames = (message.header.frame_id, message.child_frame_id)
-    if frames != (limits.odom_frame, limits.base_frame):
+    if frames != (config.odom_frame, config.base_frame):
         return (
             f"the base's odometry is of frame {frames[1]!r} in {frames[0]!r}, not of "
-            f"{limits.base_frame!r} in {limits.odom_frame!r}; set base_frame and odom_frame"
+            f"{config.base_frame!r} in {config.odom_frame!r}; set base_frame and odom_frame"
         )
     q = message.pose.pose.orientation
     norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
@@ -82,11 +72,12 @@ class OdometryContinuity:
     pose that arrives late is continued as those of its time, and does not count as a jump.
     """
 
-    def __init__(self, limits: OdometryLimits) -> None:
-        self._limits = limits
+    def __init__(self, config: Ros2BaseConfig) -> None:
+        self._fastest = WheelLimits(_FASTER * config.speed, _FASTER * config.turn)
+        self._silence_s = config.odom_timeout_s
         self._history = OdometryHistory[int](
             round(ODOMETRY_DISORDER_S * SECOND),
-            WheelLimits(limits.speed, limits.turn),
+            self._fastest,
             resets_after=OUTDATED_IN_A_ROW,
         )
         self._offset = self._offset_before = _ORIGIN
@@ -136,15 +127,15 @@ class OdometryContinuity:
         return continued
 
     def _jumped(self, seconds: float, before: Pose, after: Pose) -> bool:
-        limits, possible_s = self._limits, max(0.0, seconds) + _SLACK_S
+        fastest, possible_s = self._fastest, max(0.0, seconds) + _SLACK_S
         too_far = apart(
             before,
             after,
-            limits.speed * possible_s + _SLACK_M,
-            limits.turn * possible_s + _SLACK_RAD,
+            fastest.speed * possible_s + _SLACK_M,
+            fastest.turn * possible_s + _SLACK_RAD,
         )
         return too_far or (
-            seconds > limits.silence_s and _at_origin(after) and not _at_origin(before)
+            seconds > self._silence_s and _at_origin(after) and not _at_origin(before)
         )
 
 

@@ -27,7 +27,7 @@ from cairn.schemas.sensor_msgs.msg import CompressedImage
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.vision.images import Gray, decode, gray_message, gray_of
-from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transform
+from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transforms
 from cairn.vision.stereo import StereoRig
 
 _FRAMES = (LEFT_FRAME, RIGHT_FRAME)
@@ -156,12 +156,7 @@ class Ros2StereoCamera(Component):
 
     def _publish_frames(self) -> None:
         header = Header(stamp=from_ns(self.clock.now()), frame_id=self.config.mount_frame)
-        offsets = (0.0,) if self._baseline is None else (0.0, self._baseline)
-        transforms = tuple(
-            optical_transform(header, frame, offset)
-            for frame, offset in zip(_FRAMES, offsets, strict=False)
-        )
-        self.tf_static.publish(TFMessage(transforms=transforms))
+        self.tf_static.publish(TFMessage(transforms=optical_transforms(header, self._baseline)))
 
 
 def _pixels(message: Image | CompressedImage) -> Gray:

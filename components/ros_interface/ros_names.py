@@ -48,7 +48,7 @@ class RosNames(Component):
         """Join the ROS names."""
         context = self._context
         deployment = Deployment.model_validate_json(context.launch.context.deployment)
-        self._robot = deployment.robot
+        self._robot = deployment.robot.name
         self._members = {ROOT, *(member.name for member in deployment.members())}
         self._statuses: dict[str, ComponentStatus] = {}
         self._topics = [_Topic(context, one) for one in ros_topics(deployment)]

@@ -505,15 +505,8 @@ class MissionRecord:
 
     def summary(self) -> dict[str, Any]:
         """Return it as plain values."""
-        return {
-            "mission_id": self.mission_id,
-            "goals": [list(goal) for goal in self.goals],
-            "reached": self.reached,
-            "state": self.state,
-            "reason": self.reason,
-            "seconds": round(self.seconds, 3),
-            "recoveries": self.recoveries,
-        }
+        goals = [list(goal) for goal in self.goals]
+        return vars(self) | {"goals": goals, "seconds": round(self.seconds, 3)}
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +16,17 @@ from cairn import (
     SENSOR,
     Component,
     Config,
+    FromRobot,
     In,
     Out,
     every,
     from_ns,
     on,
 )
-from cairn.planar.messages import transform_message, with_covariance
+from cairn.planar.messages import transform_message, twist_message, with_covariance
 from cairn.planar.poses import Pose, compose
 from cairn.schemas.cairn_sim_msgs import WheelMotion
-from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance, Vector3
+from cairn.schemas.geometry_msgs import Twist, TwistWithCovariance
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
@@ -33,10 +35,16 @@ from cairn.schemas.tf2_msgs import TFMessage
 class SimulatedBaseConfig(Config):
     """Dynamics and encoder errors of a differential-drive base."""
 
-    speed: float = Field(0.6, gt=0, le=5, description="Maximum speed [m/s].")
-    turn: float = Field(1.5, gt=0, le=10, description="Maximum turn rate [rad/s].")
-    acceleration: float = Field(0.8, gt=0, le=20, description="Acceleration [m/s^2].")
-    turn_acceleration: float = Field(
+    speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
+        0.6, gt=0, le=5, description="Maximum speed [m/s]."
+    )
+    turn: Annotated[float, FromRobot("limits.turn_rad_s")] = Field(
+        1.5, gt=0, le=10, description="Maximum turn rate [rad/s]."
+    )
+    acceleration: Annotated[float, FromRobot("limits.acceleration_m_s2")] = Field(
+        0.8, gt=0, le=20, description="Acceleration [m/s^2]."
+    )
+    turn_acceleration: Annotated[float, FromRobot("limits.turn_acceleration_rad_s2")] = Field(
         3.0, gt=0, le=50, description="Angular acceleration [rad/s^2]."
     )
     lag_s: float = Field(0.05, ge=0, le=1, description="Delay of a command [s].")
@@ -231,15 +239,13 @@ class SimulatedBase(Component):
                 robot=self.robot,
             )
         )
-        measured_forward, measured_turn = self._encoders.speeds(forward, turn)
+        twist = twist_message(*self._encoders.speeds(forward, turn))
         header = Header(stamp=stamp, frame_id=_ODOM)
         odometry = Odometry(
             header=header,
             child_frame_id=_BASE,
             pose=with_covariance(self._encoders.pose, self._encoders.covariance),
-            twist=TwistWithCovariance(
-                twist=Twist(linear=Vector3(x=measured_forward), angular=Vector3(z=measured_turn))
-            ),
+            twist=TwistWithCovariance(twist=twist),
         )
         transform = transform_message(header, _BASE, self._encoders.pose)
         self._send(now, odometry, TFMessage(transforms=(transform,)))

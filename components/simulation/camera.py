@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -18,6 +16,7 @@ from cairn import (
     SENSOR,
     CairnError,
     Config,
+    FromRobot,
     Mount,
     Out,
     SensorFrame,
@@ -50,7 +49,7 @@ from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.vision.images import gray_message
-from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transform
+from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transforms
 
 Fault = Literal["none", "left_missing", "right_missing", "frozen", "right_frozen", "swapped"]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
@@ -116,12 +115,16 @@ class SimulatedStereoCameraConfig(Config):
         le=1,
         description="Delay from the exposure to the publication of the images [s].",
     )
-    mount: Mount = Field(Mount(), description="Pose of the left camera on the robot.")
-    mount_frame: SensorFrame = Field(
+    mount: Annotated[Mount, FromRobot("mounts.camera")] = Field(
+        Mount(), description="Pose of the left camera on the robot."
+    )
+    mount_frame: Annotated[SensorFrame, FromRobot("mounts.camera.frame")] = Field(
         "camera",
         description="Frame of that pose on the robot; the optical frames are published in it.",
     )
-    z: float = Field(1.0, ge=0.05, le=10, description="Height above the floor [m].")
+    z: Annotated[float, FromRobot("mounts.camera.z")] = Field(
+        1.0, ge=0.05, le=10, description="Height above the floor [m]."
+    )
     distortion: Annotated[list[Coefficient], Field(max_length=5)] = Field(
         [],
         description="Distortion of both lenses: k1, k2, p1, p2, k3 of plumb_bob [1]; empty: "
@@ -195,18 +198,6 @@ def require_below_ceiling(height: float, surfaces: VisibleSurfaces) -> None:
         )
 
 
-def write_picture(picture: Gray, file: Path) -> None:
-    """Write an image; raise `CairnError` if that fails."""
-    try:
-        written = cv2.imwrite(str(file), picture)
-    except cv2.error as error:
-        raise CairnError(
-            f"{file}: unknown picture format ({error.err}); use .png or .jpg"
-        ) from error
-    if not written:
-        raise CairnError(f"{file}: cannot be written; check that the folder exists and is writable")
-
-
 class SimulatedStereoCamera(WorldSensor):
     """Photograph the simulated world in perspective, as a stereo pair with a horizontal view.
 
@@ -250,9 +241,8 @@ class SimulatedStereoCamera(WorldSensor):
     def on_activate(self) -> None:
         """Publish the optical frames; start to take photographs."""
         header = Header(stamp=from_ns(self.clock.now()), frame_id=self.config.mount_frame)
-        left = optical_transform(header, LEFT_FRAME, 0.0)
-        right = optical_transform(header, RIGHT_FRAME, self.config.baseline)
-        self.tf_static.publish(TFMessage(transforms=(left, right)))
+        transforms = optical_transforms(header, self.config.baseline)
+        self.tf_static.publish(TFMessage(transforms=transforms))
         self.measure_every(self._period, self._photograph)
 
     @on("world_geometry")

@@ -97,10 +97,11 @@ def see(
     ] = 1.0,
 ) -> None:
     """Write the picture that the simulated camera takes at a pose of a world file, at its start."""
-    from cairn.components.simulation.camera import seen_from, write_picture
+    from cairn.components.simulation.camera import seen_from
     from cairn.components.simulation.layout import WorldLayout
     from cairn.components.simulation.render_kernels import NEAR_M
     from cairn.components.simulation.world_file import read_world
+    from cairn.vision.images import write_picture
 
     pose = _pose_arguments(x, y, theta)
     world = read_world(file)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
-from cairn import RELIABLE, Config, Mount, Out, every, from_ns
+from cairn import RELIABLE, Config, FromRobot, Mount, Out, every, from_ns
 from cairn.components.simulation.layout import BEHIND_M
 from cairn.components.simulation.ray_casting import cast
 from cairn.components.simulation.sensor import WorldSensor
@@ -49,7 +50,9 @@ class SimulatedRecognizerConfig(Config):
         le=1,
         description="Probability that a recognized object is reported as another one [1].",
     )
-    mount: Mount = Field(Mount(), description="Pose of the camera on the robot.")
+    mount: Annotated[Mount, FromRobot("mounts.camera")] = Field(
+        Mount(), description="Pose of the camera on the robot."
+    )
 
 
 @dataclass(frozen=True)

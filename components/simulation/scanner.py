@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from cairn import (
     SENSOR,
     CairnError,
     Config,
+    FromRobot,
     Mount,
     Out,
     from_ns,
@@ -181,7 +182,9 @@ class SimulatedScannerConfig(Config):
         math.pi, ge=-math.pi, le=math.pi, description="Largest angle of the last beam [rad]."
     )
     skip: int = Field(1, ge=1, le=100, description="Measure every `skip`-th beam [1].")
-    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Field(
+        Mount(), description="Pose of the scanner on the robot."
+    )
     farthest: float | None = Field(
         None, gt=0, le=100, description="Largest range, if less than the model's [m]."
     )

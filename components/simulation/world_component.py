@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from logging import INFO, WARNING
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, field_validator
 
@@ -17,6 +17,7 @@ from cairn import (
     CairnError,
     Component,
     Config,
+    FromRobot,
     In,
     Out,
     RateLimitedLog,
@@ -73,7 +74,9 @@ class WorldConfig(Config):
     world: ReadPath = Field(
         description="World file (YAML), or the name of a world that Cairn ships."
     )
-    radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    radius: Annotated[float, FromRobot("shape.radius_m")] = Field(
+        0.22, gt=0, le=5, description="Radius of the robot [m]."
+    )
     robots: dict[Name, RobotStart] = Field(
         default_factory=dict,
         max_length=_MOST_ROBOTS,

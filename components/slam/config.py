@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
-from cairn import Config, Mount, ReadPath
+from cairn import Config, FromRobot, Mount, ReadPath
 
 
 class SlamConfig(Config):
     """Parameters of the component Slam."""
 
-    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Field(
+        Mount(), description="Pose of the scanner on the robot."
+    )
     map_file: Path = Field(
         description="The grid map that is written (YAML, with a PGM beside it), and beside it the "
         "graph (.graph), from which a restarted component continues. A new run keeps the graph of "

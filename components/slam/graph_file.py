@@ -39,6 +39,9 @@ APPLICATION: Final = 0x4361_7267
 FILE_BYTES: Final = 4_000_000_000
 """Largest graph file [bytes]."""
 
+LONGEST_VALUE: Final = 2_000_000
+"""Most bytes of a value in it: the points of one scan."""
+
 _FORMAT: Final = 3
 # Lives and places have a row for each span of versions, from `since` until before `until`; NULL:
 # until now. A keyframe belongs to the map in its lives. A place is a tile of `Renewals`. Keyframes
@@ -70,7 +73,6 @@ _MORE_TABLES: Final = {
     DIFFERENCES: "block_column INTEGER NOT NULL, block_row INTEGER NOT NULL, "
     "since_ns INTEGER NOT NULL, cells BLOB NOT NULL, PRIMARY KEY (block_column, block_row)"
 }
-_LONGEST_VALUE: Final = 2_000_000  # bytes of the points of one scan
 _MOST_KEYFRAMES: Final = 500_000
 _STEPS: Final = 400_000_000
 _LOCK_WAIT_S: Final = 5.0
@@ -223,16 +225,8 @@ def read_graph(path: Path, model: MotionModel = MEASURED) -> Mapper:
 
     Raises `CairnError` if there is no such file, or it is damaged.
     """
-    check_exists(path)
-    with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
-        if (size := path.stat().st_size) > FILE_BYTES:
-            raise too_large(path, size, FILE_BYTES)
-        bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
-        check_format(path, connection)
-        try:
-            return _read(connection, model)
-        except (ValueError, TypeError, KeyError, IndexError) as error:
-            raise damaged(path, str(error)) from error
+    with opened(path) as connection:
+        return _read(connection, model)
 
 
 def kept_path(path: Path) -> Path:
@@ -566,6 +560,18 @@ def open_connection(path: Path, *, read_only: bool = False) -> sqlite3.Connectio
     return connection
 
 
+@contextmanager
+def opened(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a graph to read it; raise `CairnError` if there is none, or it is damaged."""
+    check_exists(path)
+    with explained_damage(path), closing(open_connection(path, read_only=True)) as connection:
+        if (size := path.stat().st_size) > FILE_BYTES:
+            raise too_large(path, size, FILE_BYTES)
+        bound_connection(connection, longest=LONGEST_VALUE, steps=_STEPS)
+        check_format(path, connection)
+        yield connection
+
+
 def check_format(path: Path, connection: sqlite3.Connection) -> None:
     """Raise `CairnError` unless a file is a graph of this format."""
     ((application,),) = connection.execute("PRAGMA application_id").fetchall()
@@ -585,9 +591,9 @@ def check_format(path: Path, connection: sqlite3.Connection) -> None:
     try:
         found = table_columns(connection, _TABLES.keys() | _MORE_TABLES.keys(), ())
     except SchemaError as error:
-        raise damaged(path, str(error)) from error
+        raise _damaged(path, str(error)) from error
     if not _TABLES.keys() <= found.keys():
-        raise damaged(path, "tables are missing")
+        raise _damaged(path, "tables are missing")
 
 
 def check_exists(path: Path) -> None:
@@ -607,8 +613,7 @@ def _not_a_graph(path: Path) -> CairnError:
     return CairnError(f"{path}: not a graph; give one that `cairn map build` has written")
 
 
-def damaged(path: Path, fault: str) -> CairnError:
-    """Return the error of a damaged file."""
+def _damaged(path: Path, fault: str) -> CairnError:
     return CairnError(f"{path}: damaged graph: {fault}; restore a copy of it, or build it again")
 
 
@@ -638,3 +643,13 @@ def explained_errors(path: Path) -> Iterator[None]:
         raise CairnError(f"{path}: {error}; {_REMEDIES.get(code, _ANY_REMEDY)}") from error
     except OSError as error:
         raise CairnError(f"{path}: {explain_os_error(error)}") from error
+
+
+@contextmanager
+def explained_damage(path: Path) -> Iterator[None]:
+    """Raise errors of SQLite, of the disk, and of wrong content as `CairnError`."""
+    with explained_errors(path):
+        try:
+            yield
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            raise _damaged(path, str(error)) from error

@@ -19,18 +19,19 @@ from numpy.typing import NDArray
 
 from cairn.components.slam.graph_file import (
     DIFFERENCES,
-    FILE_BYTES,
+    LONGEST_VALUE,
     GraphState,
     check_exists,
     check_format,
     create_differences,
-    damaged,
     edge_rows,
+    explained_damage,
     explained_errors,
     has_differences,
     insert_keyframes,
     insert_tiles,
     open_connection,
+    opened,
     read_constraints,
     read_edges,
     read_state,
@@ -38,7 +39,6 @@ from cairn.components.slam.graph_file import (
 from cairn.components.slam.keyframes import Keyframe
 from cairn.components.slam.pose_graph import Edge, PoseGraph
 from cairn.errors import CairnError
-from cairn.limits.files import too_large
 from cairn.limits.sqlite import bound_connection
 from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose
@@ -47,8 +47,6 @@ from cairn.planar.scan_grid import ScanGrid
 from cairn.system.files import replacing
 from cairn.visual_map.sqlite_file import side_files
 
-_STEPS: Final = 400_000_000
-_LONGEST_VALUE: Final = 2_000_000
 # Free pages that are returned to the disk when the file is opened: with fewer, or a smaller share
 # of the file, writing the whole file again is not worth it.
 _FREE_PAGES, _FREE_SHARE = 256, 0.5
@@ -138,12 +136,12 @@ class GraphHistory:
         with explained_errors(path):
             self._connection = open_connection(path)
         try:
-            with self._reading():
+            with explained_damage(self._path):
                 check_format(path, self._connection)
                 # A change that was reported must not be lost in a power cut.
                 self._connection.execute("PRAGMA synchronous = FULL")
                 self._return_free_pages()  # attaches a file, which is not allowed later
-                bound_connection(self._connection, longest=_LONGEST_VALUE)
+                bound_connection(self._connection, longest=LONGEST_VALUE)
         except CairnError:
             self.close()
             raise
@@ -179,17 +177,17 @@ class GraphHistory:
         Islands that nothing joins to it have no position there, and are left out. Raises
         `CairnError` if the file is damaged.
         """
-        with self._reading():
+        with explained_damage(self._path):
             return _map_in(self._connection, read_state(self._connection, version))
 
     def edges(self, numbers: Sequence[int]) -> list[Edge]:
         """Return the constraints between some keyframes; raises `CairnError` as `state`."""
-        with self._reading():
+        with explained_damage(self._path):
             return read_edges(self._connection, numbers)
 
     def versions(self) -> tuple[int, int]:
         """Return the oldest version that the file keeps, and the present one."""
-        with self._reading():
+        with explained_damage(self._path):
             ((oldest, newest),) = self._connection.execute(
                 "SELECT oldest, version FROM graph"
             ).fetchall()
@@ -197,7 +195,7 @@ class GraphHistory:
 
     def next_number(self) -> int:
         """Return the number of the next keyframe."""
-        with self._reading():
+        with explained_damage(self._path):
             return _next(self._connection, "keyframes")
 
     def renew(self, before: int, renewal: Renewal) -> int:
@@ -241,7 +239,7 @@ class GraphHistory:
 
         Raises `CairnError` if the file is damaged.
         """
-        with self._reading():
+        with explained_damage(self._path):
             if not has_differences(self._connection):
                 return {}
             return {
@@ -317,14 +315,6 @@ class GraphHistory:
             self._connection.execute("VACUUM")
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
-        with explained_errors(self._path):
-            try:
-                yield
-            except (ValueError, TypeError, KeyError, IndexError) as error:
-                raise damaged(self._path, str(error)) from error
-
-    @contextmanager
     def _changing(self, before: int) -> Iterator[tuple[sqlite3.Connection, int]]:
         with explained_errors(self._path), self._connection as connection:
             connection.execute("BEGIN IMMEDIATE")
@@ -360,11 +350,8 @@ def copy_graph(original: Path, copy: Path) -> None:
 
 def graph_digest(path: Path) -> str:
     """Return a digest of a graph; raises `CairnError` if there is none, or it is damaged."""
-    check_exists(path)
     content = hashlib.sha256()
-    with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
-        bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
-        check_format(path, connection)
+    with opened(path) as connection:
         for table in ("graph", "poses", "places"):
             for row in connection.execute(f"SELECT * FROM {table} ORDER BY 1, 2"):
                 content.update(repr(row).encode())
@@ -403,19 +390,11 @@ class GraphLog:
 
 def read_log(path: Path) -> GraphLog:
     """Return the past of a graph; raises `CairnError` if there is none, or it is damaged."""
-    check_exists(path)
-    with explained_errors(path), closing(open_connection(path, read_only=True)) as connection:
-        if (size := path.stat().st_size) > FILE_BYTES:
-            raise too_large(path, size, FILE_BYTES)
-        bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
-        check_format(path, connection)
-        try:
-            ((origin, oldest, version),) = connection.execute(
-                "SELECT origin, oldest, version FROM graph"
-            ).fetchall()
-            return GraphLog(str(origin), int(oldest), int(version), _changes(connection))
-        except (ValueError, TypeError) as error:
-            raise damaged(path, str(error)) from error
+    with opened(path) as connection:
+        ((origin, oldest, version),) = connection.execute(
+            "SELECT origin, oldest, version FROM graph"
+        ).fetchall()
+        return GraphLog(str(origin), int(oldest), int(version), _changes(connection))
 
 
 def draw_state(state: GraphState, resolution: float) -> ScanGrid:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
-from cairn import Config, Mount, ReadPath
+from cairn import Config, FromRobot, Mount, ReadPath
 
 
 class GraphKeeperConfig(Config):
@@ -34,7 +35,9 @@ class GraphKeeperConfig(Config):
         description="Most keyframes per known area; with more, changes retire those that the map "
         "needs least. As many retired ones are kept for `cairn map rollback` [1/m²].",
     )
-    mount: Mount = Field(Mount(), description="Pose of the scanner on the robot.")
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Field(
+        Mount(), description="Pose of the scanner on the robot."
+    )
     scans_per_s: float = Field(
         2.0, gt=0, le=100, description="Maximum rate of scans that are considered [1/s]."
     )

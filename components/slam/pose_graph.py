@@ -13,6 +13,8 @@ from typing import Any
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from cairn.components.slam.chains import Chains, chains_of
 from cairn.planar.compiled import compiled
@@ -155,7 +157,10 @@ class PoseGraph:
     def _islands(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first pose of the island (n,), and of the part without landmarks (n,)."""
         ends = np.array([(e.first, e.second) for e in self.edges], np.int64).reshape(-1, 2)
-        parts = _first_connected(len(self.poses), ends)
+        count = len(self.poses)
+        links = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (count, count))
+        _, labels = connected_components(links, directed=False)
+        parts = np.unique(labels, return_index=True)[1][labels]
         if len(np.unique(parts)) == 1 or not self.sightings:
             return parts, parts
         islands = parts.copy()
@@ -588,25 +593,6 @@ def _sighting_factor(s: Sighting, widened: float) -> gtsam.BearingRangeFactor2D:
 def _landmark_key(landmark: int) -> int:
     key: int = gtsam.symbol("l", landmark)
     return key
-
-
-@compiled("int64[::1](int64, int64[:, ::1])")
-def _first_connected(count: int, ends: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each node (n,) the first one to which pairs (m, 2) connect it."""
-    parent = np.arange(count)
-    for k in range(len(ends)):
-        a, b = ends[k, 0], ends[k, 1]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
-        parent[max(a, b)] = min(a, b)
-    for node in range(count):
-        # Parents come before their nodes.
-        parent[node] = parent[parent[node]]
-    return parent
 
 
 @compiled(

@@ -37,7 +37,7 @@ from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.vision.camera_file import read_camera
 from cairn.vision.images import gray_message
-from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transform
+from cairn.vision.optical_frames import LEFT_FRAME, RIGHT_FRAME, optical_transforms
 from cairn.vision.stereo import StereoRig
 
 _FRAMES = (LEFT_FRAME, RIGHT_FRAME)
@@ -107,12 +107,7 @@ class V4l2StereoCamera(Component):
     def on_activate(self) -> None:
         """Publish the optical frames of the cameras, and start their streams."""
         header = Header(stamp=from_ns(self.clock.now()), frame_id=self.config.mount_frame)
-        offsets = (0.0,) if self._baseline is None else (0.0, self._baseline)
-        transforms = tuple(
-            optical_transform(header, frame, offset)
-            for frame, offset in zip(_FRAMES, offsets, strict=False)
-        )
-        self.tf_static.publish(TFMessage(transforms=transforms))
+        self.tf_static.publish(TFMessage(transforms=optical_transforms(header, self._baseline)))
         self._newest = [deque[StampedImage](maxlen=1) for _ in self._cameras]
         # The stamps of the last left images that were published without a right one.
         self._alone = deque[int](maxlen=UNPAIRED_KEPT + 1)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from cairn import Config, ReadPath, SensorFrame
+from cairn import Config, FromRobot, ReadPath, SensorFrame
 from cairn.components.v4l2_camera.camera_names import find_camera, is_name
 from cairn.components.v4l2_camera.decoding import FORMATS
 from cairn.driver.device_names import NamesDevice
@@ -127,7 +127,7 @@ class V4l2StereoCameraConfig(Config):
     right_calibration: ReadPath | None = Field(
         None, description="camera_info YAML file of the right camera."
     )
-    mount_frame: SensorFrame = Field(
+    mount_frame: Annotated[SensorFrame, FromRobot("mounts.camera.frame")] = Field(
         "camera",
         description="Frame on the robot at the left camera, which looks along its x axis; the "
         "optical frames are published in it.",

@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import typer
 from pydantic import ValidationError
 
@@ -30,6 +29,7 @@ from cairn.driver.errors import DeviceError
 from cairn.runtime.parameters import error_reason
 from cairn.terminal.options import Json
 from cairn.terminal.output import line, note, print_json
+from cairn.vision.images import write_picture
 
 _LINKS = (Path("/dev/v4l/by-id"), Path("/dev/v4l/by-path"))
 _USUAL_RATE = 25.0  # [1/s], of a camera that does not report it
@@ -137,7 +137,9 @@ def probe(
         line("\n".join(pairs.as_lines()))
     if out is not None:
         for file, trial in zip(_files(out), trials, strict=False):
-            _save(file, trial.newest)
+            if trial.newest is not None:
+                write_picture(trial.newest.gray, file)
+                note(f"{file} written")
     if not all(trial.newest for trial in trials):
         raise CairnError("not every camera sent an image; see the lines above")
 
@@ -309,19 +311,3 @@ def _note_error(trial: CameraTrial, error: Exception) -> None:
 
 def _files(out: Path) -> tuple[Path, Path]:
     return out, out.with_name(f"{out.stem}_right{out.suffix}")
-
-
-def _save(file: Path, image: StampedImage | None) -> None:
-    if image is None:
-        return
-    try:
-        written = cv2.imwrite(str(file), image.gray)
-    except cv2.error as error:
-        raise CairnError(
-            f"{file}: this file type cannot be written: {error.err}; use .png"
-        ) from error
-    if not written:
-        raise CairnError(
-            f"{file} cannot be written; check that its folder exists and you may write there"
-        )
-    note(f"{file} written")

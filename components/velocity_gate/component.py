@@ -37,12 +37,12 @@ from cairn.components.velocity_gate.sources import (
     Selection,
     SourceSelector,
 )
-from cairn.planar.messages import planar_pose
+from cairn.planar.messages import planar_pose, twist_message
 from cairn.planar.odometry import OdometryChange, time_went_back
 from cairn.planar.pose_tracker import PoseTracker, Sweep, WaitingScans
 from cairn.planar.scans import Rays, rays_of
 from cairn.schemas.cairn_nav_msgs import ReasonCode, TeleoperationCommand, VelocityGateStatus
-from cairn.schemas.geometry_msgs import Point32, Polygon, PolygonStamped, Twist, Vector3
+from cairn.schemas.geometry_msgs import Point32, Polygon, PolygonStamped, Twist
 from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Bool, Header
@@ -379,7 +379,8 @@ class VelocityGate(Component):
     def _engage(self, reason: str) -> None:
         if self._stop.engaged:
             return
-        self.cmd_vel.publish(_twist(self._pipeline.halt(0.02)))  # before the file is written
+        # Before the file is written.
+        self.cmd_vel.publish(twist_message(*self._pipeline.halt(0.02)))
         self._stop.engage(reason)
         self.log.warning("emergency stop engaged: %s", self._stop.reason)
         if self._stop.problem:
@@ -443,7 +444,7 @@ class VelocityGate(Component):
         active = selection is not None or self._stop.engaged or before != STILL
         if output.command != before or (active and due):
             self._published_at = now
-            self.cmd_vel.publish(_twist(output.command))
+            self.cmd_vel.publish(twist_message(*output.command))
         self._report(now, selection, operator, (code, held), output.command)
 
     def _surroundings(self, now: int) -> Surroundings | None:
@@ -541,10 +542,6 @@ def _stale(what: str, topic: str, at: int | None, now: int, limit_s: float) -> s
     if 0 <= now - at <= limit_s * SECOND:
         return ""
     return f"no {what} for more than {limit_s:g} s on {topic}"
-
-
-def _twist(command: Velocity) -> Twist:
-    return Twist(linear=Vector3(x=command[0]), angular=Vector3(z=command[1]))
 
 
 def _number(value: Any) -> float:

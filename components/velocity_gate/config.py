@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from cairn import Config, Mount
+from cairn import Config, FromRobot, Mount
 from cairn.components.velocity_gate.collision_monitor import (
     Corners,
     Footprint,
@@ -53,15 +53,21 @@ class VelocityGateConfig(Config):
     navigator: SourceConfig = SourceConfig()
     external: ExternalConfig = ExternalConfig()
     teleoperation: TeleoperationConfig = TeleoperationConfig()
-    radius: float = Field(0.22, gt=0.05, le=2, description="Radius of the round robot [m].")
+    radius: Annotated[float, FromRobot("shape.radius_m")] = Field(
+        0.22, gt=0.05, le=2, description="Radius of the round robot [m]."
+    )
     footprint: Corners = Field(
         (),
         max_length=12,
         description="Corners [x, y] of a robot that is not round, around its center [m]; it "
         "replaces radius.",
     )
-    speed: float = Field(0.6, gt=0, le=3, description="Maximum speed ahead [m/s].")
-    reverse_speed: float = Field(0.3, ge=0, le=3, description="Maximum speed backward [m/s].")
+    speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
+        0.6, gt=0, le=3, description="Maximum speed ahead [m/s]."
+    )
+    reverse_speed: Annotated[float, FromRobot("limits.reverse_speed_m_s")] = Field(
+        0.3, ge=0, le=3, description="Maximum speed backward [m/s]."
+    )
     blind_reverse_speed: float = Field(
         0.1,
         ge=0,
@@ -69,7 +75,9 @@ class VelocityGateConfig(Config):
         description="Maximum speed backward, by teleoperation, onto ground that the scanner has "
         "not seen lately [m/s]; other sources do not drive there.",
     )
-    turn_speed: float = Field(1.5, gt=0, le=6, description="Maximum turn rate [rad/s].")
+    turn_speed: Annotated[float, FromRobot("limits.turn_rad_s")] = Field(
+        1.5, gt=0, le=6, description="Maximum turn rate [rad/s]."
+    )
     acceleration: float = Field(1.0, gt=0, le=10, description="Maximum acceleration [m/s^2].")
     deceleration: float = Field(
         1.5, gt=0, le=20, description="Maximum deceleration, except in emergencies [m/s^2]."
@@ -141,7 +149,7 @@ class VelocityGateConfig(Config):
         description="File of the emergency stop; without it, a gate that was restarted begins with "
         "the stop engaged.",
     )
-    mount: Mount = Mount()
+    mount: Annotated[Mount, FromRobot("mounts.scanner")] = Mount()
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:

@@ -77,6 +77,8 @@ class ActionGoal:
 
     action: ClassVar[str]
     """Name of the action's port."""
+    messages: ClassVar[Any]
+    """The action's messages."""
 
     def __init__(self, goal: ServerGoal[Any, Any, Any]) -> None:
         """`goal` is that of the action server, which this answers."""
@@ -95,7 +97,7 @@ class ActionGoal:
 
     def result(self, code: int, text: str) -> Any:
         """Return the result with an error code and a text, 0 and "" after success."""
-        raise NotImplementedError
+        return self.messages.Result(error_code=code, error_msg=text)
 
     def goes_on(self, _failed: int | None, _code: int) -> bool:
         """Return whether the robot shall drive on, from pose `first`.
@@ -114,6 +116,7 @@ class ToPose(ActionGoal):
     """`navigate_to_pose`: drive to one pose."""
 
     action = "navigate_to_pose"
+    messages = NavigateToPose
 
     @property
     def poses(self) -> Sequence[PoseStamped]:
@@ -124,15 +127,12 @@ class ToPose(ActionGoal):
         """Return the feedback for the progress of the mission."""
         return NavigateToPose.Feedback(**_common(status, pose))
 
-    def result(self, code: int, text: str) -> NavigateToPose.Result:
-        """Return the result."""
-        return NavigateToPose.Result(error_code=code, error_msg=text)
-
 
 class ThroughPoses(ActionGoal):
     """`navigate_through_poses`: drive to one pose after the other, and fail if one fails."""
 
     action = "navigate_through_poses"
+    messages = NavigateThroughPoses
 
     @property
     def poses(self) -> Sequence[PoseStamped]:
@@ -149,10 +149,6 @@ class ThroughPoses(ActionGoal):
             **_common(status, pose), number_of_poses_remaining=left
         )
 
-    def result(self, code: int, text: str) -> NavigateThroughPoses.Result:
-        """Return the result."""
-        return NavigateThroughPoses.Result(error_code=code, error_msg=text)
-
 
 class Waypoints(ActionGoal):
     """`follow_waypoints`: drive to the poses, several times if the goal says so.
@@ -162,6 +158,7 @@ class Waypoints(ActionGoal):
     """
 
     action = "follow_waypoints"
+    messages = FollowWaypoints
 
     def __init__(self, goal: ServerGoal[Any, Any, Any], *, stop_on_failure: bool) -> None:
         """Begin at the goal's first waypoint."""
@@ -252,11 +249,23 @@ class MotionGoal(ActionGoal):
         self.elapsed = duration_message(status.elapsed)
         return max(0.0, abs(self.amount) - status.distance_left)
 
+    def result(self, code: int, text: str) -> Any:
+        """Return the result, with the time that it took."""
+        result = self.messages.Result
+        if code == TIMEOUT_ERROR:
+            code = result.TIMEOUT
+        elif code == FollowPath.Result.FAILED_TO_MAKE_PROGRESS:
+            code = result.COLLISION_AHEAD
+        elif code != 0:
+            code = result.UNKNOWN
+        return result(total_elapsed_time=self.elapsed, error_code=code, error_msg=text)
+
 
 class SpinGoal(MotionGoal):
     """`spin`: turn on the spot."""
 
     action = "spin"
+    messages = Spin
     motion = NavigateGoal.TURN
 
     @property
@@ -268,19 +277,12 @@ class SpinGoal(MotionGoal):
         """Return how far the robot has turned."""
         return Spin.Feedback(angular_distance_traveled=self.moved(status))
 
-    def result(self, code: int, text: str) -> Spin.Result:
-        """Return the result."""
-        return Spin.Result(
-            total_elapsed_time=self.elapsed,
-            error_code=_of_motion(code, Spin.Result),
-            error_msg=text,
-        )
-
 
 class BackUpGoal(MotionGoal):
     """`back_up`: drive straight back."""
 
     action = "back_up"
+    messages = BackUp
     motion = NavigateGoal.REVERSE
 
     @property
@@ -296,24 +298,6 @@ class BackUpGoal(MotionGoal):
     def feedback(self, status: NavigationStatus, _: PoseStamped) -> BackUp.Feedback:
         """Return how far the robot has driven."""
         return BackUp.Feedback(distance_traveled=self.moved(status))
-
-    def result(self, code: int, text: str) -> BackUp.Result:
-        """Return the result."""
-        return BackUp.Result(
-            total_elapsed_time=self.elapsed,
-            error_code=_of_motion(code, BackUp.Result),
-            error_msg=text,
-        )
-
-
-def _of_motion(code: int, result: type[Spin.Result] | type[BackUp.Result]) -> int:
-    """Return the error code of a motion's result for one of navigation."""
-    if code == 0:
-        return 0
-    if code == TIMEOUT_ERROR:
-        return result.TIMEOUT
-    is_blocked = code == FollowPath.Result.FAILED_TO_MAKE_PROGRESS
-    return result.COLLISION_AHEAD if is_blocked else result.UNKNOWN
 
 
 def goal_message(action: str, goals: Sequence[Pose]) -> Any:

@@ -167,7 +167,10 @@ def keys_of(
         ]
         for port in ports:
             if port.direction == direction:
-                topic = full_name(deployment.robot, member.spec.topics.get(port.name, port.name))
+                topic = full_name(
+                    deployment.robot.name, member.spec.topics.get(port.name, port.name)
+                )
+                topic = full_name(deployment.robot.name, topic)
                 key = keys.message_key(deployment.domain, topic, port.interface)
                 found.setdefault(key, set()).add(member.name)
     return found

@@ -17,6 +17,7 @@ from tests.components.corrected_logs import (
     mapped_by_stretches,
     new_localizer,
 )
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -40,7 +41,7 @@ def fr101() -> LogAndMap:
     return log_and_map("fr101")
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", sampled(range(2)))
 def test_wheel_slip_in_a_real_log_does_not_lose_the_robot(fr079: LogAndMap, seed: int) -> None:
     log, grid = fr079
     every = np.ones(len(log.scans), bool)
@@ -62,7 +63,7 @@ def test_scans_three_seconds_apart_keep_the_pose(fr101: LogAndMap) -> None:
     assert outcome.error.max() < 0.5
 
 
-@pytest.mark.parametrize("begin_s", [110.0, 350.0, 590.0, 790.0])
+@pytest.mark.parametrize("begin_s", sampled([110.0, 350.0, 590.0, 790.0]))
 def test_robot_is_found_in_an_office_building(fr101: LogAndMap, begin_s: float) -> None:
     log, grid = fr101
     robot = new_localizer(grid, 1)

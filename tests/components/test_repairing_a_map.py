@@ -14,6 +14,7 @@ from cairn.schemas.cairn_msgs import VisualMap, VisualMapChange, VisualObject
 from cairn.schemas.geometry_msgs import PoseWithCovarianceStamped
 from cairn.testing.lockstep import DeploymentHarness
 from cairn.visual_map.new_map import write_map
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -60,7 +61,7 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
 # Robot 5 confuses many landmarks, is lost at times, and may remove an unmoved landmark: it must
 # restore it.
 @pytest.mark.parametrize(
-    ("robot", "object_id", "may_remove_others"), [(2, 13, False), (5, 13, True)]
+    ("robot", "object_id", "may_remove_others"), sampled([(2, 13, False), (5, 13, True)])
 )
 def test_displaced_landmark_is_registered_at_its_true_position(
     dataset: Path, tmp_path: Path, robot: int, object_id: int, may_remove_others: bool

@@ -35,6 +35,7 @@ def goal(x: float, y: float) -> dict[str, Any]:
     }
 
 
+@pytest.mark.accuracy
 def test_robot_is_driven_while_localizer_and_planner_are_killed(
     tmp_path: Path, ament: Path
 ) -> None:

@@ -60,19 +60,24 @@ class Machines:
 
 
 @pytest.fixture
-def machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Machines]:
+def machines(tmp_path: Path) -> Iterator[Machines]:
     """Give two computers that are cabled, with identities of robot `robot`."""
     if reason := missing():
         pytest.skip(reason)
-    with _machines(tmp_path, monkeypatch) as made:
+    with two_machines(tmp_path) as made:
         yield made
 
 
 @contextmanager
-def _machines(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Machines]:
+def two_machines(folder: Path) -> Iterator[Machines]:
+    """Yield two computers that are cabled, whose identities and reports are in this folder."""
     security = folder / "security"
-    monkeypatch.setenv(VARIABLE, str(security))
-    with two_computers() as (base, brain, cable), launching(folder) as launch:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        two_computers() as (base, brain, cable),
+        launching(folder) as launch,
+    ):
+        patch.setenv(VARIABLE, str(security))
         members = [
             AuthorityMember("base", None, (base.address,)),
             AuthorityMember("brain", None, (brain.address,)),

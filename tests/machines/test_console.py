@@ -1,4 +1,4 @@
-"""The console of one machine shows and reaches the components of the others."""
+"""The console of one machine shows and reaches the components of the others; a fallback works."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.machines.test_two_machines import start, tree
 pytestmark = [pytest.mark.processes, pytest.mark.xdist_group("machines")]
 
 
-def test_console_reaches_components_of_another_machine_and_shows_that_it_is_lost(
+def test_console_reaches_another_machine_and_shows_its_loss_while_the_fallback_works(
     machines: Machines,
 ) -> None:
     base, brain = start(machines, tree(machines, listener=", fallback: {}"))
@@ -49,6 +49,9 @@ def test_console_reaches_components_of_another_machine_and_shows_that_it_is_lost
             rows = page.event("components")["components"]
             states = {one["name"]: one["state"] for one in rows}
         await_machines(page, lambda rows: rows == {("brain", "base", "lost")})
+        base.await_line("listener_fallback: received")
+        machines.cable.is_cut = False
+        base.await_line("mobile: child stopped: listener_fallback")
 
 
 def await_machines(page: Page, holds: Callable[[set[tuple[str, str, str]]], bool]) -> None:

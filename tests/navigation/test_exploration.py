@@ -114,6 +114,7 @@ def test_ctrl_c_ends_the_exploration_and_the_map_so_far_is_saved(
     assert cairn("map", "save", str(out), "--force", connect=connect).code == 0
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 @pytest.mark.xdist_group("robots in real time")
 def test_exploration_survives_kills_of_slam_explorer_and_automove(

@@ -15,6 +15,7 @@ from cairn.planar.poses import distance
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.navigation.driving import DEPLOY, ON_REQUEST, STOPS_S, LockstepRobot
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -113,7 +114,7 @@ def test_silent_component_stops_the_robot_in_time(
 
 
 @pytest.mark.parametrize(
-    "component", ["map_builder", "localizer", "path_planner", "motion_control"]
+    "component", sampled(["localizer", "motion_control", "map_builder", "path_planner"], 2)
 )
 def test_restarted_plugin_does_not_end_the_mission(drive: RobotFactory, component: str) -> None:
     robot = drive()

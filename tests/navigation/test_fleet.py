@@ -181,6 +181,7 @@ def repair_maps_of_five_robots(folder: Path) -> Repair:
     )
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_what_is_moved_in_front_of_one_of_five_robots_is_repaired_in_all_maps(
     tmp_path: Path,

@@ -38,6 +38,7 @@ def stored_evidence(report: Path) -> int:
         return sum(len(store.evidence_of(one.object_id)) for one in store.landmarks())
 
 
+@pytest.mark.accuracy
 def test_robot_drives_while_its_disk_is_full_and_saves_all_when_there_is_room(
     tmp_path: Path,
 ) -> None:

@@ -20,6 +20,7 @@ MISSION = "mission=[[5.5, 2.3, 0.2], [7.2, 2.2, 0.2], [5.9, 2.6, -0.1]]"
 MOVED = "[{at: 7, move: object_7, to: {x: 9.0, y: 1.9, theta: 3.1416}}]"
 
 
+@pytest.mark.accuracy
 def test_object_moved_in_view_is_moved_in_the_map(tmp_path: Path) -> None:
     world = tmp_path / "room.yaml"
     text = ROOM.read_text().replace("textures/", f"{ROOM.parent}/textures/")

@@ -17,6 +17,7 @@ TOUR = DEPLOY / "demo_tour.yaml"
 MISSION = "mission=[[6.5, 1.8, 0.8], [7.1, 3.5, 1.6]]"  # until a person walks, after 20 s
 
 
+@pytest.mark.accuracy
 def test_two_processes_give_bitwise_equal_runs(tmp_path: Path) -> None:
     up = [CAIRN, "up", str(SIM), "--overlay", str(TOUR), "--set", MISSION, "--lockstep"]
     for folder in ("one", "other"):

@@ -24,6 +24,7 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.packed import Packed
 from tests.schemas.arbitrary import EVERY_MESSAGE, OF_ROS_2, arbitrary, samples
 from tests.schemas.damage import damaged
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +32,7 @@ pytestmark = pytest.mark.slow
 CODEC = Codec()
 ROS = get_typestore(Stores.ROS2_JAZZY)
 
-every_message = pytest.mark.parametrize("name", EVERY_MESSAGE)
+every_message = pytest.mark.parametrize("name", sampled(EVERY_MESSAGE, 12))
 
 
 @every_message

@@ -28,7 +28,7 @@ def machines(file: Path, deployment: Deployment) -> Iterator[Finding]:
         return
     from cairn.security.identity import own_names
 
-    topic, folder = f"machines of {file.name}", RobotFolder.of(deployment.robot)
+    topic, folder = f"machines of {file.name}", RobotFolder.of(deployment.robot.name)
     try:
         here = [name for name in own_names(folder) if name in names]
     except CairnError as error:

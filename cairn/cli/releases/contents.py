@@ -71,13 +71,13 @@ def release_contents(
     head = f"# Written by `cairn deploy push` from: {' '.join(origin.split())}\n"
     body = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
     text, files = head + body, collected.files
-    digest = blake2b(f"{deployment.robot}\n{machine}\n{text}".encode(), digest_size=16)
+    digest = blake2b(f"{deployment.robot.name}\n{machine}\n{text}".encode(), digest_size=16)
     size = 0
     for name, path in sorted(files.items()):
         with explained(f"{path}: cannot be copied"):
             digest.update(f"{name}\n{file_digest(path)}\n".encode())
             size += path.stat().st_size
-    name = f"{deployment.robot}.yaml"
+    name = f"{deployment.robot.name}.yaml"
     return deployment, Contents(name, text, files, size, digest.hexdigest(), tuple(notes))
 
 

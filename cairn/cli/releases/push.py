@@ -148,10 +148,10 @@ def targets(
         )
     if to and len(known) > 1 and len(machines) != 1:
         raise CairnError("--to: name the one machine that it is with --machine")
-    folder = folder or f"/srv/cairn/{deployment.robot}"
+    folder = folder or f"/srv/cairn/{deployment.robot.name}"
     if to:
         machine = next(iter(machines or known), "")
-        yield Target(machine, Host(to, config), folder, deployment.robot)
+        yield Target(machine, Host(to, config), folder, deployment.robot.name)
         return
     chosen = machines or [
         name for name, one in deployment.machines.items() if not is_this_computer(one.address)
@@ -160,7 +160,7 @@ def targets(
         raise CairnError("all machines are this computer; name one with --machine")
     for name in chosen:
         host = Host(deployment.machines[name].address, config)
-        yield Target(name, host, folder, deployment.robot)
+        yield Target(name, host, folder, deployment.robot.name)
 
 
 def is_this_computer(address: str) -> bool:

@@ -67,7 +67,7 @@ def load(dataset: MrclamDataset, robot: int) -> RobotRecording:
             frames.append((float(t), [observation]))
     truth = dataset.truth(robot)
     shift = np.array([origin, 0.0, 0.0, 0.0])
-    positions = {s.subject: (s.x, s.y) for s in dataset.landmarks()}
+    positions = {s.object_id: (s.x, s.y) for s in dataset.landmarks()}
     return RobotRecording(odometry - shift[:3], frames, truth - shift, positions)
 
 

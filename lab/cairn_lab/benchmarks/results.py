@@ -151,7 +151,8 @@ class Results(_Part):
             figures = self.runs[name].figures if name in self.runs else ()
             for number, figure in enumerate(figures):
                 if number < SHOWN or figure.missed:
-                    value = f"**{figure.text}**" if figure.missed else figure.text
+                    text = re.sub(r"(?<=\d) to (?=\d)", "\N{EN DASH}", figure.text)
+                    value = f"**{text}**" if figure.missed else text
                     limit = figure.limit.replace("<= ", "≤").replace(">= ", "≥")
                     yield f"{command}|{figure.name}|{value}|{limit}"
                     command = ""

@@ -34,7 +34,7 @@ class Network:
         """Those between two machines each, named `FIRST-SECOND`."""
         self.environment: Mapping[str, str] = {}
         """Environment variables for each `cairn up`."""
-        self._robot = deployment.robot
+        self._robot = deployment.robot.name
         self._ports: dict[str, int] = {}
         self._closing = ExitStack()
 

@@ -26,7 +26,9 @@ class LaunchRecording:
         """Start; the file is `path`, or a numbered name beside it. Raises `CairnError`."""
         deployment = robot.deployment
         find = MessageClasses(deployment).find
-        self._recorder = McapRecorder(settings, path, attachments, find, robot=deployment.robot)
+        self._recorder = McapRecorder(
+            settings, path, attachments, find, robot=deployment.robot.name
+        )
         connection = robot.client.connection
         self._tap = ZenohTap(
             connection.session, connection.domain, self._recorder.receive, self._recorder.topics

@@ -243,7 +243,7 @@ class CampaignRobot:
 
         The patterns are those of names without the robot's.
         """
-        prefix = f"/{self.deployment.robot}/"
+        prefix = f"/{self.deployment.robot.name}/"
         ends = {(end.topic, end.data_key) for end in self._topics}
         names = {topic: topic.removeprefix(prefix) for topic, _ in ends}
         drawn = set(matching(names.values(), patterns, exclude))
@@ -256,7 +256,7 @@ class CampaignRobot:
 
         Raises `ControlError` if it rejects the request, `NoReplyError` if it does not reply.
         """
-        full = full_name(self.deployment.robot, component)
+        full = full_name(self.deployment.robot.name, component)
         return self.client.connection.request(full, verb, arguments, timeout_s=timeout_s)
 
     def observe(self, topic: str, message: type[Any], receive: Callable[[str, Any], None]) -> None:
@@ -265,7 +265,7 @@ class CampaignRobot:
         Messages of faults, and invalid ones, are left out.
         """
         codec = Codec()
-        full = full_name(self.deployment.robot, topic)
+        full = full_name(self.deployment.robot.name, topic)
         connection = self.client.connection
 
         def take(sample: zenoh.Sample) -> None:
@@ -287,7 +287,7 @@ class CampaignRobot:
         try:
             if self._client is None:
                 self._client = cairn.client.connect(
-                    self.endpoint, self.deployment.domain, self.deployment.robot
+                    self.endpoint, self.deployment.domain, self.deployment.robot.name
                 )
                 connected()
             statuses = self._client.components()
@@ -304,7 +304,7 @@ class CampaignRobot:
             one.name: self.deployment.machine_of(one.name) for one in self.deployment.members()
         }
         names |= {root: machine for machine, root in self.roots.items()}
-        return {f"{self.deployment.robot}.{name}": machine for name, machine in names.items()}
+        return {f"{self.deployment.robot.name}.{name}": machine for name, machine in names.items()}
 
     def _ended(self) -> Run | None:
         ended = (run for run in self.runs.values() if run.process.poll() is not None)

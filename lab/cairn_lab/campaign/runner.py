@@ -218,7 +218,7 @@ class _Runner:
             self._goal_random,
             self._robot.endpoint,
             self._robot.deployment.domain,
-            self._robot.deployment.robot,
+            self._robot.deployment.robot.name,
             self._on_goal,
         )
 

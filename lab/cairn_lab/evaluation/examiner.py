@@ -6,6 +6,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from cairn import (
     CairnError,
     Component,
     Config,
+    FromRobot,
     In,
     Out,
     every,
@@ -71,7 +73,9 @@ class ExaminerConfig(Config):
     kidnap_after: float = Field(
         3.0, ge=0, le=600, description="Time from that goal to the kidnapping [s]."
     )
-    radius: float = Field(0.22, gt=0, le=5, description="Radius of the robot [m].")
+    radius: Annotated[float, FromRobot("shape.radius_m")] = Field(
+        0.22, gt=0, le=5, description="Radius of the robot [m]."
+    )
     clearance: float = Field(
         0.15, ge=0, le=5, description="Additional distance of goals from obstacles [m]."
     )

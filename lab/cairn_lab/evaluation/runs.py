@@ -136,7 +136,6 @@ def _overlay(trial: Trial, result: Path) -> str:
         "parameters": {
             "goals": trial.goals,
             "kidnap_at": trial.kidnap_at,
-            "radius": "${radius}",
             "file": str(result),
         },
     }

@@ -95,6 +95,7 @@ def test_faults_of_every_kind_are_injected_and_nothing_is_left(tmp_path: Path) -
     assert "unplug 2" in (report / "device.log").read_text(encoding="utf-8")
 
 
+@pytest.mark.accuracy
 def test_violation_is_reported_with_its_recording_and_rerun(
     campaign: Callable[..., CampaignReport],
 ) -> None:
@@ -139,6 +140,7 @@ class FindsMachines(Invariant):
         return ()
 
 
+@pytest.mark.accuracy
 def test_links_between_the_machines_of_a_deployment_are_cut_and_delayed(
     campaign: Callable[..., CampaignReport],
 ) -> None:

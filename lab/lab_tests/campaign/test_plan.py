@@ -110,7 +110,7 @@ def test_shipped_campaign_is_valid(name: str) -> None:
     shipped = read_campaign(file)
 
     assert {one.kind for one in shipped.invariants} >= {"keeps_publishing", "no_orphan"}
-    assert shipped.read(file.parent).deployment.robot == "robot"
+    assert shipped.read(file.parent).deployment.robot.name == "robot"
 
 
 def test_fault_is_followed_by_lines_that_do_not_repeat_each_other() -> None:

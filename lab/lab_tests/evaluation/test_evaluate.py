@@ -20,6 +20,7 @@ pytestmark = pytest.mark.processes
 ROOT = Path(__file__).parents[3]
 
 
+@pytest.mark.accuracy
 def test_kidnapped_robot_reaches_its_goals(tmp_path: Path) -> None:
     answer = cairn(
         "evaluate",
@@ -280,7 +281,7 @@ def test_failed_run_keeps_the_results_and_logs_of_the_others(
 
 
 def test_examiner_uses_the_radius_of_the_deployment(tmp_path: Path) -> None:
-    found = examination(trial("settings.radius=0.3"), tmp_path)
+    found = examination(trial("robot.shape.radius_m=0.3"), tmp_path)
 
     assert found.components["examiner"].parameters["radius"] == 0.3
     assert found.components["world"].parameters["radius"] == 0.3

@@ -87,6 +87,7 @@ def test_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> None:
     assert max(last) - min(last) < 0.2
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("in_this_process")
 def test_both_runs_of_a_seed_are_identical_to_the_last_bit_until_the_change(
     tmp_path: Path,
@@ -116,6 +117,7 @@ def test_both_runs_of_a_seed_are_identical_to_the_last_bit_until_the_change(
     assert len(changed.moves) == 1
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("in_this_process")
 def test_map_update_draws_its_maps(tmp_path: Path) -> None:
     pose = "{x: 4.7, y: 0, theta: 1.5708}"

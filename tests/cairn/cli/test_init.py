@@ -38,7 +38,7 @@ def test_robot_of_the_skeleton_drives_and_maps_with_its_own_name(folder: Path) -
 
     deployment = load_deployment(robot)
 
-    assert deployment.robot == "field_rover"
+    assert deployment.robot.name == "field_rover"
     assert "maps/ground_floor.yaml" in robot.read_text()
     overlays = ["--overlay", "robot_without_camera", "--overlay", "robot_mapping"]
     assert cairn("check", str(robot), *overlays).code == 0

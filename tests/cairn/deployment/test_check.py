@@ -151,7 +151,7 @@ def test_twelve_mistakes_are_reported_in_one_pass(write: Write) -> None:
     found = problems(file)
 
     assert [(problem.at.line, problem.path) for problem in found] == [
-        (2, "robot"),
+        (2, "robot.name"),
         (3, "clock"),
         (4, "speed"),
         (5, "bus.listen"),

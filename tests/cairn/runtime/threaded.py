@@ -51,7 +51,7 @@ class ThreadedComponent:
             incarnation=1 + restarts,
             context=RunContext(
                 simulated_time=simulated_time,
-                robot="robot" if deployment is None else deployment.robot,
+                robot="robot" if deployment is None else deployment.robot.name,
                 deployment="" if deployment is None else deployment.model_dump_json(),
             ),
         )

@@ -49,6 +49,7 @@ PASSED = {
 }
 
 
+@pytest.mark.accuracy
 def test_each_broken_driver_fails_the_tests_for_its_fault(tmp_path: Path) -> None:
     failures = failures_of(
         [(driver, test) for driver in FAILED for test in (PASSED[driver], *FAILED[driver])],

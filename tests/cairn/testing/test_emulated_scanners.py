@@ -67,6 +67,7 @@ def lines_of(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime
 class TestPbsScans(ScanContract):
     component = "pbs"
@@ -92,6 +93,7 @@ class Life(StopContract, UnplugContract, LifeCycleContract, ParametersContract):
     cycles = 6
 
 
+@pytest.mark.accuracy
 class TestPbsLife(Life):
     component = "pbs"
     rate_hz = 10.0

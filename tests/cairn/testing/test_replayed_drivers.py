@@ -82,6 +82,7 @@ def _steady_part() -> Iterator[str]:
         yield line
 
 
+@pytest.mark.accuracy
 class TestBase(Recorded, ParametersContract, OdometryContract):
     rate_hz = 8.43
 
@@ -91,6 +92,7 @@ class TestScanner(Recorded, StopContract, LifeCycleContract, ParametersContract,
     cycles = 6
 
 
+@pytest.mark.accuracy
 class TestCamera(StopContract, LifeCycleContract, ParametersContract, PicturesContract):
     rate_hz = 10.0
     calibrated = False

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from cairn.components.hokuyo_scanner.emulator import EmulatedScip
 from cairn.components.hokuyo_scanner.emulator_models import MODELS
 from cairn.components.hokuyo_scanner.emulator_sensor import (
     CLOCK_MS,
     ECHOES,
-    FixedScene,
     SentScan,
     TurnValues,
 )
@@ -27,6 +27,25 @@ from cairn.components.hokuyo_scanner.protocol import (
 )
 
 DATA = Path(__file__).parents[2] / "data" / "hokuyo"
+
+
+class FixedScene:
+    """The same values at every turn."""
+
+    def __init__(self, measured: TurnValues) -> None:
+        self._measured = measured
+
+    def turn(self, _number: int, _began_s: float) -> TurnValues:
+        return self._measured
+
+
+def _one_echo(distances: NDArray[np.int32]) -> FixedScene:
+    """A scene with one echo at each step, from step 0 on."""
+    table = np.full((distances.size, ECHOES), NO_ECHO, np.int32)
+    table[:, 0] = distances
+    strengths = np.full_like(table, NO_ECHO)
+    strengths[:, 0] = 0
+    return FixedScene(TurnValues(table, strengths))
 
 
 def _values(frame: bytes) -> list[int]:
@@ -43,7 +62,7 @@ def test_captured_scan_is_reproduced_byte_by_byte() -> None:
     distances = np.zeros(769, np.int32)
     distances[44:726] = _values(frame)
     sensor = EmulatedScip(
-        "URG-04LX-UG01", scene=FixedScene.of(distances), clock_start_ms=decode_number(b"ZR3h")
+        "URG-04LX-UG01", scene=_one_echo(distances), clock_start_ms=decode_number(b"ZR3h")
     )
     assert sensor.receive(b"BM\nGD0044072501\n", 0.0) == [b"BM\n00P\n\n"]
     assert sensor.tick(sensor.due()) == [frame]
@@ -91,7 +110,7 @@ def test_check_sums_may_exclude_what_follows_an_arrow() -> None:
     ],
 )
 def test_scans_have_the_length_of_real_ones(model: str, command: str, length: int) -> None:
-    sensor = EmulatedScip(model, scene=FixedScene.of(np.full(MODELS[model].steps, 1000, np.int32)))
+    sensor = EmulatedScip(model, scene=_one_echo(np.full(MODELS[model].steps, 1000, np.int32)))
     assert sensor.receive(command.encode() + b"\n", 0.0) == [command.encode() + b"\n00P\n\n"]
     (frame,) = sensor.tick(sensor.due())
     assert len(frame) == length
@@ -100,7 +119,7 @@ def test_scans_have_the_length_of_real_ones(model: str, command: str, length: in
 
 
 def test_no_empty_line_follows_a_full_last_line() -> None:
-    sensor = EmulatedScip("UTM-30LX", scene=FixedScene.of(np.full(1081, 1000, np.int32)))
+    sensor = EmulatedScip("UTM-30LX", scene=_one_echo(np.full(1081, 1000, np.int32)))
     sensor.receive(b"MD0000006301000\n", 0.0)  # 64 values of 3 characters: 3 lines of 64
     (frame,) = sensor.tick(sensor.due())
     assert [len(line) for line in frame.split(b"\n")] == [15, 3, 5, 65, 65, 65, 0, 0]

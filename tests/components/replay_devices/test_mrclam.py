@@ -40,7 +40,7 @@ def test_complete_recording_is_read(dataset: Path, robot: int) -> None:
     assert np.all(np.diff(odometry[:, 0]) >= 0)
     assert len(sightings.time) > 4_000
     assert recording.truth(robot).shape[1] == 4
-    assert {s.subject for s in recording.landmarks()} == set(range(6, 21))
+    assert {one.object_id for one in recording.landmarks()} == set(range(6, 21))
     assert recording.subjects()[63] == 6
     first, last = recording.span(robot)
     assert first == odometry[0, 0]

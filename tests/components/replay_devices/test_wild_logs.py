@@ -30,6 +30,7 @@ from tests.components.replay_devices.wild_logs import (
     office_drive,
     wild_log,
 )
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +47,7 @@ def streams(tmp_path: Path, log: WildLog) -> tuple[CarmenRecording, OdometryStre
     return recording, odometry, scans
 
 
-@pytest.mark.parametrize("own_clock", [False, True])
+@pytest.mark.parametrize("own_clock", sampled([False, True]))
 @pytest.mark.parametrize("kind", ["FLASER", "ROBOTLASER1"])
 def test_localizer_follows_a_wild_log_all_the_way(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str, own_clock: bool

@@ -13,12 +13,13 @@ from cairn.errors import CairnError
 from cairn.processes.lockstep import LockstepRun
 from cairn.processes.run_plan import with_recorder
 from cairn.runtime.child_spec import ChildSpec
+from cairn.runtime.robot import Robot
 from cairn.testing.rerun import assert_rerun_equal
 
 TICKER = ChildSpec(
     plugin="tests.components.run_outputs.ticker:Ticker", restart="transient", significant=True
 )
-DEPLOYMENT = Deployment(cairn=1, robot="turtle", components={"ticker": TICKER})
+DEPLOYMENT = Deployment(cairn=1, robot=Robot(name="turtle"), components={"ticker": TICKER})
 
 
 def recorded_run(file: Path) -> None:

@@ -13,7 +13,7 @@ from cairn.components.simulation.rendering import (
     CameraPose,
     VisibleSurfaces,
     ideal_image,
-    panel_corners,
+    panel_ends,
     surfaces_of,
 )
 from cairn.components.simulation.textures import TextureAtlas
@@ -50,6 +50,35 @@ def corners(
     model = VisibleObject.model_validate(visible_object)
     camera_pose = CameraPose(pose, height).beside(right)
     return panel_corners(model.pose, model.size, model.z, camera_pose, lens)
+
+
+def panel_corners(
+    pose: Pose, size: tuple[float, float], z: float, camera_pose: CameraPose, lens: PinholeCamera
+) -> NDArray[np.float64]:
+    """Return the corners of a picture in the image: (4, 2) [px].
+
+    Clockwise from the top left one, as seen from the front. The picture hangs at `pose`, its center
+    `z` [m] above the floor. NaN for a corner that is not in front of the camera.
+    """
+    left_x, left_y, right_x, right_y = panel_ends(np.array([pose]), np.array([size[0]]))[0]
+    top, bottom = z + 0.5 * size[1], z - 0.5 * size[1]
+    corners = np.array(
+        [
+            (left_x, left_y, top),
+            (right_x, right_y, top),
+            (right_x, right_y, bottom),
+            (left_x, left_y, bottom),
+        ]
+    )
+    x, y, theta = camera_pose.pose
+    cosine, sine = math.cos(theta), math.sin(theta)
+    dx, dy = corners[:, 0] - x, corners[:, 1] - y
+    depth = cosine * dx + sine * dy
+    depth = np.where(depth > 0, depth, np.nan)
+    across, down = sine * dx - cosine * dy, camera_pose.height - corners[:, 2]
+    return np.column_stack(
+        (lens.cx + lens.focal * across / depth, lens.cy + lens.focal * down / depth)
+    )
 
 
 def cut_out(

@@ -15,7 +15,7 @@ from cairn import SECOND, CairnError, ParameterRejected, to_ns
 from cairn.bus.codec import Codec
 from cairn.components.simulation.camera import SimulatedStereoCamera
 from cairn.components.simulation.camera_optics import PinholeCamera
-from cairn.components.simulation.rendering import CameraPose, panel_corners
+from cairn.components.simulation.rendering import CameraPose
 from cairn.components.simulation.textures import drawn_picture
 from cairn.planar.messages import planar_pose
 from cairn.planar.poses import Pose, compose
@@ -24,7 +24,7 @@ from cairn.schemas.sensor_msgs import Image
 from cairn.tf import Transform
 from cairn.vision.rectification import Rectifier
 from cairn.vision.stereo import StereoRig
-from tests.components.simulation.camera_images import cut_out
+from tests.components.simulation.camera_images import cut_out, panel_corners
 from tests.components.simulation.simulation_harness import Simulation
 from tests.wording import assert_words
 

@@ -64,6 +64,7 @@ def obstacles_near(grid: OccupancyCells, place: tuple[float, float]) -> int:
     return int(np.count_nonzero(far < 0.45))
 
 
+@pytest.mark.accuracy
 def test_table_that_is_moved_while_the_robot_works_is_moved_in_its_graph(tmp_path: Path) -> None:
     there = {"x": 5.6, "y": 2.6, "theta": 1.2}
     before = world_file(tmp_path, "before")

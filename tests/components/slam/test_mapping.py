@@ -40,6 +40,7 @@ def test_a_tour_of_an_office_is_mapped_within_centimeters() -> None:
     assert errors.walls > 0.95
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_people_who_walk_around_do_not_prevent_closures() -> None:
     recording = record(courses.shipped("hall", 5.0), SCANNERS["UST-10LX"])
@@ -48,12 +49,14 @@ def test_people_who_walk_around_do_not_prevent_closures() -> None:
     assert errors.walls > 0.95
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_a_ring_of_equal_rooms_is_not_bent() -> None:
     recording = record(courses.ring(rooms=3), SCANNERS["UST-10LX"])
     assert not map_errors(mapped(recording), recording).is_broken
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_a_robot_carried_to_other_rooms_is_joined_to_the_map() -> None:
     course = courses.shipped("office")
@@ -109,6 +112,7 @@ def digest() -> str:
     return hashlib.sha256(mapper.poses().tobytes() + mapper.graph.poses.tobytes()).hexdigest()
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_the_same_recording_gives_the_same_map_in_every_process() -> None:
     results = set()

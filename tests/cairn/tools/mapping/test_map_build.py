@@ -112,6 +112,7 @@ def short(logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> 
     return path
 
 
+@pytest.mark.accuracy
 def test_same_recording_gives_the_same_map_byte_for_byte(
     logs: tuple[Path, Path], first: Path, tmp_path: Path
 ) -> None:
@@ -125,6 +126,7 @@ def test_same_recording_gives_the_same_map_byte_for_byte(
     assert np.array_equal(graphs[0].poses, graphs[1].poses)
 
 
+@pytest.mark.accuracy
 def test_second_recording_extends_the_map_of_the_first(
     logs: tuple[Path, Path], first: Path, tmp_path: Path
 ) -> None:
@@ -255,6 +257,7 @@ def test_result_is_printed_as_json(first: Path) -> None:
     assert result["fit"] > 0.8
 
 
+@pytest.mark.accuracy
 def test_objects_alone_give_a_visual_map(tmp_path: Path) -> None:
     out = tmp_path / "mrclam"
 
@@ -271,6 +274,7 @@ def test_objects_alone_give_a_visual_map(tmp_path: Path) -> None:
         assert 0.0 < one.position.xx < 0.05
 
 
+@pytest.mark.accuracy
 def test_wrong_mount_is_named_with_the_yaw_that_motion_shows(short: Path, tmp_path: Path) -> None:
     answer = cairn("map", "build", str(short), str(tmp_path / "map"), "--scanner", "0,0,1.57")
 

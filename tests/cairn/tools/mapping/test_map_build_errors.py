@@ -135,6 +135,7 @@ def test_name_that_cannot_be_written_is_refused_before_the_map_is_built(
     assert sorted(inputs.rglob("*")) == before
 
 
+@pytest.mark.accuracy
 def test_map_of_another_building_is_not_extended(
     inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
