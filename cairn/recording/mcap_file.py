@@ -1,8 +1,8 @@
 """Reads one MCAP file with limits, also a file that is damaged, or cut off by `kill -9`.
 
-A damaged file may claim a length of 2^62, or hold a chunk that expands to gigabytes: every length
-is checked against the file before anything is read, decompression is bounded, and only one chunk is
-in memory. What cannot be read is in `notes`, with its position.
+The library `mcap` reads what a file claims to hold: a length of 2^62, a chunk that expands to
+gigabytes. Here every length is checked against the file before anything is read, decompression is
+bounded, and only one chunk is in memory. What cannot be read is in `notes`, with its position.
 
 Format: mcap.dev/spec.
 """
@@ -16,33 +16,25 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple
+from typing import BinaryIO, Final, NamedTuple, TypeVar
 from zlib import crc32
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 
 from cairn.errors import RecordingError
 from cairn.limits.compression import RECORD_BYTES, unpack
 from cairn.limits.files import megabytes, open_regular
-from cairn.recording.mcap_records import (
-    MAGIC,
-    MESSAGE,
-    RECORD,
-    AttachmentHead,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    Fields,
-    Footer,
-    Metadata,
-    MetadataIndex,
-    Opcode,
-    Schema,
-    Statistics,
-)
 from cairn.system.closing import Closing
 from cairn.system.files import explain_os_error, explained
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+"""The first and the last bytes of a file."""
 
 MOST_CHANNELS: Final = 20_000
 """Channels of a file: a publisher has one for each topic, and a new one after each restart."""
@@ -67,9 +59,13 @@ _RATIO: Final = 200  # grids and simulated images compress much better than thos
 Progress = Callable[[int, int], None]
 """Is called with the number of bytes that are done, and of all."""
 
-_FOOTER: Final = RECORD.size + 20 + len(MAGIC)
+R = TypeVar("R")
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_FOOTER: Final = _RECORD.size + 20 + len(MAGIC)
 _ATTACHMENT_HEAD: Final = 4096
-_INVALID: Final = (ValueError, struct.error, OverflowError)
+_INVALID: Final = (McapError, ValueError, struct.error, OverflowError)
 _TRANSIENT: Final = re.compile(r"durability: *['\"]?(?:1|transient_local)\b")
 
 
@@ -190,11 +186,11 @@ class _Definitions:
     path: Path
     all: list[RecordedChannel] = field(default_factory=list)
     ids: dict[int, int] = field(default_factory=dict)
-    schemas: dict[int, Schema] = field(default_factory=dict)
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
     size: int = 0
 
     def add_schema(self, content: bytes) -> None:
-        schema = Schema.read(content)
+        schema: records.Schema = _parse(records.Schema.read, content)
         known = self.schemas.setdefault(schema.id, schema)
         if known is schema:
             self.count(len(content))
@@ -202,7 +198,7 @@ class _Definitions:
             raise ValueError(f"schema {schema.id} is defined twice, differently")
 
     def add_channel(self, content: bytes) -> None:
-        found = Channel.read(content)
+        found: records.Channel = _parse(records.Channel.read, content)
         schema = self.schemas.get(found.schema_id)
         if schema is None and found.schema_id:
             raise ValueError(f"channel {found.id} has schema {found.schema_id}, which is missing")
@@ -341,12 +337,10 @@ class McapFile(Closing):
             if record.kind != Opcode.ATTACHMENT:
                 raise ValueError("there is another record")
             content = self._content(record)
-            fields = Fields(content)
-            found = AttachmentHead.read(fields)
-            if found.size != attachment.size or found.name != attachment.name:
-                raise ValueError("it is another one than the index describes")
-            data = fields.data(found.size)
+            found: records.Attachment = _parse(records.Attachment.read, content)
             (checksum,) = struct.unpack("<I", content[-4:])
+            if len(found.data) != attachment.size or found.name != attachment.name:
+                raise ValueError("it is another one than the index describes")
             if checksum and crc32(content[:-4]) != checksum:
                 raise ValueError("its checksum differs")
         except _INVALID as error:
@@ -354,16 +348,16 @@ class McapFile(Closing):
                 f"{self.path}: the attachment {attachment.name} at byte {attachment.at} cannot be "
                 f"read: {error}; take a fresh copy of the file"
             ) from error
-        return data
+        return bytes(found.data)
 
     # --- Records --------------------------------------------------------------------------------
 
     def _record(self, at: int) -> _Record:
         """Return the record at a byte of the file."""
-        begin = at + RECORD.size
+        begin = at + _RECORD.size
         if begin > self.size:
             raise _CutOffError(f"at byte {at:,}: the file ends within a record")
-        kind, size = RECORD.unpack(self._read(at, RECORD.size))
+        kind, size = _RECORD.unpack(self._read(at, _RECORD.size))
         if not kind:
             raise _CutOffError(f"at byte {at:,}: there is no record")
         if size > self.size - begin:
@@ -469,7 +463,7 @@ class McapFile(Closing):
             if not 0 < size <= _BLOCK_BYTES + RECORD_BYTES or block.end > self.size:
                 raise ValueError("there is no chunk")
             return self._read(block.at, size)
-        chunk = Chunk.read(self._content(record))
+        chunk: records.Chunk = _parse(records.Chunk.read, self._content(record))
         if block.size not in (-1, chunk.uncompressed_size):
             raise ValueError(f"it unpacks to {chunk.uncompressed_size:,} bytes, not {block.size:,}")
         self._check_unpacked(unpacked + chunk.uncompressed_size)
@@ -482,22 +476,22 @@ class McapFile(Closing):
         """Yield the messages in `data` of the block at byte `where`; add the definitions."""
         at, end = 0, len(data)
         ids = self._definitions.ids
-        unpack_record, unpack_message = RECORD.unpack_from, MESSAGE.unpack_from
+        unpack_record, unpack_message = _RECORD.unpack_from, _MESSAGE.unpack_from
         while at < end:
-            if at + RECORD.size > end:
+            if at + _RECORD.size > end:
                 raise ValueError("it ends within a record")
             kind, size = unpack_record(data, at)
-            begin = at + RECORD.size
+            begin = at + _RECORD.size
             at = begin + size
             if at > end:
                 raise ValueError(f"a record claims {size:,} bytes, {end - begin:,} follow")
             if kind == Opcode.MESSAGE:
-                if size < MESSAGE.size:
+                if size < _MESSAGE.size:
                     raise ValueError(f"a message has {size} bytes, less than its head")
                 channel, sequence, log_ns, publish_ns = unpack_message(data, begin)
                 if channel in ids:
                     yield _MessageEntry(
-                        ids[channel], sequence, log_ns, publish_ns, begin + MESSAGE.size, at
+                        ids[channel], sequence, log_ns, publish_ns, begin + _MESSAGE.size, at
                     )
                 else:
                     self._note(f"messages belong to channel {channel}, which is not defined")
@@ -559,23 +553,24 @@ class McapFile(Closing):
         if record.kind == Opcode.ATTACHMENT:
             size = record.end - record.begin
             content = self._read(record.begin, min(size, _ATTACHMENT_HEAD))
-            self._attach(AttachmentHead.read(Fields(content)), record.at)
+            stream = ReadDataStream(BytesIO(content))
+            log_ns, _ = stream.read8(), stream.read8()
+            name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
+            self._attach(name, media_type, log_ns, stream.read8(), record.at)
         elif record.kind == Opcode.METADATA:
             if record.end - record.begin > _METADATA_BYTES:
                 raise ValueError(f"metadata of more than {megabytes(_METADATA_BYTES)} MB")
             content = self._content(record)
-            found = Metadata.read(content)
+            found: records.Metadata = _parse(records.Metadata.read, content)
             self._definitions.count(max(_LEAST_BYTES, len(content)))
-            self.metadata[found.name] = dict(found.metadata)  # the last one of a name counts
+            self.metadata[found.name] = found.metadata  # the last one of a name counts
 
-    def _attach(self, head: AttachmentHead, at: int) -> None:
+    def _attach(self, name: str, media_type: str, log_ns: int, size: int, at: int) -> None:
         if len(self.attachments) >= _MOST_ATTACHMENTS:
             raise RecordingError(
                 f"{self.path}: has more than {_MOST_ATTACHMENTS:,} attachments, which is the limit"
             )
-        self.attachments.append(
-            RecordedAttachment(head.name, head.media_type, head.log_ns, head.size, self.path, at)
-        )
+        self.attachments.append(RecordedAttachment(name, media_type, log_ns, size, self.path, at))
 
     def _summary(self) -> list[Block] | None:
         """Return the blocks by the summary at the end of the file, None if there is none."""
@@ -585,38 +580,42 @@ class McapFile(Closing):
         record = self._record(footer_at)
         if record.kind != Opcode.FOOTER:
             raise ValueError("there is no footer")
-        footer = Footer.read(self._content(record))
-        begin = footer.summary_at
+        footer: records.Footer = _parse(records.Footer.read, self._content(record))
+        begin = footer.summary_start
         if not begin:
             return None
         if not len(MAGIC) <= begin <= footer_at or footer_at - begin > _SUMMARY_BYTES:
             raise ValueError(f"it claims to begin at byte {begin:,}")
-        summary = self._read(begin, footer_at + RECORD.size + 16 - begin)
+        summary = self._read(begin, footer_at + _RECORD.size + 16 - begin)
         if footer.summary_crc and crc32(summary) != footer.summary_crc:
             raise ValueError("its checksum differs")
         statistics, indexes = self._summarized(summary[: footer_at - begin])
         if (
             statistics is None
-            or len(indexes) != statistics.chunks
-            or len(self.channels) != statistics.channels
-            or len(self.attachments) != statistics.attachments
-            or sum(statistics.of_channels.values()) != statistics.messages
-            or (statistics.messages and not indexes)
+            or len(indexes) != statistics.chunk_count
+            or len(self.channels) != statistics.channel_count
+            or len(self.attachments) != statistics.attachment_count
+            or sum(statistics.channel_message_counts.values()) != statistics.message_count
+            or (statistics.message_count and not indexes)
         ):
             return None  # a writer may leave them out
         ids = self._definitions.ids
-        numbers = {*statistics.of_channels}.union(*(one.message_indexes for one in indexes))
+        numbers = {*statistics.channel_message_counts}.union(
+            *(one.message_index_offsets for one in indexes)
+        )
         if not numbers <= ids.keys():
             raise ValueError("it names channels that it does not define")
-        for number, count in statistics.of_channels.items():
+        for number, count in statistics.channel_message_counts.items():
             self._counts[ids[number]] += count
         blocks = [
             Block(
-                one.chunk_at,
-                one.chunk_at + one.chunk_length,
-                one.start_ns,
-                one.end_ns,
-                self._mask(sum(1 << ids[number] for number in one.message_indexes) or ALL_CHANNELS),
+                one.chunk_start_offset,
+                one.chunk_start_offset + one.chunk_length,
+                one.message_start_time,
+                one.message_end_time,
+                self._mask(
+                    sum(1 << ids[number] for number in one.message_index_offsets) or ALL_CHANNELS
+                ),
                 one.uncompressed_size,
             )
             for one in indexes
@@ -627,17 +626,19 @@ class McapFile(Closing):
         self._check_unpacked(sum(block.size for block in blocks))
         return blocks
 
-    def _summarized(self, summary: bytes) -> tuple[Statistics | None, list[ChunkIndex]]:
+    def _summarized(
+        self, summary: bytes
+    ) -> tuple[records.Statistics | None, list[records.ChunkIndex]]:
         """Read definitions, statistics, attachments, metadata and chunks from a summary."""
-        statistics: Statistics | None = None
-        indexes: list[ChunkIndex] = []
+        statistics: records.Statistics | None = None
+        indexes: list[records.ChunkIndex] = []
         described: set[int] = set()
         at = 0
         while at < len(summary):
-            if at + RECORD.size > len(summary):
+            if at + _RECORD.size > len(summary):
                 raise ValueError("it ends within a record")
-            kind, size = RECORD.unpack_from(summary, at)
-            begin = at + RECORD.size
+            kind, size = _RECORD.unpack_from(summary, at)
+            begin = at + _RECORD.size
             at = begin + size
             if at > len(summary):
                 raise ValueError(f"a record claims {size:,} bytes, {len(summary) - begin:,} follow")
@@ -647,19 +648,19 @@ class McapFile(Closing):
             elif kind == Opcode.CHANNEL:
                 self._definitions.add_channel(content)
             elif kind == Opcode.STATISTICS:
-                statistics = Statistics.read(content)
+                statistics = _parse(records.Statistics.read, content)
             elif kind == Opcode.CHUNK_INDEX:
-                indexes.append(ChunkIndex.read(content))
+                indexes.append(_parse(records.ChunkIndex.read, content))
                 self._check_blocks(len(indexes))
             elif kind == Opcode.ATTACHMENT_INDEX:
-                one = AttachmentIndex.read(content)
-                self._attach(one.head, one.at)
+                one: records.AttachmentIndex = _parse(records.AttachmentIndex.read, content)
+                self._attach(one.name, one.media_type, one.log_time, one.data_size, one.offset)
             elif kind == Opcode.METADATA_INDEX:
-                index = MetadataIndex.read(content)
-                if index.at in described:
-                    raise ValueError(f"it names the metadata at byte {index.at:,} twice")
-                described.add(index.at)
-                self._describe(self._record(index.at))
+                index: records.MetadataIndex = _parse(records.MetadataIndex.read, content)
+                if index.offset in described:
+                    raise ValueError(f"it names the metadata at byte {index.offset:,} twice")
+                described.add(index.offset)
+                self._describe(self._record(index.offset))
         return statistics, indexes
 
 
@@ -683,3 +684,8 @@ def _message(channel: RecordedChannel, entry: _MessageEntry, data: bytes) -> Rec
     return RecordedMessage(
         channel, entry.sequence, entry.log_ns, entry.publish_ns, data[entry.begin : entry.end]
     )
+
+
+def _parse(read: Callable[[ReadDataStream], R], content: bytes) -> R:
+    """Return the record in `content`, as the library reads it: it cannot read beyond."""
+    return read(ReadDataStream(BytesIO(content)))
