@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
-from importlib.metadata import version
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from cairn.deployment.exclusive_topics import ports_of_plugin
@@ -43,7 +44,10 @@ def run_attachments(
 
 def versions() -> dict[str, str]:
     """Return the versions of what a run depends on."""
-    found = {name: version(package) for name, package in _PACKAGES.items()}
+    found: dict[str, str] = {}
+    for name, package in _PACKAGES.items():
+        with suppress(PackageNotFoundError):  # an extra that is not installed
+            found[name] = version(package)
     return {**found, "python": sys.version.partition(" ")[0]}
 
 

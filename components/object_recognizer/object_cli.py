@@ -12,7 +12,6 @@ import typer
 from cairn import CairnError
 from cairn.client import NoMessageError, Robot
 from cairn.client import connect as connect_to
-from cairn.components.object_recognizer.drawing import draw_views
 from cairn.schemas.message import InvalidMessage, type_name
 from cairn.schemas.sensor_msgs import Image
 from cairn.terminal.options import (
@@ -162,6 +161,8 @@ def show_object(
         for number, view in enumerate(model.views)
     ]
     if out is not None:
+        from cairn.components.object_recognizer.drawing import draw_views  # loads Matplotlib
+
         draw_views(model, out)
     if json:
         print_json({**_row(model), "views": views})

@@ -19,7 +19,6 @@ from cairn.components.object_recognizer.cameras import (
     why_blind,
     why_no_pair,
 )
-from cairn.components.object_recognizer.drawing import draw_detections
 from cairn.components.object_recognizer.object_cli import DEFAULT_MAP, MapFile
 from cairn.components.object_recognizer.observation import (
     explain_disagreement,
@@ -114,6 +113,8 @@ def recognize(
     result = _recognize(image, right_image, left, right, cameras, models)
     objects = [_object(one, models) for one in result.detections]
     if out is not None:
+        from cairn.components.object_recognizer.drawing import draw_detections  # loads Matplotlib
+
         labels = [_label(one) for one in objects]
         draw_detections(result.gray, result.detections, labels, out)
     if json:

@@ -14,12 +14,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import yaml
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from cairn import SECOND
+from cairn import SECOND, from_ns
 from cairn.bus.codec import Codec
 from cairn.components.replay_devices.bag_files import BagFile, BagTopic
 from cairn.errors import RecordingError
@@ -28,7 +29,8 @@ from cairn.limits.sqlite import SchemaError
 from cairn.limits.yaml import yaml_fault
 from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap
 from cairn.schemas.message import InvalidMessage, type_name
-from cairn.schemas.sensor_msgs import CameraInfo
+from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
+from cairn.schemas.std_msgs import Header
 
 SCAN_TYPE: Final = "sensor_msgs/msg/LaserScan"
 ODOMETRY_TYPE: Final = "nav_msgs/msg/Odometry"
@@ -214,6 +216,36 @@ def deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
         return store.deserialize_cdr(raw, topic.type)
     except (AssertionError, IndexError, MemoryError) as error:
         raise SerdeError(error_text(error)) from error
+
+
+def usual_topic(kind: str, topics: Sequence[str]) -> str | None:
+    """Return the topic of the default name, `/scan` or the only `/.../scan`; else None."""
+    if f"/{kind}" in topics:
+        return f"/{kind}"
+    found = [topic for topic in topics if topic.endswith(f"/{kind}")]
+    return found[0] if len(found) == 1 else None
+
+
+def scan_of(stamp: int, m: Any, upside_down: bool) -> LaserScan:
+    """Return a message of ROS as a scan with a time [ns], mirrored if the scanner is upside down.
+
+    Raises `InvalidMessage`, `ValueError`.
+    """
+    beams = len(m.ranges)
+    side = -1.0 if upside_down else 1.0  # it turns to the right: the first beam is the left one
+    return LaserScan(
+        header=Header(stamp=from_ns(stamp), frame_id="laser"),
+        angle_min=side * float(m.angle_min),
+        angle_max=side * float(m.angle_max),
+        angle_increment=side * float(m.angle_increment),
+        time_increment=float(m.time_increment),
+        scan_time=float(m.scan_time),
+        range_min=float(m.range_min),
+        range_max=float(m.range_max),
+        ranges=np.asarray(m.ranges, dtype=np.float32),
+        # Some drivers send another number of intensities, which belong to no beam.
+        intensities=np.asarray(m.intensities if len(m.intensities) == beams else [], np.float32),
+    )
 
 
 # Stamps that are further from the time of receipt than this are of another clock [ns].

@@ -19,9 +19,10 @@ from cairn.components.replay_devices.bag_messages import (
     deserialize,
     error_text,
     is_description,
+    scan_of,
+    usual_topic,
 )
 from cairn.components.replay_devices.recording import ScannerMount
-from cairn.components.replay_devices.ros_bag import scan_of, usual_topic
 from cairn.components.replay_devices.scanner_mount import (
     FrameLink,
     find_mount,

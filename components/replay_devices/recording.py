@@ -206,3 +206,13 @@ def damaged_line(path: Path, line: int, fault: str) -> RecordingError:
         f"{path}, line {line}: {fault}. The file is cut off, changed or of another format: "
         "take a fresh copy of the data set."
     )
+
+
+def poses_at(odometry: OdometryStream, stamps: Sequence[int]) -> NDArray[np.float64]:
+    """Return interpolated poses (n, 3) at times [ns]; headings are not wrapped."""
+    origin = odometry.stamps[0]
+    times = np.array([stamp - origin for stamp in odometry.stamps], dtype=np.float64)
+    wanted = np.array([stamp - origin for stamp in stamps], dtype=np.float64)
+    x, y, theta = odometry.poses.T
+    columns = (x, y, np.unwrap(theta))
+    return np.column_stack([np.interp(wanted, times, column) for column in columns])

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn import SECOND, from_ns
+from cairn import SECOND
 from cairn.components.replay_devices.bag_images import bag_images, first_calibration, image_topics
 from cairn.components.replay_devices.bag_messages import (
     INFO_TYPE,
@@ -27,6 +27,8 @@ from cairn.components.replay_devices.bag_messages import (
     TRANSFORM_TYPES,
     message_stamps,
     read_bag,
+    scan_of,
+    usual_topic,
 )
 from cairn.components.replay_devices.record_times import TimeQuality, time_quality
 from cairn.components.replay_devices.recording import (
@@ -58,7 +60,6 @@ from cairn.schemas.geometry_msgs import Point, Quaternion
 from cairn.schemas.geometry_msgs import Pose as PoseMessage
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
-from cairn.schemas.std_msgs import Header
 
 Array = NDArray[np.float64]
 Item = TypeVar("Item")
@@ -318,36 +319,6 @@ class BagRecording(Recording):
         self._notes.append("odometry is computed from the transforms of frame odom")
         covariances = covariances_of(odometry_deviations(poses))
         return OdometryStream(stamps, poses, covariances, odometry_velocities(stamps, poses))
-
-
-def usual_topic(kind: str, topics: Sequence[str]) -> str | None:
-    """Return the topic of the default name, `/scan` or the only `/.../scan`; else None."""
-    if f"/{kind}" in topics:
-        return f"/{kind}"
-    found = [topic for topic in topics if topic.endswith(f"/{kind}")]
-    return found[0] if len(found) == 1 else None
-
-
-def scan_of(stamp: int, m: Any, upside_down: bool) -> LaserScan:
-    """Return a message of ROS as a scan with a time [ns], mirrored if the scanner is upside down.
-
-    Raises `InvalidMessage`, `ValueError`.
-    """
-    beams = len(m.ranges)
-    side = -1.0 if upside_down else 1.0  # it turns to the right: the first beam is the left one
-    return LaserScan(
-        header=Header(stamp=from_ns(stamp), frame_id="laser"),
-        angle_min=side * float(m.angle_min),
-        angle_max=side * float(m.angle_max),
-        angle_increment=side * float(m.angle_increment),
-        time_increment=float(m.time_increment),
-        scan_time=float(m.scan_time),
-        range_min=float(m.range_min),
-        range_max=float(m.range_max),
-        ranges=np.asarray(m.ranges, dtype=np.float32),
-        # Some drivers send another number of intensities, which belong to no beam.
-        intensities=np.asarray(m.intensities if len(m.intensities) == beams else [], np.float32),
-    )
 
 
 @dataclass(frozen=True)

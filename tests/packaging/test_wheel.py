@@ -65,36 +65,23 @@ DEPLOYMENT = """
       greeter: {plugin: "components.greeter:Greeter", restart: transient, significant: true}
     """
 
-BASE_DEPLOYMENT = """
-    cairn: 1
-    storage: {least_free_mb: 0}
-    components:
-      scanner: {plugin: hokuyo_scanner, parameters: {port: "tcp://127.0.0.1:9", mount: [0, 0, 0]}}
-    """
 BASE_COMPONENT = """
-    from cairn import Component, In, Out, every, on
-    from cairn.schemas.std_msgs import String
-
-    class Talker(Component):
-        chatter: Out[String]
-
-        @every(hz=20)
-        def talk(self):
-            self.chatter.publish(String(data="hello"))
+    from cairn import SENSOR, Component, In, on
+    from cairn.schemas.sensor_msgs import LaserScan
 
     class Listener(Component):
-        chatter: In[String]
+        scan: In[LaserScan] = In(qos=SENSOR)
 
-        @on("chatter")
-        def hear(self, message):
-            self.finish(f"heard {message.data}")
+        @on("scan")
+        def hear(self, scan):
+            self.finish(f"received {len(scan.ranges)} ranges")
     """
-BASE_CHATTER = """
+BASE_DEPLOYMENT = """
     cairn: 1
     components:
-      recorder: {plugin: recorder, parameters: {file: chatter.mcap}}
-      talker: {plugin: "chatter:Talker"}
-      listener: {plugin: "chatter:Listener", restart: transient, significant: true}
+      recorder: {plugin: recorder, parameters: {file: scans.mcap}}
+      listener: {plugin: "listener:Listener", restart: transient, significant: true}
+      scanner: {plugin: hokuyo_scanner, parameters: {port: PORT}}
     """
 BASE_LIMIT_MB = 150
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
@@ -172,19 +159,28 @@ def test_base_is_small(base: Environment) -> None:
     assert sum(sizes) / 1e6 <= BASE_LIMIT_MB
 
 
-def test_base_runs_components_and_records(base: Environment, tmp_path: Path) -> None:
-    (tmp_path / "chatter.py").write_text(dedent(BASE_COMPONENT), encoding="utf-8")
-    (tmp_path / "chatter.yaml").write_text(dedent(BASE_CHATTER), encoding="utf-8")
-    shutil.copy2(tmp_path / "chatter.py", base.site)
+def test_base_runs_a_driver_and_records(base: Environment, tmp_path: Path) -> None:
+    port = tmp_path / "port"
+    (base.site / "listener.py").write_text(dedent(BASE_COMPONENT), encoding="utf-8")
+    deployment = dedent(BASE_DEPLOYMENT).replace("PORT", str(port))
+    (tmp_path / "base.yaml").write_text(deployment, encoding="utf-8")
     router = ("--set", f"bus.socket={new_socket()}")
+    cairn = str(base.folder / "bin" / "cairn")
 
     assert "Run a robot" in base.run("cairn", "--help")
-    assert "no problem" in base.run("cairn", "check", "chatter.yaml", folder=tmp_path)
-    ran = base.run("cairn", "up", "chatter.yaml", *router, "--report", "report", folder=tmp_path)
-    recordings = sorted(tmp_path.rglob("*.mcap"))
+    assert "no problem" in base.run("cairn", "check", "base.yaml", folder=tmp_path)
+    with subprocess.Popen(
+        [cairn, "emulate", "hokuyo", "--pty", str(port)], env=base.variables()
+    ) as emulator:
+        try:
+            ran = base.run(
+                "cairn", "up", "base.yaml", *router, "--report", "report", folder=tmp_path
+            )
+        finally:
+            emulator.terminate()
 
-    assert "heard hello" in ran
-    assert "chatter" in base.run("cairn", "recording", "info", str(recordings[0]))
+    assert "received 1081 ranges" in ran
+    assert "/scan" in base.run("cairn", "recording", "info", "scans.mcap", folder=tmp_path)
 
 
 def test_base_names_what_a_component_and_a_command_lack(base: Environment, tmp_path: Path) -> None:

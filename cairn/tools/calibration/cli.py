@@ -19,7 +19,6 @@ from cairn.tools.calibration.result import (
     as_json,
     as_rows,
     calibrate_cameras,
-    plot_calibration,
 )
 from cairn.vision.camera_file import read_camera, write_camera
 from cairn.vision.chessboard import Board
@@ -71,6 +70,9 @@ def calibrate(
     calibration.png with residuals. Names of a pair must differ only in left and right, or in the
     number of cam0 and cam1.
     """
+    # Before the work: Matplotlib may not be installed.
+    from cairn.tools.calibration.plot import plot_calibration
+
     expected = _parse_board(board, square)
     found = find_images(images or [], left or [], right or [])
     if not found.left:

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from cairn import SECOND
-from cairn.components.replay_devices.cli import rough_map
+from cairn.components.replay_devices.drawing import rough_map
 from cairn.components.replay_devices.recording import OdometryStream, ScanStream
 from cairn.schemas.sensor_msgs import LaserScan
 from tests.commands import cairn

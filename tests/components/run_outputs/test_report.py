@@ -89,3 +89,28 @@ def test_journal_holds_only_objects_that_have_changed(report: Any, tmp_path: Pat
     assert journal.stat().st_size < size + 100 * 100
     values, _ = finished(report, tmp_path)
     assert [values["objects"][number]["reliability"] for number in (2, 3)] == [0.5, 0.699]
+
+
+def test_pictures_are_drawn_after_the_run(report: Any, tmp_path: Path) -> None:
+    report.publish("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
+
+    finished(report, tmp_path)
+
+    for name in ("map.png", "reliability.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_report_without_matplotlib_says_what_installs_it(
+    report: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    hidden = tmp_path / "hidden" / "matplotlib"
+    hidden.mkdir(parents=True)
+    text = "raise ModuleNotFoundError(\"No module named 'matplotlib'\", name='matplotlib')"
+    (hidden / "__init__.py").write_text(text, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(hidden.parent))
+
+    finished(report, tmp_path)
+
+    assert not (tmp_path / "map.png").exists()
+    reason = "matplotlib is not installed; pip install 'cairn-robotics[plots]'"
+    assert f"the report has no pictures: {reason}" in caplog.text

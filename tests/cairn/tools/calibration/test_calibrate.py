@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 
 from cairn import CairnError
-from cairn.tools.calibration import cli
 from cairn.tools.calibration import images as calibration_images
+from cairn.tools.calibration import plot
 from cairn.tools.calibration.images import BoardCorners, CalibrationImages, find_images
 from cairn.tools.calibration.result import calibrate_cameras
 from cairn.vision.camera_file import read_camera
@@ -104,7 +104,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def without_plot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Skip the plot, which takes longer than the calibration."""
-    monkeypatch.setattr(cli, "plot_calibration", lambda *_: None)
+    monkeypatch.setattr(plot, "plot_calibration", lambda *_: None)
 
 
 def test_single_camera_is_calibrated(folder: Path, tmp_path: Path) -> None:
