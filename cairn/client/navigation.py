@@ -343,9 +343,14 @@ class NavigationGoal(Closing):
         if outcome == GoalStatus.STATUS_ABORTED and not result.error_code:  # it was deactivated
             self._continue(running)
             return
-        if outcome == GoalStatus.STATUS_SUCCEEDED and status is None:
-            status = self._next_status(samples, _LAST_STATUS_S)
         last = self._last if status is None else status
+        deadline = time.monotonic() + _LAST_STATUS_S
+        # The result may overtake the last statuses, of which only the very last one has its reason.
+        while outcome == GoalStatus.STATUS_SUCCEEDED and last.state not in NAVIGATION_END_STATES:
+            status = self._next_status(samples, deadline - time.monotonic())
+            if status is None:
+                break
+            last = status
         self._last = NavigationStatus(
             header=last.header,
             mission_id=last.mission_id,

@@ -99,7 +99,7 @@ def test_robots_name_is_taken_by_an_answer_and_not_by_a_ghost_token() -> None:
     network = Network()
     try:
         joining: Any = SimpleNamespace(
-            robot="robot",
+            robot=SimpleNamespace(name="robot"),
             domain=0,
             bus=SimpleNamespace(connect=(network.endpoint,), credentials=NO_CREDENTIALS),
         )

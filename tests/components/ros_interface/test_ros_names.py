@@ -15,6 +15,7 @@ from cairn.deployment.model import Deployment
 from cairn.deployment.ros_name_mapping import ros_services, ros_topics
 from cairn.processes.lockstep import LockstepRun
 from cairn.processes.run_plan import plan_run, with_recorder
+from cairn.runtime.robot import Robot
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
 from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts
@@ -109,7 +110,7 @@ def test_other_robot_with_ros_names_is_reported(caplog: pytest.LogCaptureFixture
     network, started = Network(), []
     try:
         for robot in ("rover", "tower"):
-            of_robot = DEPLOYMENT.model_copy(update={"robot": robot})
+            of_robot = DEPLOYMENT.model_copy(update={"robot": Robot(name=robot)})
             started.append(
                 ThreadedComponent(RosNames, network.bus(), name="ros_names", deployment=of_robot)
             )
