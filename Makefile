@@ -34,7 +34,7 @@ quick: $(VENV)/tests
 ## mostly they wait, so that two at a time disturb no other.
 test: $(VENV)/tests
 	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime and not accuracy"
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m realtime \
+	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "realtime and not accuracy" \
 	    $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)  # the longest first
 
 ## What `make test` checks once, with more seeds, recordings, types and drivers: minutes.
