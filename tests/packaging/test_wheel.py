@@ -281,7 +281,8 @@ def test_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path
 def _python(version: str) -> str:
     """Return the path of a Python of this version; skip the test if there is none."""
     of_pyenv = (Path.home() / ".pyenv" / "versions").glob(f"{version}.*/bin/python3")
-    for name in filter(None, (sys.executable, _found(f"python{version}"), *of_pyenv)):
+    names = [sys.executable, _found(f"python{version}"), *map(str, of_pyenv)]
+    for name in filter(None, names):
         code = "import sys; print('%d.%d' % sys.version_info[:2], sys._base_executable)"
         done = subprocess.run([name, "-c", code], capture_output=True, text=True, check=False)
         if done.returncode == 0 and done.stdout.split()[0] == version:
