@@ -29,7 +29,7 @@ quick: $(VENV)/tests
 	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
 	    -m "not processes and not images and not realtime and not slow and not accuracy"
 
-## The tests that judge a change: about five minutes on two cores. One worker more than cores: many
+## The tests that judge a change, about a quarter of an hour. One worker more than cores: many
 ## tests wait for processes that they have started. Those that are judged by the clock run apart:
 ## mostly they wait, so that two at a time disturb no other.
 test: $(VENV)/tests

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,15 +137,15 @@ class RecordedTopic:
     count: int
 
 
-class Recording:
+class Recording(ABC):
     """A recording; each method reads what it needs and raises `RecordingError`.
 
     A method returns None for a stream that the recording does not hold, as the methods here do.
     """
 
+    @abstractmethod
     def span(self) -> tuple[int, int]:
         """Return the times [ns] of the first and the last record that a replay publishes."""
-        raise NotImplementedError
 
     def odometry(self) -> OdometryStream | None:
         """Return the wheel odometry."""
@@ -174,13 +175,13 @@ class Recording:
         """Return the surveyed landmarks."""
         return None
 
+    @abstractmethod
     def topics(self) -> Sequence[RecordedTopic]:
         """Return everything that was recorded, replayed or not."""
-        raise NotImplementedError
 
+    @abstractmethod
     def time_quality(self) -> Mapping[str, TimeQuality]:
         """Return how good the recorded times of the streams are, by their kind (`scan`)."""
-        raise NotImplementedError
 
     def notes(self) -> Sequence[str]:
         """Return what was lost, left out or assumed, as sentences."""
