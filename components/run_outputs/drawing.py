@@ -19,7 +19,7 @@ from cairn.system.extras import missing_library
 Grids = tuple[OccupancyGrid, OccupancyGrid] | None
 """The first and the newest grid map."""
 
-_LIMIT_S: Final = 60.0
+_LIMIT_S: Final = 45.0  # before the stop limit of the shipped deployments
 _RECORD: Final = TypeAdapter(RunRecord)
 
 
