@@ -11,12 +11,12 @@ from inspect import cleandoc, getdoc
 from itertools import groupby
 from typing import Any, get_args, get_origin
 
-import click
 import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
+from typer.core import TyperGroup
 
 from cairn import Component
 from cairn.bus.type_hash import definition, type_hash
@@ -48,20 +48,22 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def _commands_page() -> str:
     command = typer.main.get_command(build())
     intro = "# Commands\n\nEvery command prints this text with `--help`.\n"
-    return intro + "".join(_command_sections(command, click.Context(command, info_name="cairn")))
+    return intro + "".join(_command_sections(typer.Context(command, info_name="cairn")))
 
 
-def _command_sections(command: click.Command, context: click.Context) -> Iterator[str]:
+def _command_sections(context: typer.Context) -> Iterator[str]:
+    command = context.command
     depth = context.command_path.count(" ")
     if depth:
         yield f"\n{'#' * min(depth + 1, 4)} {context.command_path}\n\n"
         yield f"```text\n{command.get_help(context)}\n```\n"
-    if isinstance(command, click.Group):
+    if isinstance(command, TyperGroup):
         for name in command.list_commands(context):
             child = command.get_command(context, name)
             if child is not None:
-                inner = click.Context(child, info_name=name, parent=context, max_content_width=100)
-                yield from _command_sections(child, inner)
+                yield from _command_sections(
+                    typer.Context(child, info_name=name, parent=context, max_content_width=100)
+                )
 
 
 def _messages_page() -> str:
