@@ -1,24 +1,25 @@
-"""Hostile maps and recordings are refused with the reason, with little memory and time.
+"""Hostile files are refused with the reason, with little memory and time: two of each kind.
 
-`make attack` reads the files of all kinds.
+`make attack` reads all of them.
 """
 
 import re
-
-import pytest
 
 from tests.hostile_files import HOSTILE
 from tests.hostile_reading import MOST_MEMORY_MB, MOST_SECONDS, read_all
 
 
-@pytest.mark.parametrize("kind", ["visual_map", "graph", "recording", "mcap", "zones"])
-def test_hostile_files_are_refused_with_little_memory_and_time(kind: str) -> None:
-    hostile = HOSTILE[kind]
+def test_hostile_files_are_refused_with_little_memory_and_time() -> None:
+    chosen = {
+        f"{kind}/{name}": files[name]
+        for kind, files in HOSTILE.items()
+        for name in [*files][:: len(files) - 1]
+    }
 
-    outcomes = read_all(f"{kind}/{name}" for name in hostile)
+    outcomes = read_all(chosen)
 
-    for name, wanted in hostile.items():
-        outcome = outcomes[f"{kind}/{name}"]
+    for name, wanted in chosen.items():
+        outcome = outcomes[name]
         assert outcome.error == "CairnError", (name, outcome)
         assert re.search(wanted.reason, outcome.text), (name, outcome)
         assert outcome.seconds < MOST_SECONDS, (name, outcome)

@@ -60,6 +60,7 @@ def deployment(dataset: Path, robot: int, map_file: Path, start: dict[str, float
 
 # Robot 5 confuses many landmarks, is lost at times, and may remove an unmoved landmark: it must
 # restore it.
+@pytest.mark.accuracy
 @pytest.mark.parametrize(
     ("robot", "object_id", "may_remove_others"), sampled([(2, 13, False), (5, 13, True)])
 )

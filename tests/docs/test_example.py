@@ -54,6 +54,7 @@ def test_quoted_blocks_match_the_files(page_blocks: Callable[[str], Any]) -> Non
             assert part.strip("\n") in file, f"not in {block.title}:\n{part}"
 
 
+@pytest.mark.accuracy
 def test_package_is_found_by_its_entry_points(user: Any) -> None:
     plugins = {plugin["plugin"]: plugin for plugin in json.loads(user.cairn("plugins", "--json"))}
 
@@ -77,6 +78,7 @@ def test_class_is_found_without_an_entry_point(
     assert "no problem" in user.cairn("check", TURTLE, *sets)
 
 
+@pytest.mark.accuracy
 def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path) -> None:
     logs = []
     for folder in (tmp_path / "one", tmp_path / "two"):
@@ -115,6 +117,7 @@ def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
     assert speed.json == 0.8
 
 
+@pytest.mark.accuracy
 def test_component_runs_unchanged_in_its_parents_process(
     user: Any, tmp_path: Path, endpoint: str
 ) -> None:

@@ -22,6 +22,7 @@ PAGES = tuple(
     if page not in READERS_FILES
 )
 # Those that need no running robot, in any page; the others are tried by the tests of the CLI.
+LONG = re.compile("cairn (map build|map import|camera calibrate) ")  # seconds of computation
 OFFLINE = ("cairn check deploy/", "cairn schema ", "cairn plugins", "cairn map ", "cairn camera ")
 ONLINE = ("cairn map save ",)  # exceptions: those need one
 SCANNER = """\
@@ -46,7 +47,11 @@ def offline_commands() -> list[tuple[str, str]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "command", sorted({command for _, command in offline_commands()}), ids=str.split
+    "command",
+    [
+        pytest.param(command, marks=[pytest.mark.accuracy] if LONG.match(command) else [])
+        for command in sorted({command for _, command in offline_commands()})
+    ],
 )
 def test_commands_that_need_no_robot_work_as_shown(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str

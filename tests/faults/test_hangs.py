@@ -19,6 +19,7 @@ from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.requests import set_fault
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.processes
 
@@ -243,7 +244,7 @@ def test_components_that_hang_leave_time_to_stop_for_those_that_answer(launch: L
     load.join()
 
 
-@pytest.mark.parametrize("supervisor", ["  ", "mobile"])
+@pytest.mark.parametrize("supervisor", sampled(["  ", "mobile"]))
 def test_ctrl_c_does_not_wait_for_a_component_that_hangs_while_starting(
     launch: Launching, supervisor: str
 ) -> None:

@@ -12,6 +12,7 @@ import pytest
 from cairn.testing.launching import Launching, Run
 from tests.commands import await_status
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.processes
 
@@ -95,7 +96,7 @@ def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_run
     assert_all_stop_in_reverse_order(run, signal.SIGINT)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", sampled([signal.SIGKILL, signal.SIGSTOP]))
 def test_killed_or_stopped_zygote_fails_the_deployment_and_leaves_no_process(
     launch: Launching, number: signal.Signals
 ) -> None:
@@ -128,7 +129,7 @@ def test_killing_cairn_up_leaves_no_process(launch: Launching, stopped: tuple[st
         assert list(Path(sockets).iterdir()) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", sampled([signal.SIGTERM, signal.SIGHUP]))
 def test_stop_signal_stops_all_components_in_reverse_order(
     launch: Launching, number: signal.Signals
 ) -> None:

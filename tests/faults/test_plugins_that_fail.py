@@ -7,6 +7,7 @@ import pytest
 from cairn.testing.launching import Launching
 from tests.commands import cairn
 from tests.faults.requests import set_fault
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.processes
 
@@ -21,7 +22,7 @@ FAILS_AT_START = """
     """
 
 
-@pytest.mark.parametrize("where", ["constructor", "on_configure", "on_activate"])
+@pytest.mark.parametrize("where", sampled(["constructor", "on_configure", "on_activate"]))
 def test_plugin_that_raises_at_its_first_start_ends_the_deployment_at_once(
     launch: Launching, where: str
 ) -> None:
@@ -93,7 +94,7 @@ def test_deployment_with_a_broken_plugin_does_not_start(
     assert not any("active" in line for line in run.lines)
 
 
-@pytest.mark.parametrize("interpreter", ["shared", "fresh"])
+@pytest.mark.parametrize("interpreter", sampled(["shared", "fresh"]))
 def test_plugin_that_cannot_be_imported_by_its_process_is_named(
     launch: Launching, interpreter: str
 ) -> None:

@@ -80,6 +80,7 @@ def test_robot_is_driven_while_localizer_and_planner_are_killed(
         assert dora.do("send_goal", name=ACTION, goal=goal(float("nan"), 1.8)) is None
 
 
+@pytest.mark.accuracy
 def test_robot_with_names_of_ros_is_found_and_driven_as_one_of_ros(
     tmp_path: Path, ament: Path
 ) -> None:

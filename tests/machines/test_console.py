@@ -16,6 +16,7 @@ from tests.machines.test_two_machines import start, tree
 pytestmark = [pytest.mark.processes, pytest.mark.xdist_group("machines")]
 
 
+@pytest.mark.accuracy
 def test_console_reaches_another_machine_and_shows_its_loss_while_the_fallback_works(
     machines: Machines,
 ) -> None:

@@ -179,6 +179,7 @@ def test_without_the_other_machine_the_robot_starts_after_its_time_limit(
     assert base.stop() == 0
 
 
+@pytest.mark.accuracy
 def test_slow_and_lossy_link_loses_no_component(machines: Machines) -> None:
     machines.cable.delay_s, machines.cable.loss = 0.05, 0.1
     base, brain = start(machines, tree(machines, talker=", parameters: {words: 40}"))

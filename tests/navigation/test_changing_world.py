@@ -15,6 +15,7 @@ pytestmark = pytest.mark.slow
 RobotFactory = Callable[..., LockstepRobot]
 
 
+@pytest.mark.accuracy
 def test_moved_furniture_is_updated_in_the_grid_map(
     drive: RobotFactory,
 ) -> None:
@@ -63,6 +64,7 @@ def test_robot_waits_for_a_person_on_the_goal(drive: RobotFactory) -> None:
     assert robot.statuses[-1].recoveries > 0
 
 
+@pytest.mark.accuracy
 def test_robot_goes_near_an_obstacle_and_finds_it_removed(drive: RobotFactory) -> None:
     robot = drive("settings.scanner=URG-04LX")
     robot.go(1.2, 3.0)
@@ -118,6 +120,7 @@ def test_enclosed_robot_fails_with_the_nearest_position(drive: RobotFactory) -> 
     assert robot.stands()
 
 
+@pytest.mark.accuracy
 def test_robot_drives_on_when_walls_are_removed(drive: RobotFactory) -> None:
     robot = drive()
     walled_in(robot)

@@ -77,6 +77,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
             bus.close()
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 @pytest.mark.xdist_group("robots in real time")
 def test_ctrl_c_ends_the_exploration_and_the_map_so_far_is_saved(

@@ -58,7 +58,7 @@ def invalid(scan: LaserScan, how: str) -> LaserScan:
     return replace(scan, ranges=ranges[:0] if how == "no beams" else ranges)
 
 
-@pytest.mark.parametrize("how", ["unknown", "no beams", "hits nothing"])
+@pytest.mark.parametrize("how", sampled(["unknown", "no beams", "hits nothing"]))
 def test_invalid_scans_stop_the_robot(drive: RobotFactory, how: str) -> None:
     scanner = "components.range_scanner.topics.scan=true_scan"
     robot = drive(scanner, "external_topics=[scan]")
@@ -97,7 +97,9 @@ def test_invalid_scans_stop_the_robot(drive: RobotFactory, how: str) -> None:
 
 @pytest.mark.parametrize(
     ("component", "missed_after_s"),
-    [("motion_control", 0.3), ("range_scanner", 0.5), ("localizer", 1.0), ("automove", 1.5)],
+    sampled(
+        [("motion_control", 0.3), ("range_scanner", 0.5), ("localizer", 1.0), ("automove", 1.5)], 2
+    ),
 )
 def test_silent_component_stops_the_robot_in_time(
     drive: RobotFactory, component: str, missed_after_s: float
@@ -114,7 +116,7 @@ def test_silent_component_stops_the_robot_in_time(
 
 
 @pytest.mark.parametrize(
-    "component", sampled(["localizer", "motion_control", "map_builder", "path_planner"], 2)
+    "component", sampled(["localizer", "motion_control", "map_builder", "path_planner"])
 )
 def test_restarted_plugin_does_not_end_the_mission(drive: RobotFactory, component: str) -> None:
     robot = drive()
@@ -128,7 +130,7 @@ def test_restarted_plugin_does_not_end_the_mission(drive: RobotFactory, componen
     assert len({status.mission_id for status in robot.statuses}) == 1
 
 
-@pytest.mark.parametrize("component", ["base", "range_scanner", "automove"])
+@pytest.mark.parametrize("component", sampled(["base", "range_scanner", "automove"]))
 def test_restarted_child_does_not_end_the_mission(drive: RobotFactory, component: str) -> None:
     robot = drive()
     robot.send([3.0, 1.2, 0.0], [6.6, 1.8, 0.0])

@@ -246,6 +246,7 @@ robot: {x: 1.6, y: 1.2, theta: 0.0}
 """
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_robot_drives_where_another_one_has_found_the_passage_free(tmp_path: Path) -> None:
     world_file, map_file = tmp_path / "two_rooms.yaml", tmp_path / "map.yaml"

@@ -10,6 +10,7 @@ from cairn.schemas.action_msgs.msg import GoalStatus
 from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus
 from tests.navigation.driving import FEW_RECOVERIES, ON_REQUEST, STOPS_S, LockstepRobot
+from tests.sweeps import sampled
 
 RobotFactory = Callable[..., LockstepRobot]
 
@@ -90,17 +91,19 @@ def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "reason"),
-    [
-        ((4.4, 3.4), r"no path: the goal \(4.40, 3.40\) .*nearest reachable position, \("),
-        (
-            (-3.0, 2.0),
-            r"no path: the goal \(-3.00, 2.00\) is outside the map; the nearest reachable pos",
-        ),
-        (
-            (200.0, 2.0),
-            r"no path: the goal \(200.00, 2.00\) is outside the map; the nearest reachable pos",
-        ),
-    ],
+    sampled(
+        [
+            ((4.4, 3.4), r"no path: the goal \(4.40, 3.40\) .*nearest reachable position, \("),
+            (
+                (-3.0, 2.0),
+                r"no path: the goal \(-3.00, 2.00\) is outside the map; the nearest reachable pos",
+            ),
+            (
+                (200.0, 2.0),
+                r"no path: the goal \(200.00, 2.00\) is outside the map; the nearest reachable pos",
+            ),
+        ]
+    ),
     ids=["in the table", "west of the map", "far away"],
 )
 def test_blocked_goal_fails_with_the_nearest_position(

@@ -10,7 +10,11 @@ import pytest
 from cairn.planar.poses import distance
 from tests.navigation.processes import ObservedRobot, RunningGo, robot_in
 
-pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
+pytestmark = [
+    pytest.mark.xdist_group("robots in real time"),
+    pytest.mark.processes,
+    pytest.mark.accuracy,
+]
 
 # Part of the way around the room, without turning back: x, y [m], heading [deg]. 7 m, of which
 # the robot drives about 4.5 m while processes are killed.

@@ -1,4 +1,4 @@
-"""`cairn stop`, `cairn zone` and `cairn go PLACE` as an operator uses them, in real processes.
+"""`cairn go`, `cairn zone` and `cairn stop` as an operator uses them, on one robot.
 
 And commands to the base that are not the operator's.
 """
@@ -6,7 +6,10 @@ And commands to the base that are not the operator's.
 import json
 import math
 import os
+import pty
+import re
 import signal
+import subprocess
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -16,8 +19,10 @@ import pytest
 from cairn.client import Teleoperation, connect
 from cairn.planar.poses import distance
 from cairn.schemas.geometry_msgs import Twist, Vector3
+from cairn.testing.launching import CAIRN, LIMIT_S
 from cairn.testing.robot import RunningDeployment
 from tests.commands import Answer, cairn
+from tests.navigation.driving import ON_REQUEST
 from tests.navigation.processes import ObservedRobot, robot_in
 from tests.wording import assert_words
 
@@ -26,9 +31,13 @@ pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.proces
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
-    """A robot that the tests share, in their sequence."""
-    renamed = "components.velocity_gate.topics.teleoperation=joystick"
-    with robot_in(tmp_path_factory.mktemp("robot"), renamed) as robot:
+    """A robot that all tests share, in their sequence: the first one needs it without a goal."""
+    sets = (
+        "components.mobile_supervisor.hang_timeout_s=2",
+        "components.velocity_gate.topics.teleoperation=joystick",
+        ON_REQUEST,
+    )
+    with robot_in(tmp_path_factory.mktemp("robot"), *sets) as robot:
         yield robot
 
 
@@ -38,8 +47,76 @@ def zone(robot: ObservedRobot, *words: str) -> str:
     return answer.out
 
 
+def far_goals(robot: ObservedRobot) -> list[str]:
+    """Return goals on the other side of the room and back, twice: no test ends so late."""
+    goals = ["6.6,1.8", "1.4,1.2"]
+    return 2 * (goals if robot.pose[0] < 4.0 else goals[::-1])
+
+
+def test_locate_is_rejected_without_a_localizer(robot: ObservedRobot) -> None:
+    answer = cairn("locate", "1", "1", connect=robot.run.endpoint)
+
+    assert answer.code == 1
+    assert answer.err.startswith(
+        "cairn: nothing subscribes to initialpose: no localizer runs; `cairn load localizer`"
+    )
+
+
+def test_go_prints_each_step_and_exits_with_0(robot: ObservedRobot) -> None:
+    going = robot.go("2.0", "1.2", "10deg")
+
+    assert going.await_end() == 0
+
+    printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
+    assert_words(printed[0], "go to", "(N, N, N deg)", "Ctrl-C")
+    assert printed[1:5] == [
+        "N s  loading: map_builder",
+        "N s  loading: localizer",
+        "N s  loading: path_planner",
+        "N s  loading: motion_control",
+    ]
+    assert "N s  planning" in printed
+    assert "N s  driving: N m left, about N s" in printed
+    assert re.search(r"s  arrived at \(2.00, 1.20\)$", going.lines[-1].strip())
+
+
+def test_locate_sets_the_pose(robot: ObservedRobot) -> None:
+    assert robot.go("2.0", "1.2").await_end() == 0
+    x, y, theta = robot.pose
+    lines = len(robot.run.lines)
+
+    answer = cairn("locate", str(x), str(y), str(theta), connect=robot.run.endpoint)
+
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out.startswith("published on /robot/initialpose; ")
+    robot.run.await_line(
+        re.escape(f"pose set by the operator: ({x:.2f} m, {y:.2f} m, "), after=lines
+    )
+
+
+def test_goal_outside_the_map_exits_with_1_and_the_reason(robot: ObservedRobot) -> None:
+    going = robot.go("-3.5", "-2")
+
+    assert going.await_end() == 1
+
+    assert re.match(
+        r"cairn: the goal failed after \d+\.\d s: no path: the goal \(-3.50, -2.00\) is outside "
+        r"the map; the nearest reachable position, \(",
+        going.lines[-1],
+    ), going
+
+
+def test_json_output_is_the_result_alone(robot: ObservedRobot) -> None:
+    answer = cairn("go", "2.4", "1.2", "--json", connect=robot.run.endpoint)
+
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.json["state"] == "succeeded"
+    assert answer.json["reason"] == "arrived at (2.40, 1.20)"
+    assert answer.json["elapsed_s"] > 0
+
+
 def test_zone_that_appears_is_driven_around_and_the_place_is_reached(robot: ObservedRobot) -> None:
-    zone(robot, "add", "kitchen", "place", "6.6,1.4", "--heading", "90deg")
+    zone(robot, "add", "kitchen", "place", "5.2,1.4", "--heading", "90deg")
     going = robot.go("kitchen")
     going.await_output("driving")
     out = zone(robot, "add", "wet floor", "keepout", "3.4,0.1", "4.2,0.1", "4.2,1.9", "3.4,1.9")
@@ -48,7 +125,7 @@ def test_zone_that_appears_is_driven_around_and_the_place_is_reached(robot: Obse
     assert going.await_end() == 0
 
     assert_words(going.lines[0], "go to", "kitchen", "Ctrl-C")
-    assert math.dist(robot.pose[:2], (6.6, 1.4)) < 0.25
+    assert math.dist(robot.pose[:2], (5.2, 1.4)) < 0.25
     inside = [pose for pose in robot.path() if 3.4 < pose[0] < 4.2 and pose[1] < 1.9]
     assert inside == []
     assert robot.collisions == []
@@ -132,7 +209,7 @@ def test_stop_command_works_while_the_supervisor_is_stopped(robot: ObservedRobot
     endpoint = robot.run.endpoint
     with connect(endpoint) as client, client.teleoperation("anna") as drive:
         assert isinstance(drive, Teleoperation)
-        begin = robot.pose  # at the start, or at the kitchen, which has room ahead as well
+        begin = robot.pose  # at the kitchen, which has room ahead
         drive(0.3, 0.0, seconds=2.0)
         assert distance(begin, robot.pose) > 0.2
     stopped = _stop_while_suspended(robot, "mobile_supervisor")
@@ -153,3 +230,148 @@ def _stop_while_suspended(robot: ObservedRobot, component: str) -> Answer:
         return cairn("stop", connect=robot.run.endpoint)
     finally:
         os.kill(process, signal.SIGCONT)
+
+
+def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goals(robot))
+    going.await_output("driving")
+    robot.await_moved(0.3)
+
+    going.process.send_signal(signal.SIGINT)
+
+    robot.await_stand()
+    assert going.await_end() == 130
+    assert going.lines[-1] == "canceled: the robot stops\n"
+    answer = cairn("go", "--cancel", connect=robot.run.endpoint)
+    assert answer.code == 1
+    assert_words(answer.err, "cairn", "mobile_supervisor", "no goal")
+
+
+def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goals(robot))
+    going.await_output("driving")
+    robot.await_moved(0.3)
+
+    going.process.send_signal(signal.SIGTERM)
+
+    robot.await_stand()
+    assert going.await_end() == 128 + signal.SIGTERM
+    assert going.lines[-1] == "canceled: the robot stops\n"
+
+
+def test_closed_terminal_cancels_its_mission(robot: ObservedRobot) -> None:
+    goals = far_goals(robot)
+    child, terminal = pty.fork()
+    if child == 0:
+        os.execv(CAIRN, [CAIRN, "go", *goals, "--connect", robot.run.endpoint])
+    printed = b""
+    while b"driving" not in printed:
+        printed += os.read(terminal, 4096)
+    robot.await_moved(0.3)
+
+    os.close(terminal)
+
+    robot.await_stand()
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 128 + signal.SIGHUP
+
+
+def test_closed_output_cancels_the_mission(robot: ObservedRobot) -> None:
+    lines = len(robot.run.lines)
+    going = subprocess.Popen(
+        [CAIRN, "go", *far_goals(robot), "--connect", robot.run.endpoint],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with going:
+        assert going.stdout is not None
+        assert "go to (" in going.stdout.readline()
+        going.stdout.close()
+
+        robot.run.await_line("canceled: on request", after=lines)
+        assert going.wait(LIMIT_S) == 1
+
+
+@pytest.mark.parametrize(("goal", "why"), [("nan", "must be finite"), ("2e5", "at most 100000")])
+@pytest.mark.parametrize("how", ["--wait", "--no-wait"])
+def test_json_output_has_the_reason_of_a_rejected_goal(
+    robot: ObservedRobot, goal: str, why: str, how: str
+) -> None:
+    answer = cairn("go", goal, "1", "--json", how, connect=robot.run.endpoint)
+
+    assert answer.code == 1
+    assert answer.json["state"] == "refused"
+    assert why in answer.json["reason"]
+    assert answer.err == f"cairn: {answer.json['reason']}\n"
+
+
+def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goals(robot))
+    going.await_output("driving")
+    os.kill(robot.run.pid_of("mobile_supervisor"), signal.SIGSTOP)
+
+    answer = cairn("go", "--cancel", connect=robot.run.endpoint)
+
+    assert answer.code == 0
+    assert re.fullmatch(r"goal [0-9a-f]{32} is canceled\n", answer.out)
+    assert_words(answer.err, "mobile_supervisor does not answer", "restarted", "30 s")
+    robot.await_stand()
+    assert going.await_end() == 1
+    assert "canceled after" in going.lines[-1]
+
+
+def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) -> None:
+    first = robot.go(*far_goals(robot))
+    first.await_output("driving")
+    other = ["4.0,5.0", *far_goals(robot)]
+    answer = cairn("go", *other, "--no-wait", "--json", connect=robot.run.endpoint)
+    goal = answer.json["goal_id"]
+
+    assert first.await_end() == 1
+
+    assert_words(first.lines[-1], "the goal failed", "preempted by mission")
+    canceled = cairn("go", "--cancel", connect=robot.run.endpoint)
+    assert (canceled.code, canceled.out) == (0, f"goal {goal} is canceled\n")
+
+
+def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goals(robot))
+    going.await_output("driving")
+    supervisor = robot.run.pid_of("mobile_supervisor")
+    os.kill(supervisor, signal.SIGSTOP)  # it would save its mission again
+    (Path(robot.run.report) / "mission.json").unlink()
+
+    os.kill(supervisor, signal.SIGKILL)
+
+    assert going.await_end() == 1
+    assert_words(going.lines[-1], "lost", "supervisor was restarted")
+
+
+def test_killed_processes_do_not_end_the_mission(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goals(robot))
+    going.await_output("driving")
+    robot.await_moved(0.2)
+    lines = len(robot.run.lines)
+
+    for component in ("localizer", "motion_control"):
+        robot.kill(component)
+
+    for component in ("localizer", "motion_control"):
+        robot.run.await_line(f"child failed: {component}: killed by SIGKILL", after=lines)
+    robot.await_moved(0.3)
+    assert going.process.poll() is None, f"{going}; {robot.run}"
+    assert robot.collisions == []
+    assert cairn("go", "--cancel", connect=robot.run.endpoint).code == 0
+    assert going.await_end() == 1
+
+
+def test_end_of_the_deployment_is_reported(robot: ObservedRobot) -> None:
+    going = robot.go(*far_goals(robot))
+    going.await_output("go to ")
+
+    robot.run.stop()
+
+    assert going.await_end() == 1
+    assert re.fullmatch(
+        r"cairn: the deployment has ended, and with it the goal\n",
+        going.lines[-1],
+    ), going

@@ -13,6 +13,7 @@ pytestmark = pytest.mark.slow
 RobotFactory = Callable[..., LockstepRobot]
 
 
+@pytest.mark.accuracy
 def test_person_near_the_goal_walks_around_the_robot(drive: RobotFactory) -> None:
     robot = drive()
     corners = [[4.4, 1.6], [7.0, 1.6], [7.1, 3.4], [7.0, 1.6]]

@@ -13,6 +13,7 @@ BASE = "components.base.parameters"
 WILD = (f"{BASE}.odometry_delay_s=0.3", f"{BASE}.odometry_loss=0.02")
 
 
+@pytest.mark.accuracy
 def test_robot_arrives_with_odometry_that_is_late_out_of_order_and_incomplete(
     drive: RobotFactory, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 from cairn.planar.polygons import distance_to_edges, is_inside
 from cairn.planar.zones import zone_edges, zone_of
 from cairn.schemas.cairn_nav_msgs import MotionStatus, NavigationStatus, ReasonCode
@@ -58,6 +60,7 @@ def test_robot_drives_around_a_keepout_zone_that_appears_on_its_path(drive: Robo
     assert robot.collisions == []
 
 
+@pytest.mark.accuracy
 def test_robot_just_before_a_new_keepout_zone_stops_at_its_edge_or_turns_away(
     drive: RobotFactory,
 ) -> None:
@@ -83,6 +86,7 @@ def test_robot_in_a_new_keepout_zone_leaves_it_by_the_shortest_way(drive: RobotF
     assert await_end_outside(robot, zone).state == NavigationStatus.SUCCEEDED
 
 
+@pytest.mark.accuracy
 def test_robot_in_a_new_keepout_zone_stops_if_configured_and_goes_on_when_it_is_gone(
     drive: RobotFactory,
 ) -> None:

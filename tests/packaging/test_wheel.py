@@ -219,6 +219,7 @@ def test_wheel_is_installed_by(installer: str, version: str, wheel: Path, tmp_pa
     assert "hokuyo_scanner" in _call(str(cairn), "plugins")
 
 
+@pytest.mark.accuracy
 def test_installed_package_finds_definitions_and_their_sources(
     installed: Environment, tmp_path: Path
 ) -> None:
@@ -228,6 +229,7 @@ def test_installed_package_finds_definitions_and_their_sources(
     assert "std_srvs/srv/Trigger" in installed.run("cairn", "schema", "list", folder=tmp_path)
 
 
+@pytest.mark.accuracy
 def test_packages_of_the_user_may_have_the_names_of_cairns_folders(
     installed: Environment, tmp_path: Path
 ) -> None:
@@ -242,6 +244,7 @@ def test_packages_of_the_user_may_have_the_names_of_cairns_folders(
     assert str(installed.site / "components") in installed.run("python", "-c", where)
 
 
+@pytest.mark.accuracy
 def test_shipped_robot_reaches_a_goal_in_an_empty_folder(
     installed: Environment, tmp_path: Path
 ) -> None:
@@ -257,6 +260,7 @@ def test_shipped_robot_reaches_a_goal_in_an_empty_folder(
     assert [file.name for file in tmp_path.iterdir()] == ["report"]
 
 
+@pytest.mark.accuracy
 def test_shipped_deployment_without_its_recording_asks_for_one(
     installed: Environment, tmp_path: Path
 ) -> None:
@@ -266,6 +270,7 @@ def test_shipped_deployment_without_its_recording_asks_for_one(
         installed.run("cairn", "up", "replay_mrclam", "--report", "report", folder=tmp_path)
 
 
+@pytest.mark.accuracy
 def test_new_package_passes_its_own_tests(installed: Environment, tmp_path: Path) -> None:
     installed.run("cairn", "init", "my_robot", folder=tmp_path)
     project = tmp_path / "my_robot"

@@ -414,6 +414,7 @@ WRONG = {
 }
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_mypy_knows_the_imported_classes(tmp_path: Path) -> None:
     source = written(tmp_path / "src", {

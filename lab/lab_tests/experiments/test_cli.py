@@ -58,6 +58,7 @@ def experiment(command: str, out: Path, *options: str) -> Answer:
     )
 
 
+@pytest.mark.accuracy
 def test_ablation_compares_all_methods_on_the_same_data(tmp_path: Path) -> None:
     answer = experiment("ablation", tmp_path, "--seeds", "0", "--at", "6", "--moved", "2")
 
@@ -148,6 +149,7 @@ def test_failed_runs_are_reported_and_exit_with_status_1(tmp_path: Path) -> None
     assert json.loads((tmp_path / "report.json").read_text())["failures"].keys() == {"runs/seed-0"}
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("in_this_process")
 def test_run_without_a_moved_object_is_not_counted(tmp_path: Path) -> None:
     late = "components.world.parameters.events=[{at: 900, move: object_8, to: {x: 4.7, y: 0}}]"

@@ -21,6 +21,7 @@ from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_srvs.srv import SetBool, Trigger
 from tests.cairn.bus.network import SECRET, Network, eventually, node, stop
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 SERVICE = "/robot/add"
@@ -261,7 +262,7 @@ signal.pause()
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("mode", ["peer", "script"])
+@pytest.mark.parametrize("mode", sampled(["peer", "script"]))
 def test_client_of_a_killed_server_gets_an_error_long_before_its_time_limit(mode: str) -> None:
     network = Network()
     program = [sys.executable, "-c", SERVER, network.endpoint, SECRET, SERVICE]

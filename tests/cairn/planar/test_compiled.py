@@ -89,6 +89,7 @@ def package(first_run: Package, tmp_path: Path) -> Package:
     return Package(tmp_path)
 
 
+@pytest.mark.accuracy
 def test_edit_of_a_callee_in_another_file_takes_effect_in_the_next_process(
     package: Package,
 ) -> None:
@@ -131,6 +132,7 @@ def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> 
     assert package.run(prepare) == (21.0, True)
 
 
+@pytest.mark.accuracy
 def test_deferred_kernel_is_compiled_by_its_first_call(tmp_path: Path) -> None:
     package = Package(tmp_path)
     package.create()
@@ -145,6 +147,7 @@ def test_deferred_kernel_is_compiled_by_its_first_call(tmp_path: Path) -> None:
     assert package.run(prepare) == (21.0, True)
 
 
+@pytest.mark.accuracy
 def test_cache_of_a_read_only_package_is_in_the_folder_that_the_environment_names(
     tmp_path: Path,
 ) -> None:

@@ -81,7 +81,7 @@ def test_robot_that_stands_or_turns_does_not_determine_the_yaw() -> None:
     assert estimate_mount_yaw(*along(arc, room)) is None
 
 
-@pytest.mark.parametrize("yaw", [0.0, -2.0])
+@pytest.mark.parametrize("yaw", sampled([-2.0, 0.0]))
 def test_scanner_upside_down_is_noticed_where_the_robot_turns(yaw: float) -> None:
     room = np.array([[-4.0, -3.0, 4.0, -3.0], [4.0, -3.0, 4.0, 3.0], [-4.0, 3.0, 4.0, 3.0],
                      [-4.0, -3.0, -4.0, 3.0], [-4.0, 1.0, -2.0, 1.0]])  # fmt: skip

@@ -23,6 +23,7 @@ from cairn.processes.child_channel import channel_pair
 from cairn.processes.launcher import ChildProcess, ZygoteClient, ZygoteProcess, start_zygote
 from cairn.processes.zygote import Exited, Spawn, _open_log, encode
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 from tests.wording import words_in_order
 
 from . import zygote_children
@@ -33,7 +34,7 @@ pytestmark = pytest.mark.processes
 
 
 CHILDREN = zygote_children.__name__
-FRESH = pytest.mark.parametrize("fresh", [False, True], ids=["shared", "fresh"])
+FRESH = pytest.mark.parametrize("fresh", sampled([False, True]), ids=["shared", "fresh"])
 
 
 @FRESH

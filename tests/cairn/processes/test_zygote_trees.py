@@ -21,6 +21,7 @@ from cairn.processes.child import ChildUnavailable, ZygoteLost
 from cairn.processes.launcher import ZygoteProcess, start_zygote
 from cairn.processes.orphan_cleanup import kill_marked
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 from tests.wording import words_in_order
 
 from . import zygote_children
@@ -31,7 +32,7 @@ pytestmark = pytest.mark.processes
 
 
 CHILDREN = zygote_children.__name__
-FRESH = pytest.mark.parametrize("fresh", [False, True], ids=["shared", "fresh"])
+FRESH = pytest.mark.parametrize("fresh", sampled([False, True]), ids=["shared", "fresh"])
 HIDDEN = pytest.mark.parametrize("how", ["same group", "own session", "daemon"])
 
 

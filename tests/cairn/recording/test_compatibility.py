@@ -156,6 +156,7 @@ def test_mcap_ros2_support_reads_a_recording_of_real_processes(robot_recording: 
     assert found == rows_of(robot_recording)
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_reader_of_npm_reads_a_recording_of_real_processes(
     robot_recording: Path, tmp_path: Path

@@ -50,6 +50,7 @@ from tests.cairn.rerun.walkers import CHANGE, Fragile, Walker
 from tests.cairn.runtime.test_services_and_actions import Adder, Counter, Starter
 from tests.commands import cairn
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 PLUGIN = f"{Walker.__module__}:Walker"
@@ -308,7 +309,7 @@ def test_component_that_hangs_while_it_is_re_run_is_ended_at_the_time_limit(
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGKILL]))
 def test_interrupted_rerun_leaves_no_process(fragile_recording: Path, number: int) -> None:
     command = [sys.executable, "-m", "cairn.cli.main", "rerun", str(fragile_recording)]
     with subprocess.Popen(command, env={**os.environ, CHANGE: "hang"}) as process:

@@ -89,7 +89,7 @@ def everything() -> Recognizer:
     return Recognizer([model(n, name) for n, name in enumerate(FILES)])
 
 
-@pytest.mark.parametrize("name", sampled(FILES, 2))
+@pytest.mark.parametrize("name", sampled(FILES))
 def test_different_pictures_are_never_confused(name: str, everything: Recognizer) -> None:
     names = list(FILES)
     found = detect_in(name, everything)
@@ -100,6 +100,7 @@ def test_different_pictures_are_never_confused(name: str, everything: Recognizer
         assert frozenset((name, other)) in SAME
 
 
+@pytest.mark.accuracy
 def test_different_pictures_are_never_confused_with_a_single_model(everything: Recognizer) -> None:
     """With one model only, false matches are most likely: the background distance is unknown."""
     alone = {each.name: Recognizer([each]) for each in everything.objects}

@@ -101,6 +101,7 @@ def test_scan_without_deviation_changes_nothing() -> None:
     assert deviation(stated) == before
 
 
+@pytest.mark.accuracy
 def test_truth_lies_within_the_stated_sigmas_as_often_as_it_should() -> None:
     squares: list[float] = []
     for seed in (7, 8, 9):

@@ -16,6 +16,7 @@ from cairn.planar.motion_model import MotionModel
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.visual_map.observations import Observation
 from tests.components.localizer.hall import Moment, drive, landmarks
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +79,7 @@ def test_robot_with_unknown_start_is_located(seed: int) -> None:
     assert run.errors[-1] < 0.3
 
 
-@pytest.mark.parametrize("mode", ["lr", "paper"])
+@pytest.mark.parametrize("mode", sampled(["lr", "paper"]))
 def test_moved_object_is_distinguished_from_static_ones(mode: str) -> None:
     run = Run(landmarks(o3=(1.3, 0.4)), mode)
     run.localization.set_pose((0.0, 0.0, 0.0), CERTAIN)

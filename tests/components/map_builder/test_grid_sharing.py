@@ -54,6 +54,7 @@ def decisions(draw: st.DrawFn) -> Decision:
     return one
 
 
+@pytest.mark.accuracy
 @settings(max_examples=200, deadline=None)
 @given(*(st.lists(decisions(), max_size=8) for _ in range(3)))
 def test_merging_is_commutative_associative_and_idempotent(

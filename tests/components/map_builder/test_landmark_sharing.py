@@ -57,6 +57,7 @@ def contributions(draw: st.DrawFn) -> Contribution:
     return one
 
 
+@pytest.mark.accuracy
 @settings(max_examples=200, deadline=None)
 @given(*(st.lists(contributions(), max_size=8) for _ in range(3)))
 def test_merging_is_commutative_associative_and_idempotent(

@@ -22,6 +22,7 @@ from tests.components.motion_control.world import (
     drive,
     route,
 )
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.slow
@@ -161,7 +162,7 @@ def test_robot_stops_before_a_wall_that_appears_on_the_path(ahead: float) -> Non
 
 
 @pytest.mark.parametrize("speed", [0.6, 1.0, 1.3])
-@pytest.mark.parametrize("begin", [1.0, 2.0, 3.0, 4.0])
+@pytest.mark.parametrize("begin", sampled([1.0, 2.0, 3.0, 4.0]))
 def test_crossing_person_is_not_touched(speed: float, begin: float) -> None:
     robot = Robot((-5, 0, 0))
     person = Walker(robot, (-2, -3), (0, speed), begin)
@@ -220,6 +221,7 @@ def test_robot_a_centimeter_from_a_wall_gets_away(
     assert_reached(record, (*goal, heading))
 
 
+@pytest.mark.accuracy
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), view=st.sampled_from([ALL_ROUND, FRONT, math.pi]))
 def test_nothing_is_touched_among_clutter(seed: int, view: float) -> None:

@@ -15,6 +15,7 @@ from cairn.visual_map.object_models import add_views, remove_model
 from tests.components.object_recognizer.conftest import Robot
 from tests.components.object_recognizer.scenes import SIZE, Thing, info, picture_of
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.images
 
@@ -45,7 +46,7 @@ def test_object_is_published_with_position_corners_and_stamp(robot: Start) -> No
 
 
 @pytest.mark.parametrize("stereo", [True, False])
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", sampled([1, 3]))
 def test_errors_match_the_covariance(robot: Start, stereo: bool, seed: int) -> None:
     it = robot(stereo=stereo).calibrate()
     random = np.random.default_rng(seed)

@@ -209,6 +209,7 @@ def test_calibration_that_is_far_off_is_reported_and_nothing_is_published(
     assert f"poster 1: its range is {1.5 * factor:.2f} m by stereo, but 1.5" in warnings()
 
 
+@pytest.mark.accuracy
 def test_calibration_that_is_slightly_off_is_reported_and_widens_the_covariance(
     robot: Start, warnings: Warnings
 ) -> None:

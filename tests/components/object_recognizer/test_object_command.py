@@ -308,6 +308,7 @@ ROBOT = """
     """
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("skip_visibility_test")
 def test_object_in_front_of_running_robot_is_taught_and_recognized(
     folder: Path, monkeypatch: pytest.MonkeyPatch

@@ -142,6 +142,7 @@ def test_unknown_thing_is_proposed_accepted_and_not_found_again(
     assert other.number == 2
 
 
+@pytest.mark.accuracy
 def test_rejected_thing_is_not_proposed_again_after_a_restart(
     start: Callable[..., Robot],
 ) -> None:
@@ -170,6 +171,7 @@ def test_proposal_is_accepted_automatically_by_parameter(start: Callable[..., Ro
     assert read_models(robot.map_file).named("found 1") is not None
 
 
+@pytest.mark.accuracy
 def test_known_and_moving_things_are_not_proposed(start: Callable[..., Robot]) -> None:
     robot = start()
     moved = (UNKNOWN, 3.0, 0.8, math.pi)

@@ -110,6 +110,7 @@ def test_frozen_cameras_publish_only_once(tmp_path: Path, surveyed: Path) -> Non
     assert len(run_recognizer(tmp_path, surveyed, "frozen")) == 1
 
 
+@pytest.mark.accuracy
 def test_swapped_cameras_publish_no_object(tmp_path: Path, surveyed: Path) -> None:
     frames = run_recognizer(tmp_path, surveyed, "swapped")
 

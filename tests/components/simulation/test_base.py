@@ -7,6 +7,7 @@ import pytest
 
 from cairn.components.simulation.base import Encoders, SimulatedBaseConfig, WheelDrive
 from cairn.planar.poses import Pose, compose, relative, wrap
+from tests.sweeps import sampled
 
 STEP = 0.02
 LIMITS = ERRORS = SimulatedBaseConfig()
@@ -85,14 +86,16 @@ def odometry(seed: int, errors: SimulatedBaseConfig) -> tuple[Encoders, Pose]:
 
 @pytest.mark.parametrize(
     "errors",
-    [
-        ERRORS,
-        NO_ERRORS.model_copy(update={"distance_scale_sd": 0.03}),
-        NO_ERRORS.model_copy(update={"turn_scale_sd": 0.05}),
-        NO_ERRORS.model_copy(
-            update={"distance_error": 0.02, "turn_error": 0.03, "turn_per_meter": 0.02}
-        ),
-    ],
+    sampled(
+        [
+            ERRORS,
+            NO_ERRORS.model_copy(update={"distance_scale_sd": 0.03}),
+            NO_ERRORS.model_copy(update={"turn_scale_sd": 0.05}),
+            NO_ERRORS.model_copy(
+                update={"distance_error": 0.02, "turn_error": 0.03, "turn_per_meter": 0.02}
+            ),
+        ]
+    ),
 )
 def test_odometry_errors_match_their_covariance(errors: SimulatedBaseConfig) -> None:
     runs = [odometry(seed, errors) for seed in range(60)]

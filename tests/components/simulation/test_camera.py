@@ -26,6 +26,7 @@ from cairn.vision.rectification import Rectifier
 from cairn.vision.stereo import StereoRig
 from tests.components.simulation.camera_images import cut_out, panel_corners
 from tests.components.simulation.simulation_harness import Simulation
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.images
@@ -158,6 +159,7 @@ def test_light_and_sensor_parameters_change_at_run_time(simulate_camera: Simulat
     assert (bright == 255).mean() > 0.9
 
 
+@pytest.mark.accuracy
 def test_light_drifts_over_time(simulate_camera: SimulateCamera) -> None:
     still = simulate_camera(light={"drift": 0})
     still.stand(8.0)
@@ -229,7 +231,7 @@ def test_swapped_cameras_publish_each_others_images(simulate_camera: SimulateCam
     assert np.array_equal(simulation.images("right_image")[-1], left)
 
 
-@pytest.mark.parametrize("distortion", [[-0.28, 0.08], [0.1, -0.05, 0.002, -0.001, 0.01]])
+@pytest.mark.parametrize("distortion", sampled([[0.1, -0.05, 0.002, -0.001, 0.01], [-0.28, 0.08]]))
 def test_rectified_distorted_image_equals_the_image_of_an_ideal_lens(
     simulate_camera: SimulateCamera, distortion: list[float]
 ) -> None:

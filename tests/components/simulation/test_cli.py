@@ -13,6 +13,7 @@ from cairn.testing.launching import Run, launching
 from tests.commands import Answer, await_status, cairn
 from tests.components.simulation.worlds import box
 from tests.patience import LIMIT_S
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.processes
 
@@ -200,7 +201,7 @@ def test_killed_world_continues_from_its_saved_state(simulation: Run, world: Wor
     assert pose_of(rows["robot"])[:2] == (4.0, 1.0)
 
 
-@pytest.mark.parametrize("part", ["base", "range_scanner", "object_recognizer"])
+@pytest.mark.parametrize("part", sampled(["base", "range_scanner", "object_recognizer"]))
 def test_killed_driver_is_restarted_and_works(simulation: Run, part: str) -> None:
     topic = {"base": "odom", "range_scanner": "scan", "object_recognizer": "objects"}[part]
     cairn("world", "kidnap", "3", "2", connect=simulation.endpoint)

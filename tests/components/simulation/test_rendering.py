@@ -21,6 +21,7 @@ from tests.components.simulation.camera_images import (
     image_from,
     surfaces_with,
 )
+from tests.sweeps import sampled
 
 pytestmark = pytest.mark.images
 
@@ -55,7 +56,9 @@ def within(around: NDArray[np.float64], border: int = 2) -> NDArray[np.bool_]:
 
 @pytest.mark.parametrize(
     ("away", "aslant"),
-    [(0.4, 0), (0.7, 0), (0.8, 40), (1.0, 70), (1.5, -75), (2.0, 30), (4.5, 0), (4.5, 20)],
+    sampled(
+        [(0.8, 40), (4.5, 20), (0.4, 0), (0.7, 0), (1.0, 70), (1.5, -75), (2.0, 30), (4.5, 0)], 2
+    ),
 )
 def test_picture_is_at_its_projection_to_a_tenth_of_a_pixel(away: float, aslant: int) -> None:
     angle = math.radians(aslant)

@@ -172,6 +172,7 @@ def test_moved_table_is_in_the_graph_and_in_the_history_and_rollback_restores_it
     assert np.array_equal(restored.values, drawn(original).values)
 
 
+@pytest.mark.accuracy
 def test_restarted_keeper_continues_its_copy(
     original: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -251,6 +252,7 @@ def test_graph_that_is_none_fails_configuration(tmp_path: Path) -> None:
         ComponentHarness(GraphKeeper, parameters)
 
 
+@pytest.mark.accuracy
 def test_kill_loses_no_change_that_was_logged(original: Path) -> None:
     program = f"""
 import logging, sys

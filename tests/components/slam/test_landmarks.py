@@ -57,6 +57,7 @@ def trajectory_error(mapper: Mapper, drive: Drive) -> float:
     return float(np.sqrt(np.mean((x - true[:, 0]) ** 2 + (y - true[:, 1]) ** 2)))
 
 
+@pytest.mark.accuracy
 def test_objects_make_a_map_although_odometry_turns_too_little() -> None:
     drive = Drive(120.0, Base(turn_gain=0.9, drift=0.002))
     mapper = drive.into(Mapper(10.0, COMMANDED))
@@ -104,6 +105,7 @@ def test_object_that_is_seen_again_after_a_blind_stretch_corrects_the_trajectory
     assert max(map_errors(places(mapper.landmarks()), OBJECTS).values()) < 0.15
 
 
+@pytest.mark.accuracy
 def test_gross_errors_do_not_bend_the_map() -> None:
     random = np.random.default_rng(3)
 
@@ -135,6 +137,7 @@ def test_object_that_is_moved_stands_where_it_was_seen_last() -> None:
     assert 40e9 < moved.last_seen_ns < 71e9
 
 
+@pytest.mark.accuracy
 def test_object_that_was_seen_twice_is_uncertain() -> None:
     def camera(step: int, _pose: Pose, seen: list[Observation]) -> list[Observation]:
         stray = Observation(99, 2.0, 0.0, 0.01, 0.0004)
@@ -187,6 +190,7 @@ def test_observations_of_a_robot_that_stands_make_its_landmarks_no_more_certain(
     assert len(mapper.keyframes) == 1
 
 
+@pytest.mark.accuracy
 def test_covariance_covers_the_errors() -> None:
     report = mapped(150.0, Base(turn_gain=0.95, drift=0.001)).landmarks()
     errors = map_errors(places(report), OBJECTS)
@@ -222,6 +226,7 @@ def test_landmarks_of_a_graph_file_are_extended(tmp_path: Path) -> None:
     assert max(map_errors(places(report), OBJECTS).values()) < 0.1
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("with_objects", [False, True])
 def test_objects_show_where_the_robot_is_along_a_corridor(with_objects: bool) -> None:
     """The walls look the same everywhere, and the wheels slip by 15 % on the way back."""

@@ -29,6 +29,7 @@ def mapped(recording: Recording) -> Mapper:
     return mapper
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_a_tour_of_an_office_is_mapped_within_centimeters() -> None:
     recording = record(courses.shipped("office", 5.0), SCANNERS["UST-10LX"])

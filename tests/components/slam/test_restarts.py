@@ -108,6 +108,7 @@ def test_graph_is_saved_from_any_thread(tmp_path: Path) -> None:
     assert read_graph(path).keyframes == []
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_full_disk_stops_neither_mapping_nor_exploration(tmp_path: Path) -> None:
     sets = [f"settings.report={tmp_path}", "settings.explore=on_activation"]

@@ -22,6 +22,7 @@ from cairn.schemas.nav2_msgs.action import (
 from cairn.schemas.std_msgs import Header
 from tests.navigation.conftest import drive  # noqa: F401 - a fixture
 from tests.navigation.driving import LockstepRobot
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 SUCCEEDED, CANCELED, ABORTED = (
@@ -133,7 +134,7 @@ def test_waypoint_that_is_not_reached_ends_the_goal_or_is_listed(
     assert robot.truth[0] == pytest.approx(2.6, abs=0.2)
 
 
-@pytest.mark.parametrize("angle", [math.pi / 2, -1.0])
+@pytest.mark.parametrize("angle", sampled([-1.0, math.pi / 2]))
 def test_robot_spins(robot: LockstepRobot, angle: float) -> None:
     heading = robot.truth[2]
     sent = robot.send_goal("spin", Spin, Spin.Goal(target_yaw=angle))

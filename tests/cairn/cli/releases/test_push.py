@@ -119,6 +119,7 @@ def there(tmp_path: Path) -> Iterator[There]:
         yield There(folder, config, file, tiny_wheel(tmp_path))
 
 
+@pytest.mark.accuracy
 def test_release_is_pushed_once_and_a_broken_one_is_rolled_back(there: There) -> None:
     pushed = there.push("first", "base", "arm")
 

@@ -270,6 +270,7 @@ def test_existing_calibration_is_replaced_only_with_force(
     assert (out / "left.yaml").read_bytes() != before
 
 
+@pytest.mark.accuracy
 def test_smaller_board_than_stated_is_reported(tmp_path: Path) -> None:
     same = [Path(shutil.copy(IMAGES / "left01.jpg", tmp_path / f"{n}.jpg")) for n in range(3)]
 

@@ -27,6 +27,7 @@ from tests.components.slam.changing_room import (
     write_room_graph,
 )
 from tests.disk import room_for
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 MORNING_S = 1_777_888_800.0  # 2026-05-04 10:00 UTC
@@ -95,7 +96,7 @@ def test_rollback_to_a_time_writes_the_map_of_then(changed: Path) -> None:
     assert back.json["returned_to"] == rows[-2]["version"]
 
 
-@pytest.mark.parametrize("full_for", ["grid map", "graph"])
+@pytest.mark.parametrize("full_for", sampled(["grid map", "graph"]))
 def test_rollback_on_a_full_disk_changes_neither_graph_nor_grid_map(
     changed: Path, monkeypatch: pytest.MonkeyPatch, full_for: str
 ) -> None:

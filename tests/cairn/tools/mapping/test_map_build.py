@@ -41,6 +41,7 @@ def file(out: Path, ending: str) -> Path:
     return out.with_name(out.name + ending)
 
 
+@pytest.mark.accuracy
 def test_trajectory_keeps_the_times_of_the_recording_and_meets_the_benchmarks_accuracy(
     built: Path,
 ) -> None:
@@ -225,6 +226,7 @@ def test_recording_without_odometry_is_refused_with_the_remedy(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.accuracy
 def test_scans_alone_give_a_map_of_a_slow_robot(
     built: Path, without_odometry: Path, tmp_path: Path
 ) -> None:
