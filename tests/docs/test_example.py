@@ -90,6 +90,7 @@ def test_lockstep_gives_the_same_run_for_the_same_seed(user: Any, tmp_path: Path
     assert logs[0] == logs[1]
 
 
+@pytest.mark.accuracy
 def test_real_processes_can_be_inspected_and_tuned_as_on_the_page(
     user: Any, tmp_path: Path, endpoint: str
 ) -> None:

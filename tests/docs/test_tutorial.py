@@ -34,6 +34,7 @@ def test_package_has_as_many_tests_as_stated(page: str, project: Path) -> None:
     assert f"\n{stated} tests collected" in run_pytest(project, "--collect-only")
 
 
+@pytest.mark.accuracy
 def test_change_of_the_component_fails_one_test_until_its_expectation_follows(
     page: str, project: Path
 ) -> None:

@@ -114,6 +114,7 @@ def test_plugin_that_cannot_be_imported_by_its_process_is_named(
     )
 
 
+@pytest.mark.accuracy
 def test_component_that_raises_in_its_supervisors_process_is_restarted(
     launch: Launching,
 ) -> None:

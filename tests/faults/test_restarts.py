@@ -175,6 +175,7 @@ def test_goal_loads_the_plugins_and_each_can_be_loaded_and_unloaded_alone(
     assert run.stop() == 0
 
 
+@pytest.mark.accuracy
 def test_goal_that_fails_is_reported_and_can_be_sent_again(
     launch: Launching,
 ) -> None:

@@ -36,6 +36,7 @@ def test_full_disk_for_logs_is_reported_once_and_the_robot_keeps_running(launch:
     assert not any("Traceback" in line or "WARNING" in line for line in others), run
 
 
+@pytest.mark.accuracy
 def test_report_folder_that_cannot_be_created_is_reported(
     launch: Launching, tmp_path: Path
 ) -> None:

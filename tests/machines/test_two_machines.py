@@ -169,6 +169,7 @@ def test_machine_with_a_revoked_certificate_is_shut_out(pair: Pair) -> None:
     refused.await_line("brain.pem: no such file; enroll brain on this computer")
 
 
+@pytest.mark.accuracy
 def test_without_the_other_machine_the_robot_starts_after_its_time_limit(
     machines: Machines,
 ) -> None:

@@ -78,6 +78,7 @@ def test_robot_goes_near_an_obstacle_and_finds_it_removed(drive: RobotFactory) -
     assert any(reason.startswith("go near") for reason in reasons), robot
 
 
+@pytest.mark.accuracy
 def test_person_who_stays_on_the_goal_fails_the_mission(drive: RobotFactory) -> None:
     robot = drive(FEW_RECOVERIES)
     robot.request("world", "person", name="guard", waypoints=[[4.0, 1.4]])

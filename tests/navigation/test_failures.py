@@ -40,6 +40,7 @@ def test_silent_scanner_stops_the_robot_until_it_returns(
     robot.assert_arrives((4.0, 1.4))
 
 
+@pytest.mark.accuracy
 def test_scanner_that_stays_silent_fails_the_mission(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(7.0, 5.0)

@@ -208,6 +208,7 @@ def test_what_is_moved_in_front_of_one_of_five_robots_is_repaired_in_all_maps(
         assert len(cells.decisions) <= 16  # a part of the limit
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_two_robots_that_meet_head_on_do_not_collide(tmp_path: Path) -> None:
     starts = {"robot_1": (1.0, 1.2, 0.0), "robot_2": (6.6, 1.6, 3.14)}

@@ -75,6 +75,7 @@ def test_canceled_mission_leaves_the_robot_standing(drive: RobotFactory) -> None
     assert sent.cancel_code == CancelGoal.Response.ERROR_GOAL_TERMINATED
 
 
+@pytest.mark.accuracy
 def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
     robot = drive()
     goals = [[3.0, 1.2, 0.0], [6.4, 1.8, 1.5], [6.6, 3.2, 1.5]]

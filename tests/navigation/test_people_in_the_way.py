@@ -24,6 +24,7 @@ def test_person_near_the_goal_walks_around_the_robot(drive: RobotFactory) -> Non
         robot.assert_arrives(goal)
 
 
+@pytest.mark.accuracy
 def test_robot_gives_way_to_a_person_from_a_dead_end(drive: RobotFactory) -> None:
     robot = drive()
     for name, y in (("low", 1.45), ("high", 2.55)):

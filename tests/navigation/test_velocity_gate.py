@@ -33,6 +33,7 @@ def test_goal_waits_during_an_emergency_stop_and_goes_on_after_release(
     robot.assert_arrives((4.0, 1.4))
 
 
+@pytest.mark.accuracy
 def test_navigator_waits_while_an_operator_has_the_lease(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(4.0, 1.4)

@@ -71,6 +71,7 @@ def test_robot_just_before_a_new_keepout_zone_stops_at_its_edge_or_turns_away(
     assert await_end_outside(robot, zone).state == NavigationStatus.SUCCEEDED
 
 
+@pytest.mark.accuracy
 def test_robot_in_a_new_keepout_zone_leaves_it_by_the_shortest_way(drive: RobotFactory) -> None:
     robot = driving(drive())
     x, y, _ = robot.truth

@@ -148,6 +148,7 @@ def test_wheel_contains_one_package_with_its_data(wheel: Path) -> None:
     assert definitions <= set(names)
 
 
+@pytest.mark.accuracy
 def test_base_is_small(base: Environment) -> None:
     sizes = [
         Path(folder, file).stat().st_size
@@ -159,6 +160,7 @@ def test_base_is_small(base: Environment) -> None:
     assert sum(sizes) / 1e6 <= BASE_LIMIT_MB
 
 
+@pytest.mark.accuracy
 def test_base_runs_a_driver_and_records(base: Environment, tmp_path: Path) -> None:
     port = tmp_path / "port"
     (base.site / "listener.py").write_text(dedent(BASE_COMPONENT), encoding="utf-8")
@@ -183,6 +185,7 @@ def test_base_runs_a_driver_and_records(base: Environment, tmp_path: Path) -> No
     assert "/scan" in base.run("cairn", "recording", "info", "scans.mcap", folder=tmp_path)
 
 
+@pytest.mark.accuracy
 def test_base_names_what_a_component_and_a_command_lack(base: Environment, tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text("cairn: 1\ncomponents: {pose: {plugin: localizer}}\n", encoding="utf-8")

@@ -284,6 +284,7 @@ def _decode_or_reject(cls: type[Any], data: bytes) -> None:
         return
 
 
+@pytest.mark.accuracy
 def test_memory_of_a_long_sequence_of_small_messages_is_bounded() -> None:
     sequences = {
         field.element: (name, field)

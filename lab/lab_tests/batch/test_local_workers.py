@@ -68,6 +68,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.accuracy
 def test_interrupted_command_ends_its_workers_at_once(tmp_path: Path) -> None:
     script = tmp_path / "command.py"
     script.write_text(COMMAND)

@@ -11,6 +11,7 @@ from lab_tests.campaign.test_campaign import TREE
 from tests.docs.conftest import blocks
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_example_of_the_guide_runs(
     campaign: Callable[..., CampaignReport],

@@ -232,6 +232,7 @@ def test_json_output_contains_failures(tmp_path: Path, empty_room: Path) -> None
     assert answer.json["summary"]["failures"] == {"3": "never kidnapped"}
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("scripted_runs")
 def test_events_after_the_end_of_a_run_are_reported(
     tmp_path: Path,

@@ -96,6 +96,7 @@ def test_other_users_cannot_connect_to_any_process_nor_read_what_it_writes(
     assert not any(path.exists() for path in sockets)
 
 
+@pytest.mark.accuracy
 def test_group_may_use_the_socket_and_the_rest_may_not(launch: Launching) -> None:
     endpoint = new_endpoint()
     path = socket_path(endpoint)
@@ -161,6 +162,7 @@ def test_deployment_that_would_let_in_anyone_does_not_start(launch: Launching) -
     run.await_line("could drive the robot; add `users` with passwords")
 
 
+@pytest.mark.accuracy
 def test_deployment_joins_another_one_with_a_password(launch: Launching, tmp_path: Path) -> None:
     password = tmp_path / "password"
     password.touch(mode=0o600)
@@ -181,6 +183,7 @@ def test_deployment_joins_another_one_with_a_password(launch: Launching, tmp_pat
     assert first.stop() == 0
 
 
+@pytest.mark.accuracy
 def test_endpoint_for_any_local_user_is_announced_and_needs_no_password(launch: Launching) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     run = launch(TALK, "--set", f"bus={{listen: [{endpoint}], allow_any_local_user: true}}")

@@ -119,6 +119,7 @@ def test_robot_continues_while_its_output_is_on_a_full_disk_and_its_logs_are_rot
     assert "child ended: talker: all words sent" in log
 
 
+@pytest.mark.accuracy
 def test_old_run_folder_loses_its_logs_and_keeps_its_map(launch: Launching, tmp_path: Path) -> None:
     file = launch.write(TALK)
     old = tmp_path / "cairn" / "runs" / "20260101-sim"
@@ -147,6 +148,7 @@ def test_lockstep_with_the_same_seed_prints_the_same(launch: Launching) -> None:
     assert "child ended: talker: all words sent" in runs[0].log_of("lockstep")
 
 
+@pytest.mark.accuracy
 def test_lockstep_stops_on_ctrl_c(launch: Launching) -> None:
     run = launch("components: {talker: {plugin: test_talker}}", "--lockstep")
     run.await_line("child active: talker")
@@ -174,6 +176,7 @@ def test_deployment_with_problems_is_not_started(launch: Launching) -> None:
     assert not (run.report / "logs").exists()
 
 
+@pytest.mark.accuracy
 def test_two_robots_share_a_bus_unless_they_have_the_same_name(launch: Launching) -> None:
     first = launch(TALK.replace("words: 20", "words: 0"), robot="alpha")
     first.await_line("child active: talker")

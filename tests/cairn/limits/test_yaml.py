@@ -7,6 +7,7 @@ import pytest
 from cairn.errors import CairnError
 from tests.hostile_files import HOSTILE
 from tests.hostile_reading import READERS
+from tests.sweeps import sampled
 
 # The readers of images refuse their files in cases of their own.
 _KINDS = ("deployment", "world", "grid_map", "camera_file")
@@ -15,10 +16,16 @@ _KINDS = ("deployment", "world", "grid_map", "camera_file")
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
-        (kind, name)
+        case
         for kind in _KINDS
-        for name in HOSTILE[kind]
-        if not name.startswith("image_") and name != "points"  # slow: 50,000 values are parsed
+        for case in sampled(
+            [
+                (kind, name)
+                for name in HOSTILE[kind]
+                if not name.startswith("image_") and name != "points"  # slow: 50,000 values
+            ],
+            3,
+        )
     ],
 )
 def test_hostile_yaml_file_is_refused_with_its_reason(tmp_path: Path, kind: str, name: str) -> None:

@@ -119,6 +119,7 @@ def test_unchanged_kernel_comes_from_the_cache_whatever_its_comments(package: Pa
     assert sorted(path.name for path in package.cache.glob("*.nb?")) == files
 
 
+@pytest.mark.accuracy
 def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> None:
     package = Package(tmp_path)
     package.create()

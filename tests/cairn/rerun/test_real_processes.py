@@ -32,6 +32,7 @@ def recording(launch: Launching) -> Path:
     return run.report / "recording.mcap"
 
 
+@pytest.mark.accuracy
 def test_recording_of_real_processes_makes_a_test_and_drivers_are_refused(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

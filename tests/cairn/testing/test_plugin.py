@@ -98,6 +98,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.accuracy
 def test_failed_contract_names_a_wrong_setting_or_shows_what_the_deployment_logged(
     folder: Path,
 ) -> None:
@@ -151,6 +152,7 @@ def test_deployment_that_does_not_start_is_described_and_leaves_no_session_open(
     assert [one.is_closed() for one in sessions] == [True]
 
 
+@pytest.mark.accuracy
 def test_status_after_a_transition_is_that_of_the_reply(
     deploy: Callable[..., RunningDeployment],
 ) -> None:

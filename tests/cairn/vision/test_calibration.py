@@ -216,6 +216,7 @@ def test_images_without_board_give_no_corners() -> None:
     assert find_corners(random.integers(0, 255, (240, 320), np.uint8), BOARD) is None
 
 
+@pytest.mark.accuracy
 def test_board_of_another_size_is_found() -> None:
     images = [read_image(IMAGES / "left01.jpg")]
 

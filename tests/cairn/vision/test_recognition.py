@@ -185,6 +185,7 @@ def test_views_of_one_object_are_not_alternatives() -> None:
     assert (found.object_id, found.view, found.alternatives) == (1, 1, ())
 
 
+@pytest.mark.accuracy
 def test_object_attached_to_another_is_detected_as_well() -> None:
     poster = np.full((300, 300), 128, np.uint8)
     poster[160:280, 20:180] = PICTURES[6]

@@ -37,6 +37,7 @@ def random_points(seed: int, count: int = 100) -> NDArray[np.float64]:
     return np.random.default_rng(seed).uniform((60, 20), (WIDTH - 20, HEIGHT - 20), (count, 2))
 
 
+@pytest.mark.accuracy
 @given(
     seed=st.integers(0, 1000),
     middle=st.floats(3.0, 35.0),

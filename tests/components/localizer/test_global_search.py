@@ -123,6 +123,7 @@ def test_search_without_measurements_finds_nothing() -> None:
     assert search(nothing, 1000, np.random.default_rng(0)) is None
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", sampled(range(3)))
 def test_robot_in_a_symmetric_room_is_not_located(seed: int) -> None:

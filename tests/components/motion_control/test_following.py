@@ -205,6 +205,7 @@ def test_goal_is_reached_from_anywhere(
     assert_reached(record, (0.5, -0.5, goal_heading))
 
 
+@pytest.mark.accuracy
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     heading=headings, away=st.floats(-3.0, -0.15), length=st.floats(1, 3), seed=st.integers(0, 9)

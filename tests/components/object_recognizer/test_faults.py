@@ -224,6 +224,7 @@ def test_calibration_that_is_slightly_off_is_reported_and_widens_the_covariance(
     assert "calibrate the cameras again" in warnings()
 
 
+@pytest.mark.accuracy
 def test_wrong_size_is_distinguished_from_wrong_calibration(
     robot: Start, warnings: Warnings, map_file: Path
 ) -> None:
@@ -252,6 +253,7 @@ def test_object_of_unknown_size_needs_stereo(
     assert ("poster 3: no range" in warnings()) != stereo
 
 
+@pytest.mark.accuracy
 def test_two_identical_objects_of_unknown_size_are_not_mixed_up(robot: Start) -> None:
     it = robot().calibrate()
     for z in (1.2, 1.4, 1.6, 1.8):

@@ -126,6 +126,7 @@ def test_box_selects_a_part_of_the_photograph(folder: Path) -> None:
     )
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("cup", "skip_visibility_test")
 def test_similar_objects_are_reported(folder: Path) -> None:
     cairn("object", "teach", "book", photo("b.png", picture_of(2)))

@@ -187,6 +187,7 @@ def test_nothing_is_found_while_the_pose_is_not_reliable(start: Callable[..., Ro
     assert robot.visit([*FIRST, *AGAIN], health=0.3) == []
 
 
+@pytest.mark.accuracy
 def test_poses_may_be_older_than_the_newest_images(start: Callable[..., Robot]) -> None:
     robot = start()
 

@@ -45,6 +45,7 @@ def test_table_names_streams_and_missing_ones() -> None:
     assert "odometry: none\ntrue poses: none\n" in answer.out
 
 
+@pytest.mark.accuracy
 def test_corrected_log_has_odometry_and_true_poses() -> None:
     shown = cairn("recording", "show", str(FR079), "--json").json
 
@@ -54,6 +55,7 @@ def test_corrected_log_has_odometry_and_true_poses() -> None:
     assert any("driving backwards" in note for note in shown["notes"])
 
 
+@pytest.mark.accuracy
 def test_data_set_without_scanner_is_shown_and_drawn(dataset: Path, tmp_path: Path) -> None:
     picture = tmp_path / "way.png"
 
@@ -166,6 +168,7 @@ def test_mount_and_quality_of_times_are_shown(write: Write) -> None:
     assert abs(shown["yaw_by_motion"]["yaw_deg"]) < 1.0
 
 
+@pytest.mark.accuracy
 def test_mount_that_the_motion_contradicts_is_hinted_at(write: Write) -> None:
     drive = office_drive((0.1, 0.0, 1.0))
     log = write(*wild_log(drive, "FLASER", NONE, mount=(0.1, 0.0, 0.0)).lines)

@@ -48,7 +48,7 @@ def streams(tmp_path: Path, log: WildLog) -> tuple[CarmenRecording, OdometryStre
 
 
 @pytest.mark.parametrize("own_clock", sampled([False, True]))
-@pytest.mark.parametrize("kind", ["FLASER", "ROBOTLASER1"])
+@pytest.mark.parametrize("kind", sampled(["FLASER", "ROBOTLASER1"]))
 def test_localizer_follows_a_wild_log_all_the_way(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: str, own_clock: bool
 ) -> None:

@@ -16,6 +16,7 @@ MAP = Path("deploy/maps/fr079.yaml")
 ROUNDED = 20
 
 
+@pytest.mark.accuracy
 def test_shipped_map_is_made_by_the_command_in_the_deployment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

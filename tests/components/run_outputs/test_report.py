@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from cairn.components.run_outputs import report as report_module
 from cairn.components.run_outputs.report import Report
 from cairn.planar.messages import pose_message
 from cairn.schemas.cairn_msgs import VisualMap, VisualObject
@@ -22,6 +23,12 @@ def report(tmp_path: Path) -> Any:
     return ComponentHarness(Report, {"directory": str(tmp_path)}, start_s=BEGIN)
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pictures, which are drawn in a process of their own."""
+    monkeypatch.setattr(report_module, "draw_pictures", lambda *_: "")
+
+
 def finished(harness: Any, folder: Path) -> tuple[dict[str, Any], str]:
     """The report at the end of a run: its values, and its text."""
     harness.request("deactivate")
@@ -29,6 +36,7 @@ def finished(harness: Any, folder: Path) -> tuple[dict[str, Any], str]:
     return values, (folder / "report.txt").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_without_poses_has_the_duration_of_its_clock(report: Any, tmp_path: Path) -> None:
     report.run_for(12.0)
 
@@ -39,6 +47,7 @@ def test_run_without_poses_has_the_duration_of_its_clock(report: Any, tmp_path: 
     assert text.startswith("the localizer published no pose\n12 s recorded")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_continues_after_the_last_pose(report: Any, tmp_path: Path) -> None:
     report.publish("truth", truth_at(BEGIN))
     report.publish("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
@@ -50,6 +59,7 @@ def test_run_continues_after_the_last_pose(report: Any, tmp_path: Path) -> None:
     assert text.startswith("position error 0.100 m rms")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_without_truth_is_reported(report: Any, tmp_path: Path) -> None:
     report.publish("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
 
@@ -58,6 +68,7 @@ def test_run_without_truth_is_reported(report: Any, tmp_path: Path) -> None:
     assert text.startswith("no truth to compare the poses with\n")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_without_clock_has_no_duration(tmp_path: Path) -> None:
     values, text = finished(ComponentHarness(Report, {"directory": str(tmp_path)}), tmp_path)
 
@@ -70,6 +81,7 @@ def truth_at(time: float) -> PoseStamped:
     return PoseStamped(header=header, pose=pose_message((0.0, 0.0, 0.0)))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_journal_holds_only_objects_that_have_changed(report: Any, tmp_path: Path) -> None:
     def visual_map(at_s: float, reliability: float) -> VisualMap:
         objects = tuple(

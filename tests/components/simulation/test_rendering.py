@@ -78,6 +78,7 @@ def test_picture_is_at_its_projection_to_a_tenth_of_a_pixel(away: float, aslant:
         assert here < off(x, y)
 
 
+@pytest.mark.accuracy
 @given(st.floats(0.8, 5.0), st.sampled_from([0.05, 0.09, 0.2]), st.floats(-0.1, 0.1))
 @settings(max_examples=25, deadline=None)
 def test_disparity_is_focal_length_times_baseline_over_depth(

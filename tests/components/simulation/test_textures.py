@@ -119,6 +119,7 @@ def test_texture_paths_are_relative_to_the_world_file(
     assert np.array_equal(taught.views[0].picture, picture)
 
 
+@pytest.mark.accuracy
 def test_objects_of_the_room_are_recognized_at_their_poses() -> None:
     world = read_world(ROOM)
     recognizer = Recognizer(surveyed_models(ROOM))

@@ -231,6 +231,7 @@ def test_full_disk_delays_the_copy_and_fails_nothing(
     assert robot.keeper.ends == []
 
 
+@pytest.mark.accuracy
 def test_unreliable_poses_change_nothing(original: Path) -> None:
     robot = Robot(original)
     robot.drive(room((MOVED,)), 2)  # the map builder repairs the grid map

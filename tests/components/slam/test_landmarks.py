@@ -79,6 +79,7 @@ def test_lag_and_gains_of_commanded_velocities_are_estimated() -> None:
     assert estimate.deviations.turn_gain < 0.05
 
 
+@pytest.mark.accuracy
 def test_calibration_leaves_right_odometry_as_it_is() -> None:
     model = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
     calibration = mapped(120.0, model=model).calibration.calibration
@@ -94,6 +95,7 @@ def test_odometry_without_observations_stays_as_configured() -> None:
     assert mapper.landmarks().landmarks == ()
 
 
+@pytest.mark.accuracy
 def test_object_that_is_seen_again_after_a_blind_stretch_corrects_the_trajectory() -> None:
     def camera(step: int, _pose: Pose, seen: list[Observation]) -> list[Observation]:
         return [] if 300 < step < 1000 else seen

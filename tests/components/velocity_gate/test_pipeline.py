@@ -11,6 +11,7 @@ from cairn.components.velocity_gate.limiter import Velocity
 from cairn.components.velocity_gate.pipeline import CommandPipeline, Surroundings
 from cairn.components.velocity_gate.recent_sweeps import RecentSweeps
 from cairn.planar.poses import Pose
+from tests.sweeps import sampled
 
 SQUARE = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2))
 
@@ -35,7 +36,7 @@ class KnownPoints(RecentSweeps):
 
 
 @pytest.mark.parametrize(
-    ("footprint", "slowdown_time"), [((), 1.5), (SQUARE, 0.3)], ids=["round", "square"]
+    ("footprint", "slowdown_time"), sampled([((), 1.5), (SQUARE, 0.3)]), ids=["round", "square"]
 )
 def test_distant_points_make_no_difference(
     footprint: tuple[tuple[float, float], ...], slowdown_time: float

@@ -96,6 +96,7 @@ def test_impossible_goal_is_aborted_with_nav2s_error_code(
     assert words in result.error_msg
 
 
+@pytest.mark.accuracy
 def test_several_poses_are_driven_through(robot: LockstepRobot) -> None:
     poses = (pose(2.4, 1.2), pose(3.0, 1.2))
     goal = NavigateThroughPoses.Goal(poses=poses)
@@ -109,6 +110,7 @@ def test_several_poses_are_driven_through(robot: LockstepRobot) -> None:
     assert end(robot, none)[1].error_msg == "the goal has 0 poses, and begins with pose 1"
 
 
+@pytest.mark.accuracy
 def test_waypoints_are_followed_in_rounds(robot: LockstepRobot) -> None:
     goal = FollowWaypoints.Goal(poses=(pose(2.0, 1.2), pose(2.6, 1.2)), number_of_loops=1)
     sent = robot.send_goal("follow_waypoints", FollowWaypoints, goal)

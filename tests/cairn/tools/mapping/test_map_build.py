@@ -182,6 +182,7 @@ def test_map_before_is_kept_if_the_new_one_cannot_be_written(
         assert file(out, ending).read_text() == "the map before"
 
 
+@pytest.mark.accuracy
 def test_full_disk_leaves_the_whole_map_before(short: Path, tmp_path: Path) -> None:
     """The grid map has room, but not the graph to which it belongs."""
     out = tmp_path / "map"
@@ -251,6 +252,7 @@ def test_recording_without_scans_is_refused(tmp_path: Path) -> None:
     assert f"{path}: has no scans and no observations of objects" in answer.err
 
 
+@pytest.mark.accuracy
 def test_result_is_printed_as_json(first: Path) -> None:
     result = json.loads(first.with_name("result.json").read_text())
 
