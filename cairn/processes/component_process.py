@@ -112,7 +112,8 @@ def _limit_allocation(memory_max_mib: int) -> None:
     """Have allocations fail beyond `_ALLOCATED` times a component's memory limit [MiB].
 
     Its supervisor kills it at the limit itself, but looks only twice a second, and not while it
-    stops another child.
+    stops another child. `RLIMIT_DATA` alone would be no measure: it counts what is allocated but
+    not used, such as the stacks of threads, 150 to 210 MiB. Each helper process inherits it.
     """
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     limit = _ALLOCATED * (memory_max_mib << 20)

@@ -11,6 +11,7 @@ from cairn.testing.launching import Launching
 pytestmark = pytest.mark.xdist_group("robots in real time")
 
 
+@pytest.mark.accuracy
 def test_examples_of_the_page_run_against_the_simulated_robot(
     launch: Launching,
     root: Path,

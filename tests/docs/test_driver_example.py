@@ -29,12 +29,14 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
     return environment
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
 def test_driver_tests_pass_with_installed_wheels_only(installed: Environment) -> None:
     installed.check_tests_pass("tests")
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime  # as the other, so that both share an environment
 def test_installed_driver_is_found_by_its_name(installed: Environment) -> None:
     assert "Measures ranges with a Lantern" in installed.run("cairn", "plugins", "lantern_scanner")

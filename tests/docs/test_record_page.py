@@ -22,6 +22,7 @@ STATE_AFTER = {"split": "recording_2.mcap", "pause": "paused:", "resume": "recor
 """What `cairn recorder` prints of the state that it has brought about."""
 
 
+@pytest.mark.accuracy
 def test_commands_of_the_page_record_a_running_robot(
     launch: Launching,
     page_blocks: Callable[[str], Any],

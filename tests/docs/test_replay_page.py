@@ -11,6 +11,7 @@ from tests.commands import cairn
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.accuracy
 def test_contents_of_the_shipped_recording_are_as_shown(
     root: Path, page_blocks: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -129,6 +129,7 @@ def test_machine_pause_does_not_trigger_hang_detection(launch: Launching) -> Non
     assert run.stop() == 0
 
 
+@pytest.mark.accuracy
 def test_hang_in_the_supervisors_process_restarts_that_process(launch: Launching) -> None:
     run = launch(
         """
@@ -155,6 +156,7 @@ def test_hang_in_the_supervisors_process_restarts_that_process(launch: Launching
     assert run.pid_of("listener") == listener
 
 
+@pytest.mark.accuracy
 def test_forged_status_and_false_queryables_have_no_effect(launch: Launching) -> None:
     run = launch(
         """
@@ -201,6 +203,7 @@ def test_forged_status_and_false_queryables_have_no_effect(launch: Launching) ->
     assert run.pid_of("talker") == talker
 
 
+@pytest.mark.accuracy
 def test_components_that_hang_leave_time_to_stop_for_those_that_answer(launch: Launching) -> None:
     run = launch(
         """
@@ -271,6 +274,7 @@ def test_ctrl_c_does_not_wait_for_a_component_that_hangs_while_starting(
     run.await_line("child stopped: beacon: shut down")
 
 
+@pytest.mark.accuracy
 def test_supervisor_busy_with_one_child_does_not_kill_another_as_hung(launch: Launching) -> None:
     run = launch(
         """

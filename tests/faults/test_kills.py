@@ -160,6 +160,7 @@ def test_second_ctrl_c_kills_everything(launch: Launching) -> None:
     run.await_line("cairn: stopped by force, on a second signal")
 
 
+@pytest.mark.accuracy
 def test_subprocess_of_a_component_is_killed_with_it(launch: Launching) -> None:
     run = launch(
         """
@@ -173,6 +174,7 @@ def test_subprocess_of_a_component_is_killed_with_it(launch: Launching) -> None:
     assert run.stop() == 0
 
 
+@pytest.mark.accuracy
 def test_robot_continues_when_the_reader_of_its_output_ends(launch: Launching) -> None:
     run = launch(TREE, head=3)
     log = run.logs / "root.log"

@@ -80,6 +80,7 @@ def test_components_that_fail_while_running_are_restarted_and_the_cause_is_logge
     assert run.stop() == 0
 
 
+@pytest.mark.accuracy
 def test_deployment_with_a_broken_plugin_does_not_start(
     launch: Launching,
 ) -> None:

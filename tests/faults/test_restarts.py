@@ -75,6 +75,7 @@ def test_supervisor_goes_on_while_a_child_starts(launch: Launching) -> None:
     assert run.stop() == 0
 
 
+@pytest.mark.accuracy
 def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launching) -> None:
     run = launch(
         """
@@ -104,6 +105,7 @@ def test_too_many_restarts_escalate_to_the_end_of_the_deployment(launch: Launchi
     )
 
 
+@pytest.mark.accuracy
 def test_finished_component_is_not_restarted_and_a_significant_one_ends_the_deployment(
     launch: Launching,
 ) -> None:
@@ -208,6 +210,7 @@ def test_goal_that_fails_is_reported_and_can_be_sent_again(
     assert not any("failed: automove" in line for line in run.lines)
 
 
+@pytest.mark.accuracy
 def test_requested_restart_that_keeps_failing_fails_the_supervisor(launch: Launching) -> None:
     run = launch(
         """

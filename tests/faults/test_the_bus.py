@@ -25,6 +25,7 @@ TALK = """
     """
 
 
+@pytest.mark.accuracy
 def test_second_router_at_a_socket_is_reported_with_remedies(launch: Launching) -> None:
     first = launch(TALK)
     first.await_line("child active: talker")

@@ -21,6 +21,7 @@ def no_room() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))  # bytes for each file
 
 
+@pytest.mark.accuracy
 def test_full_disk_for_logs_is_reported_once_and_the_robot_keeps_running(launch: Launching) -> None:
     # Python 3.11 would keep the part of a compiled module that fits, and fail to import it later.
     run = launch(TALK, preexec_fn=no_room, environment={"PYTHONDONTWRITEBYTECODE": "1"})

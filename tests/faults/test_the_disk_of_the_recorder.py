@@ -31,6 +31,7 @@ def words_in(recording: Path) -> list[int]:
         return [one.sequence for one in opened.messages() if one.channel.topic == "/robot/words"]
 
 
+@pytest.mark.accuracy
 def test_recording_continues_when_the_disk_has_space_again(launch: Launching) -> None:
     run = launch(TALK, "--record")
     recording = run.report / "recording.mcap"

@@ -20,7 +20,7 @@ from tests.interop.test_dora_navigation import goal
 from tests.navigation.driving import SIM
 from tests.navigation.processes import ObservedRobot, robot_in
 
-pytestmark = [pytest.mark.realtime, pytest.mark.processes]
+pytestmark = [pytest.mark.realtime, pytest.mark.processes, pytest.mark.accuracy]
 
 ACTION = "/navigate_to_pose"  # as with Nav2, by `ros_names`
 RELAYS = (

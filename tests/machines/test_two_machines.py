@@ -48,6 +48,7 @@ def start(machines: Machines, deployment: str, *of_brain: str) -> tuple[Run, Run
     return base, brain
 
 
+@pytest.mark.accuracy
 def test_nothing_is_lost_between_machines_and_commands_reach_both(machines: Machines) -> None:
     deployment = tree(machines, talker=", parameters: {words: 60}")
     records = deployment.replace("brain: {", "brain: {role: view, ", 1)

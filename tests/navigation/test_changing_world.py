@@ -106,6 +106,7 @@ def walled_in(robot: LockstepRobot) -> None:
         robot.request("world", "furniture", name=name, x=x + dx, y=y + dy, size=size)
 
 
+@pytest.mark.accuracy
 def test_enclosed_robot_fails_with_the_nearest_position(drive: RobotFactory) -> None:
     robot = drive(FEW_RECOVERIES)
     walled_in(robot)

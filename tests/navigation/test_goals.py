@@ -40,6 +40,7 @@ def test_mission_publishes_its_states_and_ends_at_the_goal(drive: RobotFactory) 
     assert robot.stands()
 
 
+@pytest.mark.accuracy
 def test_new_goal_preempts_the_old_one(drive: RobotFactory) -> None:
     robot = drive()
     robot.go(7.5, 5.0)

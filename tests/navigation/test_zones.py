@@ -142,6 +142,7 @@ def test_goal_under_a_new_keepout_zone_fails_within_a_second(drive: RobotFactory
     assert robot.await_end(20.0).reason_code == ReasonCode.GOAL_IN_KEEPOUT
 
 
+@pytest.mark.accuracy
 def test_robot_takes_a_preferred_lane(drive: RobotFactory) -> None:
     robot = drive()
     robot.run_for(3.0)

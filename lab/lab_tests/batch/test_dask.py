@@ -101,6 +101,7 @@ def test_report_from_a_cluster_is_that_of_this_computer(
     assert there == here
 
 
+@pytest.mark.accuracy
 def test_batch_survives_a_killed_worker_and_a_restarted_scheduler(
     tmp_path: Path, cluster: Cluster
 ) -> None:

@@ -38,6 +38,7 @@ def test_batch_continues_when_a_worker_is_killed(tmp_path: Path) -> None:
     assert set(active_children()) == before
 
 
+@pytest.mark.accuracy
 def test_double_run_is_made_by_another_process_and_a_difference_is_reported(
     tmp_path: Path,
 ) -> None:

@@ -29,6 +29,7 @@ def result_of(task: Task) -> TaskResult:
     return result
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_run_needs_no_file_of_the_computer_that_submits_it(tmp_path: Path) -> None:
     project = tmp_path / "project"

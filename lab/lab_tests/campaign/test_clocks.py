@@ -89,6 +89,7 @@ def test_step_is_skipped_if_the_loader_cannot_read_the_folders_name(
         pass
 
 
+@pytest.mark.accuracy
 @needs_compiler
 @pytest.mark.processes
 def test_clock_of_a_deployment_is_stepped(campaign: Callable[..., CampaignReport]) -> None:

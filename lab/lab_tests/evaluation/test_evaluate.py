@@ -12,6 +12,7 @@ from cairn_lab.evaluation.results import GoalResult, RunResult
 from cairn_lab.evaluation.runs import Trial, examination
 from lab_tests.batch.fake_workers import FakeWorkers, Payload, answer
 from tests.commands import Answer, cairn
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.processes
@@ -137,13 +138,16 @@ def scripted_run(task: Payload, _contents: object, _worker: str) -> dict[str, ob
 @pytest.mark.usefixtures("scripted_runs")
 @pytest.mark.parametrize(
     ("seeds", "code", "expected"),
-    [
-        ("0", 0, "reached           1 of 1"),
-        ("0..1", 1, "seed 1, goal 2 at (3.00, 2.00) not reached"),
-        ("2", 1, "seed 2, collision: table"),
-        ("3", 1, "seed 3 failed: never kidnapped"),
-        ("4", 1, "seed 4 failed: ValueError('this seed went wrong')"),
-    ],
+    sampled(
+        [
+            ("0", 0, "reached           1 of 1"),
+            ("0..1", 1, "seed 1, goal 2 at (3.00, 2.00) not reached"),
+            ("2", 1, "seed 2, collision: table"),
+            ("3", 1, "seed 3 failed: never kidnapped"),
+            ("4", 1, "seed 4 failed: ValueError('this seed went wrong')"),
+        ],
+        2,
+    ),
 )
 def test_exit_status_reports_failures(
     tmp_path: Path, empty_room: Path, seeds: str, code: int, expected: str

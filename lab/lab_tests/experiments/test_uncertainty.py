@@ -63,6 +63,7 @@ def test_without_a_registration_there_is_no_phase_after_it() -> None:
     assert one.phase(CHANGED.name, REPAIRED).stamps.size == 0
 
 
+@pytest.mark.accuracy
 def test_conditions_are_compared_in_the_same_phase_of_the_same_seeds() -> None:
     curves = [seed(curve(1.0, 2.0, 2.0), curve(1.0, 3.0, 3.0))]
     curves.append(seed(curve(9.0, 8.0, 8.0), curve(9.0, 12.0, 12.0)))

@@ -281,6 +281,7 @@ def before_last(cls: type[Any], size: int) -> tuple[bytes, int]:
     return SHARED.encode(cls())[4:-size], 1
 
 
+@pytest.mark.accuracy
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(TARGETS), st.lists(REPEATED, max_size=12))
 @example(Nested, [count_of(1), count_of(60_000), (b"\0", 60_000)])

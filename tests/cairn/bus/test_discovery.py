@@ -151,6 +151,7 @@ def test_latched_publishers_that_come_and_go_do_not_delay_discovery(
         network.close()
 
 
+@pytest.mark.accuracy
 def test_repeatedly_started_processes_lose_no_message(network: Network) -> None:
     bus = network.bus()
     here = node(bus, "/robot/here")

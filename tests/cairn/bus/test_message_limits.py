@@ -159,6 +159,7 @@ bus.close()
 """
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_long_messages_do_not_fill_the_memory_of_a_busy_reader(network: Network) -> None:
     program = [sys.executable, "-c", _READER, network.endpoint, SECRET]

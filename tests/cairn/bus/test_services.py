@@ -311,6 +311,7 @@ signal.pause()
 """
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_client_that_never_reads_does_not_stop_the_server() -> None:
     network = Network()

@@ -74,6 +74,7 @@ def tcp_listeners(run: Run) -> list[str]:
     return [link for link in links if link in listening]
 
 
+@pytest.mark.accuracy
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may run a program as another user")
 def test_other_users_cannot_connect_to_any_process_nor_read_what_it_writes(
     launch: Launching,

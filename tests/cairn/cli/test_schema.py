@@ -249,6 +249,7 @@ def test_invalid_type_does_not_hide_the_others(
     assert files == {"package.xml", "Dock.srv", "Dock.json"}
 
 
+@pytest.mark.accuracy
 def test_broken_package_does_not_hide_the_others(
     installed: list[_Point], workspace: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -62,6 +62,7 @@ def test_up_prints_lines_and_keeps_its_logs_without_old_ones_in_the_report_folde
     assert "child active: talker" in run.log_of("root")
 
 
+@pytest.mark.accuracy
 def test_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path: Path) -> None:
     module = """
         import fcntl
@@ -86,6 +87,7 @@ def test_long_import_of_plugins_is_announced_once(launch: Launching, tmp_path: P
     assert sum("importing the plugins" in line for line in run.lines) == 1
 
 
+@pytest.mark.accuracy
 def test_robot_continues_while_its_output_is_on_a_full_disk_and_its_logs_are_rotated(
     launch: Launching, tmp_path: Path
 ) -> None:

@@ -207,6 +207,7 @@ def seconds_to_stop(live: Running, robot: Robot, stop: Callable[[Page], object])
     return next(at for at, speed in commands if at > stopped_at and speed == 0.0) - stopped_at
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime
 def test_robot_that_is_driven_stops_when_the_page_is_gone(live: Running, robot: Robot) -> None:
     # Of three attempts: this process, or the robot's, may not run for a moment.
@@ -218,6 +219,7 @@ def test_robot_that_is_driven_stops_when_the_page_is_gone(live: Running, robot: 
     assert status.source != "teleoperation"
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime
 def test_robot_that_is_driven_stops_when_commands_cease(live: Running, robot: Robot) -> None:
     limit_s = 0.2 + STOPPED_WITHIN_S

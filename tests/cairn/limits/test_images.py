@@ -64,6 +64,7 @@ def test_hostile_image_is_refused_with_its_reason(tmp_path: Path, case: str) -> 
     assert ";" in str(refusal.value)  # before the remedy
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow  # a process imports the readers
 def test_hostile_images_take_little_time_and_memory() -> None:
     for case, outcome in read_all(_HEAVY).items():

@@ -54,6 +54,7 @@ def test_yaw_of_a_scanner_is_found_in_an_office(yaw: float) -> None:
     assert found.deviation < 0.03
 
 
+@pytest.mark.accuracy
 def test_driving_backwards_does_not_turn_the_scanner() -> None:
     scans, poses = recorded(office_drive((0.2, 0.1, 0.5)))
 

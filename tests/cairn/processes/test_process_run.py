@@ -20,6 +20,7 @@ from tests.cairn.bus.network import Network, eventually, fail_test
 pytestmark = pytest.mark.processes
 
 
+@pytest.mark.accuracy
 def test_zygote_that_crashes_fails_the_deployment_with_the_cause_and_its_log_is_kept(
     launch: Launching, tmp_path: Path
 ) -> None:

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.processes
 
 CHILDREN = zygote_children.__name__
 FRESH = pytest.mark.parametrize("fresh", sampled([False, True]), ids=["shared", "fresh"])
-HIDDEN = pytest.mark.parametrize("how", ["same group", "own session", "daemon"])
+HIDDEN = pytest.mark.parametrize("how", sampled(["daemon", "own session", "same group"]))
 
 
 @HIDDEN

@@ -47,6 +47,7 @@ def test_messages_of_every_type_are_decoded_to_their_classes() -> None:
             assert decoder.decode(recorded(message)) == message, name
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 @pytest.mark.parametrize("part", sampled(range(6)))
 def test_messages_of_another_version_are_decoded_by_the_definition_in_the_recording(

@@ -277,12 +277,12 @@ def fragile_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [
+    sampled([
         ("raise", ["walker: DIFFERENT", "at 1.5", "a timer", "the component ends",
                    "ValueError: it has become fragile"]),
         ("crash", ["walker: not re-run completely", "status -11", "in a timer, at 1.5",
                    "Segmentation fault", "walkers.py", "in tick"]),
-    ],
+    ]),
 )  # fmt: skip
 def test_component_that_breaks_while_it_is_re_run_is_reported_with_the_time(
     fragile_recording: Path, monkeypatch: pytest.MonkeyPatch, change: str, words: list[str]
@@ -425,6 +425,7 @@ def test_rerun_imports_nothing_from_the_current_folder(
     assert (result.code, result.err) == (0, ""), result.out
 
 
+@pytest.mark.accuracy
 def test_names_of_a_foreign_recording_are_not_code_of_the_saved_test(
     recording: Path, tmp_path: Path
 ) -> None:

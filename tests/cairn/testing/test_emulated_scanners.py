@@ -75,6 +75,7 @@ class TestPbsScans(ScanContract):
     surroundings = {math.radians(90.0): 1.9}
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime
 class TestUtmScans(ScanContract):
     component = "utm"

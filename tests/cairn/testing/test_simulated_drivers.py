@@ -101,10 +101,12 @@ class Life(StopContract, LifeCycleContract, ParametersContract):
     cycles = 6
 
 
+@pytest.mark.accuracy
 class TestScannersLife(Life):
     component, port, message, rate_hz = "scanner", "scan", LaserScan, 20.0
 
 
+@pytest.mark.accuracy
 class TestCamerasLife(Life):
     component, port, message, rate_hz = "camera", "left_info", CameraInfo, 10.0
     live_parameters = {"sensor.gain": 2.0}

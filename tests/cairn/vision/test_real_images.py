@@ -89,6 +89,7 @@ def everything() -> Recognizer:
     return Recognizer([model(n, name) for n, name in enumerate(FILES)])
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("name", sampled(FILES))
 def test_different_pictures_are_never_confused(name: str, everything: Recognizer) -> None:
     names = list(FILES)

@@ -190,6 +190,7 @@ def test_writer_that_waits_too_long_fails(map_file: Path, monkeypatch: pytest.Mo
         assert read_models(map_file).models == ()
 
 
+@pytest.mark.accuracy
 def test_concurrent_writers_all_succeed(map_file: Path) -> None:
     context = multiprocessing.get_context("spawn")
     with context.Pool(3) as pool:

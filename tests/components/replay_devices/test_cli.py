@@ -144,6 +144,7 @@ def test_unwritable_drawing_is_an_error(tmp_path: Path) -> None:
     assert "picture.xyz cannot be written" in answer.err
 
 
+@pytest.mark.accuracy
 def test_mount_and_quality_of_times_are_shown(write: Write) -> None:
     log = write(*wild_log(office_drive(), "FLASER", Defects()).lines)
 

@@ -41,10 +41,12 @@ class EmulatedRoboclaw(Contract):
             yield base
 
 
+@pytest.mark.accuracy
 class TestRoboclawLife(EmulatedRoboclaw, BaseLifeContract):
     """The base without tests in real time."""
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime
 class TestRoboclawBase(EmulatedRoboclaw, SafetyContract):
     top_speed = 0.8

@@ -49,10 +49,12 @@ class BaseBehindRos2(Contract):
         return base
 
 
+@pytest.mark.accuracy
 class TestRos2Life(BaseBehindRos2, BaseLifeContract):
     """The base without tests in real time."""
 
 
+@pytest.mark.accuracy
 @pytest.mark.realtime
 class TestRos2Base(BaseBehindRos2, SafetyContract):
     top_speed = 0.6

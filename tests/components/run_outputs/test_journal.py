@@ -136,6 +136,7 @@ def test_full_disk_delays_the_journal_and_loses_nothing(
     assert again == record
 
 
+@pytest.mark.accuracy
 def test_report_starts_on_a_full_disk(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with room_for(0):
         harness = ComponentHarness(Report, {"directory": str(tmp_path / "out")}, start_s=1000.0)

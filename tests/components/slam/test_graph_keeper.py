@@ -137,6 +137,7 @@ def obstacle_near(grid: OccupancyCells, x: float, y: float) -> bool:
     return bool((grid.values[row - 2 : row + 3, column - 2 : column + 3] == OCCUPIED).any())
 
 
+@pytest.mark.accuracy
 def test_moved_table_is_in_the_graph_and_in_the_history_and_rollback_restores_it(
     original: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

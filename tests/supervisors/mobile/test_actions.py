@@ -82,11 +82,13 @@ def test_goal_is_canceled_and_the_next_preempts(robot: LockstepRobot) -> None:
 
 @pytest.mark.parametrize(
     ("position", "frame", "code", "words"),
-    [
-        ((100.0, 1.0), "map", 204, "outside the map"),
-        ((4.0, 3.0), "odom", 9002, "frame odom, not map"),
-        ((1e9, 0.0), "map", 9000, "must be finite, and at most"),
-    ],
+    sampled(
+        [
+            ((100.0, 1.0), "map", 204, "outside the map"),
+            ((4.0, 3.0), "odom", 9002, "frame odom, not map"),
+            ((1e9, 0.0), "map", 9000, "must be finite, and at most"),
+        ]
+    ),
 )
 def test_impossible_goal_is_aborted_with_nav2s_error_code(
     robot: LockstepRobot, position: tuple[float, float], frame: str, code: int, words: str
@@ -120,6 +122,7 @@ def test_waypoints_are_followed_in_rounds(robot: LockstepRobot) -> None:
     assert changes == [0, 1, 0, 1]
 
 
+@pytest.mark.accuracy
 def test_waypoint_that_is_not_reached_ends_the_goal_or_is_listed(
     drive: Callable[..., LockstepRobot],  # noqa: F811
 ) -> None:
@@ -177,6 +180,7 @@ def test_impossible_motion_is_rejected_and_the_mission_continues(
     assert not sent.has_ended
 
 
+@pytest.mark.accuracy
 def test_robot_backs_up_where_it_has_driven_and_not_where_it_sees_nothing(
     robot: LockstepRobot,
 ) -> None:

@@ -22,6 +22,7 @@ from cairn.vision.chessboard import Board
 from cairn.vision.image_files import pair_files
 from cairn.vision.stereo import StereoRig
 from tests.commands import Answer, cairn
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 pytestmark = pytest.mark.images
@@ -107,6 +108,7 @@ def without_plot(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plot, "plot_calibration", lambda *_: None)
 
 
+@pytest.mark.accuracy
 def test_single_camera_is_calibrated(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
 
@@ -286,11 +288,13 @@ def test_smaller_board_than_stated_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("board", "result"),
-    [
-        ("8x6", "the board has more than 8x6 inner corners: one of 9x6 was found"),
-        ("nine", "--board nine: write it as COLUMNSxROWS"),
-        ("2x9", "--board 2x9: a board has 3 to 100 inner corners each way"),
-    ],
+    sampled(
+        [
+            ("8x6", "the board has more than 8x6 inner corners: one of 9x6 was found"),
+            ("nine", "--board nine: write it as COLUMNSxROWS"),
+            ("2x9", "--board 2x9: a board has 3 to 100 inner corners each way"),
+        ]
+    ),
 )
 def test_wrong_board_is_reported(folder: Path, tmp_path: Path, board: str, result: str) -> None:
     answer = calibrate(*folder.glob("left*"), out=tmp_path / "out", board=board)

@@ -162,6 +162,7 @@ def test_existing_map_is_kept_without_force(built: Path) -> None:
     assert file(built, ".pgm").read_bytes() == before
 
 
+@pytest.mark.accuracy
 def test_map_before_is_kept_if_the_new_one_cannot_be_written(
     short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
