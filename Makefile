@@ -26,20 +26,25 @@ demo: $(VENV)/ready
 
 ## The tests without real processes, images and long runs: a good minute on two cores.
 quick: $(VENV)/tests
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder \
+	$(PARALLEL) -n 2 \
 	    -m "not processes and not images and not realtime and not slow and not accuracy"
 
-## The tests that judge a change, about a quarter of an hour. One worker more than cores: many
-## tests wait for processes that they have started. Those that are judged by the clock run apart:
-## mostly they wait, so that two at a time disturb no other.
-test: $(VENV)/tests
-	$(BIN)/pytest -n 3 --dist loadgroup --no-loadscope-reorder -m "not realtime and not accuracy"
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m "realtime and not accuracy" \
-	    $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)  # the longest first
+PARALLEL = $(BIN)/pytest --dist loadgroup --no-loadscope-reorder
+# The longest files first.
+REALTIME = $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)
 
-## What `make test` checks once, with more seeds, recordings, types and drivers: minutes.
+## The tests that judge a change: five minutes on two cores. One worker more than cores: many tests
+## wait for processes that they have started. Those that are judged by the clock run apart: mostly
+## they wait, so that two at a time disturb no other.
+test: $(VENV)/tests
+	$(PARALLEL) -n 3 -m "not realtime and not accuracy"
+	$(PARALLEL) -n 2 -m "realtime and not accuracy" $(REALTIME)
+
+## What `make test` checks once, with more seeds, recordings, types and drivers, and what takes long:
+## a quarter of an hour.
 accuracy: $(VENV)/tests
-	$(BIN)/pytest -n 2 --dist loadgroup --no-loadscope-reorder -m accuracy
+	$(PARALLEL) -n 3 -m "accuracy and not realtime"
+	$(PARALLEL) -n 2 -m "accuracy and realtime" $(REALTIME)
 
 ## Hostile files, requests, messages and users against a simulated robot: minutes, on loopback only.
 attack: $(VENV)/tests

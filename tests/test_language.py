@@ -32,7 +32,7 @@ REJECTED = {
     r"\bso long as\b": "as long as",
     r"\bbethought|\bwhereabouts\b|\bhindrances?\b": "use the term of docs/glossary.md",
     r"(?i)(colour|behaviour|neighbour|favour|recognis|localis(?!t)|normalis|initialis|serialis"
-    r"|synchronis|optimis|(?<!\.)cancelled(?!Error)|cancelling"
+    r"|synchronis|optimis|(?<!\.)cancelled(?!Error|error)|cancelling"
     r"|\bmetres?\b|\bcentres?\b)": "American spelling",
 }
 
@@ -58,10 +58,13 @@ def texts() -> dict[str, str]:
 @pytest.mark.parametrize("pattern", REJECTED)
 def test_text_avoids_rejected_wording(pattern: str) -> None:
     rejected = re.compile(pattern)
+    # A text of lower case is searched three times faster than one whose case is ignored.
+    ignores_case = pattern.startswith("(?i)")
+    coarse = re.compile(pattern.removeprefix("(?i)").lower()) if ignores_case else rejected
     found = [
         f"{name}:{number}: {line.strip()}"
         for name, text in texts().items()
-        if rejected.search(text)
+        if coarse.search(text.lower() if ignores_case else text)
         for number, line in enumerate(text.splitlines(), 1)
         if rejected.search(line)
     ]

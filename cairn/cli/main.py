@@ -4,13 +4,12 @@ import io
 import logging
 import os
 import sys
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
-from cairn.runtime.process_exit import end_process
 from cairn.system.compilation import before_compilation
 from cairn.system.extras import missing_library
 from cairn.system.files import private_files
@@ -115,19 +114,6 @@ _OF_THE_LAB = dict.fromkeys(("campaign", "evaluate", "experiment"), "cairn-lab")
 
 _HELP = ["-h", "--help"]
 _KERNELS_PER_NOTE = 10  # of about 45
-
-
-def script() -> NoReturn:
-    """Run the command and end the process: the `cairn` program."""
-    if sys.argv[1:2] == ["up"]:  # it runs for months, others for seconds
-        from cairn.system.heap import restart_with_small_thread_caches
-
-        restart_with_small_thread_caches()
-    try:
-        main()
-    except SystemExit as end:
-        end_process(end.code if isinstance(end.code, int) else int(end.code is not None))
-    end_process(0)
 
 
 def main() -> None:
@@ -240,7 +226,3 @@ def _print_error(text: str) -> None:
 
     console = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
     console.print(f"cairn: {printable(text)}", style="red", markup=False)
-
-
-if __name__ == "__main__":
-    script()

@@ -26,7 +26,7 @@ _BOOT: Final = (
     "from cairn.processes.orphan_cleanup import set_parent_death_signal\n"
     "set_parent_death_signal(signal.SIGTERM)\n"
     "if os.getppid() != int(sys.argv.pop(1)): sys.exit()\n"
-    "from cairn.cli.main import script\n"
+    "from cairn.cli.program import script\n"
     "script()\n"
 )
 

@@ -1,9 +1,9 @@
 """Makes sure that no process outlives its owner: death signals, process groups, marked trees.
 
 The zygote kills the process group of a component that has ended, and orphans that it inherits as
-child subreaper. When the zygote itself is gone, the root kills what carries the tree's mark. If root
-and zygote are killed at the same moment, the kernel kills the components; their helper processes
-survive.
+child subreaper. When the zygote itself is gone, the root kills what carries the tree's mark. If
+root and zygote are killed at the same moment, the kernel kills the components; their helper
+processes survive.
 """
 
 import contextlib

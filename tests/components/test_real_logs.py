@@ -41,6 +41,7 @@ def fr101() -> LogAndMap:
     return log_and_map("fr101")
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("seed", sampled(range(2)))
 def test_wheel_slip_in_a_real_log_does_not_lose_the_robot(fr079: LogAndMap, seed: int) -> None:
     log, grid = fr079

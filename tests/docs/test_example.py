@@ -64,6 +64,7 @@ def test_package_is_found_by_its_entry_points(user: Any) -> None:
     assert "float32 charge" in schema["definition"]
 
 
+@pytest.mark.accuracy
 def test_class_is_found_without_an_entry_point(
     shell: Callable[[Path, Path], Any], endpoint: str
 ) -> None:
@@ -131,6 +132,7 @@ def test_component_runs_unchanged_in_its_parents_process(
     assert logs == {"root", "turtle_supervisor", "velocity_gate", "base"}
 
 
+@pytest.mark.accuracy
 def test_packages_own_tests_pass(user: Any) -> None:
     done = user.run(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
 

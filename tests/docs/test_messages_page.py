@@ -26,6 +26,7 @@ assert CleanArea.Request().area.points == () and HALF_TURN.target_yaw > 3
 """
 
 
+@pytest.mark.accuracy
 def test_commands_of_the_page_print_what_it_shows(
     page_blocks: Callable[[str], Any], shell: Callable[[Path, Path], Any], tmp_path: Path
 ) -> None:

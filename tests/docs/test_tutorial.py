@@ -28,6 +28,7 @@ def run_pytest(project: Path, *arguments: str) -> str:
     return run.stdout
 
 
+@pytest.mark.accuracy
 def test_package_has_as_many_tests_as_stated(page: str, project: Path) -> None:
     [stated] = re.findall(r"# (\d+) tests pass", page)
 

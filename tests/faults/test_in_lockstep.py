@@ -29,6 +29,7 @@ def test_component_that_fails_is_restarted_as_often_as_virtual_time_allows(
     run.await_line("^ended.*: talker has finished: all words sent")
 
 
+@pytest.mark.accuracy
 def test_too_many_restarts_end_the_run_with_the_reason(launch: Launching) -> None:
     run = launch(
         """

@@ -96,6 +96,7 @@ def test_killed_components_and_supervisors_are_restarted_and_the_others_keep_run
     assert_all_stop_in_reverse_order(run, signal.SIGINT)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("number", sampled([signal.SIGKILL, signal.SIGSTOP]))
 def test_killed_or_stopped_zygote_fails_the_deployment_and_leaves_no_process(
     launch: Launching, number: signal.Signals
@@ -139,6 +140,7 @@ def test_stop_signal_stops_all_components_in_reverse_order(
     assert_all_stop_in_reverse_order(run, number)
 
 
+@pytest.mark.accuracy
 def test_second_ctrl_c_kills_everything(launch: Launching) -> None:
     run = launch(
         """

@@ -95,6 +95,7 @@ def test_deployment_with_a_broken_plugin_does_not_start(
     assert not any("active" in line for line in run.lines)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("interpreter", sampled(["shared", "fresh"]))
 def test_plugin_that_cannot_be_imported_by_its_process_is_named(
     launch: Launching, interpreter: str

@@ -26,6 +26,7 @@ GROUP = """
     """
 
 
+@pytest.mark.accuracy
 def test_strategy_decides_which_children_are_restarted(launch: Launching) -> None:
     run = launch(GROUP)
     active = run.await_line("root: child active: mobile")

@@ -52,6 +52,7 @@ def test_report_folder_that_cannot_be_created_is_reported(
     assert not any("active" in line for line in run.lines)
 
 
+@pytest.mark.accuracy
 def test_report_that_cannot_be_written_makes_the_run_fail(launch: Launching) -> None:
     run = launch(
         """

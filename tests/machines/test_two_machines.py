@@ -140,6 +140,7 @@ def test_cut_cable_is_seen_and_all_goes_on_when_it_is_restored(pair: Pair) -> No
     eventually(lambda: machines.rows("base")["listener"]["state"] == "active", LIMIT_S, "active")
 
 
+@pytest.mark.accuracy
 def test_machine_that_restarts_has_its_components_loaded_again(pair: Pair) -> None:
     base, machines = pair.base, pair.machines
     before = len(base.lines)
@@ -153,6 +154,7 @@ def test_machine_that_restarts_has_its_components_loaded_again(pair: Pair) -> No
     pair.brain.await_line("child stopped: listener: shut down")
 
 
+@pytest.mark.accuracy
 def test_machine_with_a_revoked_certificate_is_shut_out(pair: Pair) -> None:
     base, brain, machines = pair.base, pair.brain, pair.machines
     before = len(base.lines)

@@ -51,6 +51,7 @@ def test_moved_object_is_updated_in_the_visual_map(drive: RobotFactory) -> None:
     assert any(distance(one, (6.9, 7.0, 0.0)) < 0.3 for one in positions.values()), positions
 
 
+@pytest.mark.accuracy
 def test_robot_waits_for_a_person_on_the_goal(drive: RobotFactory) -> None:
     robot = drive()
     robot.request("world", "person", name="guard", waypoints=[[4.0, 1.4]])

@@ -149,6 +149,7 @@ def test_restarted_child_does_not_end_the_mission(drive: RobotFactory, component
 STATE_FILE = "components.mobile_supervisor.parameters.state_file=${report}/mission.json"
 
 
+@pytest.mark.accuracy
 def test_restarted_supervisor_continues_its_mission(drive: RobotFactory) -> None:
     robot = drive(STATE_FILE)
     robot.send([3.0, 1.2, 0.0], [6.6, 1.8, 0.0])

@@ -90,6 +90,7 @@ def test_several_goals_are_reached_in_order(drive: RobotFactory) -> None:
     assert {s.goals for s in robot.statuses} == {3}
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "reason"),

@@ -184,6 +184,7 @@ def test_invalid_zone_is_refused_before_it_is_sent() -> None:
     assert_words(answer.err, "speed")
 
 
+@pytest.mark.accuracy
 def test_forged_commands_do_not_move_the_robot_and_their_publisher_is_named(
     robot: ObservedRobot,
 ) -> None:
@@ -245,6 +246,7 @@ def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
     assert_words(answer.err, "cairn", "mobile_supervisor", "no goal")
 
 
+@pytest.mark.accuracy
 def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
     going = robot.go(*far_goals(robot))
     going.await_output("driving")
@@ -257,6 +259,7 @@ def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
     assert going.lines[-1] == "canceled: the robot stops\n"
 
 
+@pytest.mark.accuracy
 def test_closed_terminal_cancels_its_mission(robot: ObservedRobot) -> None:
     goals = far_goals(robot)
     child, terminal = pty.fork()
@@ -302,6 +305,7 @@ def test_json_output_has_the_reason_of_a_rejected_goal(
     assert answer.err == f"cairn: {answer.json['reason']}\n"
 
 
+@pytest.mark.accuracy
 def test_mission_of_a_hanging_supervisor_is_canceled(robot: ObservedRobot) -> None:
     going = robot.go(*far_goals(robot))
     going.await_output("driving")
@@ -331,6 +335,7 @@ def test_preempted_client_is_informed_and_cancels_nothing(robot: ObservedRobot) 
     assert (canceled.code, canceled.out) == (0, f"goal {goal} is canceled\n")
 
 
+@pytest.mark.accuracy
 def test_mission_lost_by_its_supervisor_is_reported(robot: ObservedRobot) -> None:
     going = robot.go(*far_goals(robot))
     going.await_output("driving")

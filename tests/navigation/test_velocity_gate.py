@@ -12,6 +12,7 @@ from tests.navigation.driving import SIM, STOPS_S, LockstepRobot
 RobotFactory = Callable[..., LockstepRobot]
 
 
+@pytest.mark.accuracy
 def test_goal_waits_during_an_emergency_stop_and_goes_on_after_release(
     drive: RobotFactory,
 ) -> None:

@@ -277,7 +277,7 @@ def log(_maps: Path) -> dict[str, Any]:
 def tour(_maps: Path) -> dict[str, Any]:
     """Drive the demo's tour."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "cairn.cli.main", "up", "sim", "--overlay", "demo_tour"]
+        command = [sys.executable, "-m", "cairn.cli.program", "up", "sim", "--overlay", "demo_tour"]
         command += ["--lockstep", "--plain", "--report", folder]
         done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
         file = Path(folder) / "report.json"

@@ -71,7 +71,7 @@ def _try(world: Path, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         file = Path(name) / world.name
         file.write_text(yaml.safe_dump(data), encoding="utf-8")
-        command = [sys.executable, "-m", "cairn.cli.main", "evaluate", "navigation"]
+        command = [sys.executable, "-m", "cairn.cli.program", "evaluate", "navigation"]
         command += ["--world", str(file), "--goals", str(_GOALS), "--seeds", f"{seed}..{seed}"]
         command += ["--workers", "1", "--no-cache", "--json", "--out", f"{name}/report"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)

@@ -98,7 +98,7 @@ def _metrics(world: str, found: Explored) -> list[Metric]:
 
 
 def _goals(world: str, folder: Path) -> list[Metric]:
-    command = [sys.executable, "-m", "cairn.cli.main", "evaluate", "navigation"]
+    command = [sys.executable, "-m", "cairn.cli.program", "evaluate", "navigation"]
     command += ["--world", str(_WORLDS / f"{world}.yaml"), "--map", str(folder / "map.yaml")]
     command += ["--goals", str(_GOALS), "--seeds", f"0..{_SEEDS - 1}"]
     command += ["--out", str(folder / "evaluation"), "--json"]

@@ -33,7 +33,7 @@ def run_replay(folder: Path, *arguments: str) -> tuple[dict[str, Any], float]:
 
 
 def _cairn(*arguments: str) -> None:
-    command = [sys.executable, "-m", "cairn.cli.main", *arguments]
+    command = [sys.executable, "-m", "cairn.cli.program", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")

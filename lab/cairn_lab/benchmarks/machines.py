@@ -148,7 +148,7 @@ def _two_runs(
         for name, computer in (("first", first), ("second", second)):
             sockets = folder / f"bus-{name}"
             sockets.mkdir(mode=0o700)
-            command = [sys.executable, "-m", "cairn.cli.main", "up", *arguments]
+            command = [sys.executable, "-m", "cairn.cli.program", "up", *arguments]
             command += ["--machine", name, "--report", str(folder / name)]
             command += ["--set", f"bus.socket={sockets}/bus.sock"]
             run = subprocess.Popen(

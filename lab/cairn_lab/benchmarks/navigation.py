@@ -168,5 +168,5 @@ def _used_s(pid: int) -> float:
 
 
 def _command(folder: Path) -> list[str]:
-    up = [sys.executable, "-m", "cairn.cli.main", "up", str(_SIM)]
+    up = [sys.executable, "-m", "cairn.cli.program", "up", str(_SIM)]
     return [*up, "--report", str(folder), "--plain"]

@@ -55,7 +55,7 @@ def _beside_a_robot(run_s: float) -> list[Metric]:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report"
         environment = {**os.environ, "CAIRN_RUNTIME_DIR": f"{folder}/rt"}
-        cairn = [sys.executable, "-m", "cairn.cli.main"]
+        cairn = [sys.executable, "-m", "cairn.cli.program"]
         goals = [[7.5, 3.0, 0.0], [1.0, 1.0, 0.0]] * 100  # it drives all the time
         command = [*cairn, "up", "sim", "--overlay", "pixels", "--record", "--plain"]
         command += ["--report", str(report), "--set", f"mission={json.dumps(goals)}"]

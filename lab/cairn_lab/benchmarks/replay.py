@@ -52,7 +52,7 @@ def _accuracy(name: str, report: dict[str, Any]) -> list[Metric]:
 def _with_kills(folder: Path, visual_map: Path) -> dict[str, Any]:
     """Run again; kill the localizer when the first landmark is removed, then the map builder."""
     socket = str(folder.parent / "bus.sock")
-    command = [sys.executable, "-m", "cairn.cli.main", "up", str(DEPLOYMENT), "--seed", "1",
+    command = [sys.executable, "-m", "cairn.cli.program", "up", str(DEPLOYMENT), "--seed", "1",
                "--report", str(folder), "--set", f"visual_map={visual_map}",
                "--set", f"bus.socket={socket}"]  # fmt: skip
     victims = ["localizer", "map_builder"]
@@ -68,7 +68,7 @@ def _with_kills(folder: Path, visual_map: Path) -> dict[str, Any]:
 
 
 def _kill(connect: str, name: str) -> None:
-    command = [sys.executable, "-m", "cairn.cli.main", "ps", "--json", "--connect", connect]
+    command = [sys.executable, "-m", "cairn.cli.program", "ps", "--json", "--connect", connect]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
     for row in json.loads(done.stdout):
         if row["component"].endswith(f"/{name}"):

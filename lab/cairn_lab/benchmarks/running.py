@@ -41,7 +41,7 @@ def run_deployment(
                 sort_keys=False,
             )
         )
-        command = [sys.executable, "-m", "cairn.cli.main", "up", str(file)]
+        command = [sys.executable, "-m", "cairn.cli.program", "up", str(file)]
         command += ["--report", str(Path(folder) / "run"), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, check=False)
     if done.returncode != 0:

@@ -57,7 +57,15 @@ class _Up:
 
     def __init__(self, file: Path, report: Path) -> None:
         self.began = time.monotonic()
-        command = [sys.executable, "-m", "cairn.cli.main", "up", str(file), "--report", str(report)]
+        command = [
+            sys.executable,
+            "-m",
+            "cairn.cli.program",
+            "up",
+            str(file),
+            "--report",
+            str(report),
+        ]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.lines: list[tuple[float, str]] = []
         self._changed = threading.Condition()
@@ -118,7 +126,7 @@ def measure() -> list[Metric]:
 
 
 def _pids(connect: str) -> dict[str, int]:
-    command = [sys.executable, "-m", "cairn.cli.main", "ps", "--json", "--connect", connect]
+    command = [sys.executable, "-m", "cairn.cli.program", "ps", "--json", "--connect", connect]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
     return {
         row["component"].rpartition("/")[2]: row["pid"]

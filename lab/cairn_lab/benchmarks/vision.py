@@ -69,7 +69,16 @@ def measure() -> list[Metric]:
         folder = Path(name)
         visual_map = folder / "room.cairn"
         subprocess.run(
-            [sys.executable, "-m", "cairn.cli.main", "map", "import", "world", _WORLD, visual_map],
+            [
+                sys.executable,
+                "-m",
+                "cairn.cli.program",
+                "map",
+                "import",
+                "world",
+                _WORLD,
+                visual_map,
+            ],
             check=True,
             capture_output=True,
             timeout=60,

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.processes
 ROOT = Path(__file__).parents[3]
 
 
+@pytest.mark.accuracy
 def test_batch_continues_when_a_worker_is_killed(tmp_path: Path) -> None:
     ended: list[int] = []
 

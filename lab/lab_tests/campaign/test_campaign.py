@@ -74,6 +74,7 @@ class NoKill(Invariant):
             yield f"{fault.target} was killed"
 
 
+@pytest.mark.accuracy
 def test_faults_of_every_kind_are_injected_and_nothing_is_left(tmp_path: Path) -> None:
     (tmp_path / "tree.yaml").write_text(TREE, encoding="utf-8")
     file = tmp_path / "short.yaml"

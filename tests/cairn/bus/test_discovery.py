@@ -133,6 +133,7 @@ def test_processes_that_join_at_the_same_time_receive_each_others_messages(
         assert heard == dict.fromkeys(range(count), everything)
 
 
+@pytest.mark.accuracy
 def test_latched_publishers_that_come_and_go_do_not_delay_discovery(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -232,6 +232,7 @@ def test_types_of_installed_packages_are_known(installed: list[_Point]) -> None:
     assert cairn("schema", "list", "far_msgs").code == 0
 
 
+@pytest.mark.accuracy
 def test_invalid_type_does_not_hide_the_others(
     installed: list[_Point], workspace: Path, tmp_path: Path
 ) -> None:

@@ -139,6 +139,7 @@ def test_old_run_folder_loses_its_logs_and_keeps_its_map(launch: Launching, tmp_
     assert len(list(old.parent.glob("*/logs/lockstep.log"))) == 1
 
 
+@pytest.mark.accuracy
 def test_lockstep_with_the_same_seed_prints_the_same(launch: Launching) -> None:
     runs = [launch(TALK, "--lockstep", "--seed", "7") for _ in range(2)]
 
@@ -245,6 +246,7 @@ def everything_from(screen: int) -> str:
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode(errors="replace"))
 
 
+@pytest.mark.accuracy
 def test_console_of_a_killed_run_ends_with_it(launch: Launching) -> None:
     run = launch(ENDLESS, "--console")
     run.await_line("console: http")

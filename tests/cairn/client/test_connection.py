@@ -86,6 +86,7 @@ os._exit(0)
 """
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_connection_is_checked_while_other_threads_read_the_graph() -> None:
     # In a process of its own: a deadlock with the GIL would stop the time limit of the test, too.

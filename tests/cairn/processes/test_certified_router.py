@@ -125,6 +125,7 @@ class Operator:
             return cairn(*arguments, connect=self._endpoint)
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_operators_of_the_roster_are_admitted_while_the_robot_runs(
     authority: Authority, launch: Launching, tmp_path: Path

@@ -133,6 +133,7 @@ def test_all_processes_end_with_a_killed_zygote(
     another.close()
 
 
+@pytest.mark.accuracy
 def test_sigterm_to_the_zygote_leaves_no_process(
     owner: Owner, zygote: ZygoteProcess, tree: Tree
 ) -> None:

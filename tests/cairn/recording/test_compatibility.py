@@ -132,6 +132,7 @@ def field_of(message: Any) -> str:
     return str(getattr(message, "component", getattr(message, "msg", "")))
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_rosbags_reads_a_recording_of_real_processes(robot_recording: Path) -> None:
     with AnyReader([robot_recording]) as reader:

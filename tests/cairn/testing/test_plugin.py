@@ -126,6 +126,7 @@ def test_failed_contract_names_a_wrong_setting_or_shows_what_the_deployment_logg
     assert "ValueError: the ring is broken on purpose" in broken
 
 
+@pytest.mark.accuracy
 def test_deployment_that_does_not_start_is_described_and_leaves_no_session_open(
     folder: Path, launch: Launching, monkeypatch: pytest.MonkeyPatch
 ) -> None:

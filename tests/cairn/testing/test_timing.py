@@ -53,6 +53,7 @@ def test_sample_with_a_pause_is_repeated(sampler: "subprocess.Popen[str]") -> No
     assert line(sampler) == "sampling"
 
 
+@pytest.mark.accuracy
 def test_computer_that_always_pauses_skips_the_test_with_the_reason(
     sampler: "subprocess.Popen[str]",
 ) -> None:

@@ -61,6 +61,7 @@ def test_disparities_of_slanted_plane_are_accurate(
     assert abs(np.median(error)) < 0.05
 
 
+@pytest.mark.accuracy
 def test_disparities_of_the_aloe_pair_are_accurate() -> None:
     left = cv2.imread(str(ALOE / "aloeL.jpg"), cv2.IMREAD_GRAYSCALE)
     right = cv2.imread(str(ALOE / "aloeR.jpg"), cv2.IMREAD_GRAYSCALE)

@@ -269,7 +269,8 @@ def test_exchanged_objects_in_a_symmetric_room_locate_no_robot() -> None:
     assert one.health().value < 0.5
 
 
-@pytest.mark.parametrize("turned", [(6,), pytest.param((2, 6), marks=pytest.mark.accuracy)])
+@pytest.mark.accuracy
+@pytest.mark.parametrize("turned", [(6,), (2, 6)])
 def test_object_that_agrees_with_a_lookalike_moves_no_robot_there(turned: tuple[int, ...]) -> None:
     grid = room(ALMOST_SYMMETRIC)
     one = robot(grid)

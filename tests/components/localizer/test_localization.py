@@ -201,6 +201,7 @@ def test_removed_object_is_no_longer_fused() -> None:
     assert np.mean(run.errors) < 0.15
 
 
+@pytest.mark.accuracy
 def test_same_seed_gives_the_same_run() -> None:
     def final(seed: int) -> tuple[float, float, float]:
         run = Run(landmarks(o3=(1.3, 0.4)), seed=seed).through(drive(20.0))

@@ -166,6 +166,7 @@ def history(seed: int) -> None:
     assert np.array_equal(a.occupancy.cells, c.occupancy.cells), f"history {seed}"
 
 
+@pytest.mark.accuracy
 def test_robots_have_equal_maps_after_random_histories() -> None:
     for seed in range(200):  # `python -m cairn_lab.benchmarks.sharing` runs 10,000
         history(seed)

@@ -259,6 +259,7 @@ def test_undo_restores_any_recorded_time_exactly() -> None:
     assert oldest == pytest.approx(99, abs=1)
 
 
+@pytest.mark.accuracy
 def test_undo_needs_little_memory() -> None:
     occupancy = unknown_map(undo_s=60.0)
     tracemalloc.start()

@@ -105,6 +105,7 @@ def start(map_file: Path, tmp_path: Path) -> Callable[..., Robot]:
     return lambda **parameters: Robot(tmp_path, map_file, **parameters)
 
 
+@pytest.mark.accuracy
 def test_unknown_thing_is_proposed_accepted_and_not_found_again(
     start: Callable[..., Robot],
 ) -> None:
@@ -221,6 +222,7 @@ def test_requests_are_checked(start: Callable[..., Robot]) -> None:
             robot.finder.request(verb, **arguments)
 
 
+@pytest.mark.accuracy
 def test_proposals_of_a_robot_that_is_off_are_accepted_from_its_file(
     start: Callable[..., Robot], tmp_path: Path
 ) -> None:

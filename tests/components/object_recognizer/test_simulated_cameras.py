@@ -80,6 +80,7 @@ def assert_position(one: RecognizedObject) -> None:
     assert one.bearing == pytest.approx(math.atan2(left, ahead), abs=0.01)
 
 
+@pytest.mark.accuracy
 def test_objects_in_view_are_published_at_their_positions(tmp_path: Path, surveyed: Path) -> None:
     frames = run_recognizer(tmp_path, surveyed, "none")
 

@@ -329,6 +329,7 @@ def test_cut_off_log_is_named(tmp_path: Path) -> None:
         CarmenRecording(path)
 
 
+@pytest.mark.accuracy
 def test_corrected_log_of_fr079_is_read_completely() -> None:
     recording = CarmenRecording(FR079)
 

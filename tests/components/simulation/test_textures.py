@@ -31,6 +31,7 @@ pytestmark = pytest.mark.images
 ROOM = Path(__file__).parents[3] / "deploy" / "worlds" / "room.yaml"
 
 
+@pytest.mark.accuracy
 def test_drawn_pictures_are_rich_in_features_and_distinct() -> None:
     pictures = [drawn_picture(number, (0.5, 0.4)) for number in range(1, 9)]
     known = [

@@ -72,6 +72,7 @@ def test_a_robot_carried_to_other_rooms_is_joined_to_the_map() -> None:
     assert errors.walls > 0.95
 
 
+@pytest.mark.accuracy
 @pytest.mark.slow
 def test_an_unrecognized_place_stays_an_island_of_its_own() -> None:
     course = courses.shipped("office")

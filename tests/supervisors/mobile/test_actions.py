@@ -150,6 +150,7 @@ def test_robot_spins(robot: LockstepRobot, angle: float) -> None:
     assert sent.feedback[-1].angular_distance_traveled == pytest.approx(abs(angle), abs=0.6)
 
 
+@pytest.mark.accuracy
 def test_spin_ends_with_its_time(robot: LockstepRobot) -> None:
     goal = Spin.Goal(target_yaw=20.0, time_allowance=Duration(sec=2))
     status, result = end(robot, robot.send_goal("spin", Spin, goal))

@@ -59,6 +59,7 @@ def test_trajectory_keeps_the_times_of_the_recording_and_meets_the_benchmarks_ac
     assert errors.heading_deg < 0.9
 
 
+@pytest.mark.accuracy
 def test_grid_map_graph_and_picture_are_written(built: Path) -> None:
     grid = read_map(file(built, ".yaml"))
 
