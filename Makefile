@@ -16,6 +16,10 @@ LOCKED = $(PIP) --require-hashes --requirement
 # Without build isolation: the build backend is locked, too.
 LOCAL = $(PIP) --no-deps --no-build-isolation --no-index --editable
 
+PARALLEL = $(BIN)/pytest --dist loadgroup --no-loadscope-reorder
+# The files with tests that are judged by the clock, the longest first.
+REALTIME = $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)
+
 .PHONY: demo quick test accuracy attack browser test-hardware test-service check docs bench lock clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
@@ -28,10 +32,6 @@ demo: $(VENV)/ready
 quick: $(VENV)/tests
 	$(PARALLEL) -n 2 \
 	    -m "not processes and not images and not realtime and not slow and not accuracy"
-
-PARALLEL = $(BIN)/pytest --dist loadgroup --no-loadscope-reorder
-# The longest files first.
-REALTIME = $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)
 
 ## The tests that judge a change: five minutes on two cores. One worker more than cores: many tests
 ## wait for processes that they have started. Those that are judged by the clock run apart: mostly

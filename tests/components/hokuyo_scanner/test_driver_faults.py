@@ -50,7 +50,6 @@ def values(status: Any) -> dict[str, str]:
     return {value.key: value.value for value in status.values}
 
 
-@pytest.mark.accuracy
 def test_thousand_faults_cause_no_wrong_scan() -> None:
     faults = FrameFaults(dict.fromkeys(FAULTS, 0.2), np.random.default_rng(3))
     sent: list[SentScan] = []

@@ -124,7 +124,6 @@ def test_single_camera_is_calibrated(folder: Path, tmp_path: Path) -> None:
         assert picture.size == (1500, 460)
 
 
-@pytest.mark.accuracy
 def test_two_cameras_are_calibrated_as_a_pair(calibrated: Path) -> None:
     result = json.loads((calibrated / "result.json").read_text(encoding="utf-8"))
 
