@@ -311,7 +311,7 @@ def test_component_that_hangs_while_it_is_re_run_is_ended_at_the_time_limit(
 @pytest.mark.processes
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGKILL]))
 def test_interrupted_rerun_leaves_no_process(fragile_recording: Path, number: int) -> None:
-    command = [sys.executable, "-m", "cairn.cli.main", "rerun", str(fragile_recording)]
+    command = [sys.executable, "-m", "cairn.cli.program", "rerun", str(fragile_recording)]
     with subprocess.Popen(command, env={**os.environ, CHANGE: "hang"}) as process:
         deadline = time.monotonic() + LIMIT_S
         while not (workers := psutil.Process(process.pid).children()):

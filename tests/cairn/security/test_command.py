@@ -34,7 +34,7 @@ def refused(*words: str) -> str:
 @contextmanager
 def serving() -> Iterator[None]:
     """Run `cairn security serve` of the computer that is chosen now."""
-    program = [sys.executable, "-m", "cairn.cli.main", "security", "serve"]
+    program = [sys.executable, "-m", "cairn.cli.program", "security", "serve"]
     program += ["--listen", "127.0.0.1:0"]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

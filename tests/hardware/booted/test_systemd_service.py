@@ -75,7 +75,7 @@ def service(acm: Cable) -> Iterator[str]:
     acm.unplug()  # the udev rules give it its name when it is plugged in
     acm.plug_in()
     emulator = subprocess.Popen(
-        [sys.executable, "-m", "cairn.cli.main", "emulate", "hokuyo", "--serial", acm.far_end]
+        [sys.executable, "-m", "cairn.cli.program", "emulate", "hokuyo", "--serial", acm.far_end]
     )
     try:
         subprocess.run(["systemctl", "start", _SERVICE], check=False, timeout=_LIMIT_S)
@@ -144,7 +144,7 @@ def scans_come() -> bool:
     """Whether the scanner's scans are on the bus."""
     done = subprocess.run(
         [
-            *(sys.executable, "-m", "cairn.cli.main", "topic", "echo", "scan", "--count", "1"),
+            *(sys.executable, "-m", "cairn.cli.program", "topic", "echo", "scan", "--count", "1"),
             *("--connect", "/run/cairn-trial/domain-0.sock"),
         ],
         check=False,
