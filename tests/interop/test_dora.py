@@ -84,6 +84,7 @@ def test_message_arrives_at_dora(network: Network, dora: Dora, name: str) -> Non
     assert answers[-1] == to_plain(message)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("name", list(MESSAGES))
 def test_message_of_dora_arrives(network: Network, dora: Dora, name: str) -> None:
     message = MESSAGES[name]

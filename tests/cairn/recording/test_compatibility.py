@@ -144,6 +144,7 @@ def test_rosbags_reads_a_recording_of_real_processes(robot_recording: Path) -> N
     assert found == rows_of(robot_recording)
 
 
+@pytest.mark.accuracy
 @pytest.mark.processes
 def test_mcap_ros2_support_reads_a_recording_of_real_processes(robot_recording: Path) -> None:
     with robot_recording.open("rb") as stream:

@@ -244,6 +244,7 @@ def through_exchanged_objects(
         yield moment
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("seed", sampled(range(2)))
 @pytest.mark.parametrize("start", sampled([START, None]), ids=["carried", "unknown start"])
 def test_scans_decide_against_objects_that_were_exchanged(start: Pose | None, seed: int) -> None:

@@ -153,6 +153,7 @@ def test_second_recording_extends_the_map_of_the_first(
     assert errors.position_m < 0.045
 
 
+@pytest.mark.accuracy
 def test_existing_map_is_kept_without_force(built: Path) -> None:
     before = file(built, ".pgm").read_bytes()
 
