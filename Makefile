@@ -33,9 +33,9 @@ quick: $(VENV)/tests
 	$(PARALLEL) -n 2 \
 	    -m "not processes and not images and not realtime and not slow and not accuracy"
 
-## The tests that judge a change: five minutes on two cores. One worker more than cores: many tests
-## wait for processes that they have started. Those that are judged by the clock run apart: mostly
-## they wait, so that two at a time disturb no other.
+## The tests that judge a change: five to seven minutes on two cores. One worker more than cores: many
+## tests wait for processes that they have started. Those that are judged by the clock run apart:
+## mostly they wait, so that two at a time disturb no other.
 test: $(VENV)/tests
 	$(PARALLEL) -n 3 -m "not realtime and not accuracy"
 	$(PARALLEL) -n 2 -m "realtime and not accuracy" $(REALTIME)
