@@ -48,7 +48,8 @@ components:
 _ASTRAY_S = 20.0
 """So long [s] the robot tries to drive without a pose, or with a wrong one."""
 _ASTRAY = ("poses", "replies", "flapping", "lies")
-"""Attacks after which the robot may stand with the reason, as it has no pose or a wrong one."""
+"""Attacks in which the robot may stand with the reason, as it has no pose or a wrong one, or still
+drive when `_ASTRAY_S` are over."""
 
 
 class Attacked:
@@ -165,7 +166,7 @@ def test_hostile_machine_does_not_stop_the_first_one(
     assert max(peaks.values()) <= MOST_MEMORY_MB
     if end.state != NavigationStatus.SUCCEEDED:
         assert name in _ASTRAY
-        assert end.reason, end
+        assert end.reason or end.state == NavigationStatus.DRIVING, end
     attacked.reach_goal()
 
 

@@ -72,14 +72,22 @@ def test_scans_and_odometry_of_a_second_writer_are_refused_by_gate_and_localizer
         topics()[name]: [CODEC.encode(one) for one in samples(type_name(topics()[name].message), 9)]
         for name in ("scan", "odom")
     }
-    publish_for(0.5, peer, sensors)
-    robot.next_statuses()
+    guarded = [
+        (topic, component, position)
+        for topic in sensors
+        for position, (component, _) in enumerate(topic.readers)
+        if component in ("velocity_gate", "localizer")
+    ]
 
-    for topic in sensors:
-        for (component, _), port in zip(topic.readers, robot.ports(topic), strict=True):
-            if component in ("velocity_gate", "localizer"):
-                assert port.refused >= 10
-                robot.await_log(component, f"refused message on {topic.name} from .*not signed")
+    def refused() -> bool:
+        """Whether each of these readers has refused ten messages; on a busy computer some wait."""
+        publish_for(0.5, peer, sensors)
+        robot.next_statuses()
+        return all(robot.ports(topic)[position].refused >= 10 for topic, _, position in guarded)
+
+    assert any(refused() for _ in range(10))
+    for topic, component, _ in guarded:
+        robot.await_log(component, f"refused message on {topic.name} from .*not signed")
 
 
 def test_afterward_the_robot_stands_or_drives_on_and_is_unharmed(
