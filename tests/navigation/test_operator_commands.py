@@ -24,6 +24,7 @@ from cairn.testing.robot import RunningDeployment
 from tests.commands import Answer, cairn
 from tests.navigation.driving import ON_REQUEST
 from tests.navigation.processes import ObservedRobot, robot_in
+from tests.sweeps import sampled
 from tests.wording import assert_words
 
 pytestmark = [pytest.mark.xdist_group("robots in real time"), pytest.mark.processes]
@@ -115,7 +116,7 @@ def test_json_output_is_the_result_alone(robot: ObservedRobot) -> None:
     assert answer.json["elapsed_s"] > 0
 
 
-def test_place_is_reached_although_a_zone_appears(robot: ObservedRobot) -> None:
+def test_named_place_is_reached_while_a_zone_is_added(robot: ObservedRobot) -> None:
     zone(robot, "add", "kitchen", "place", "3.0,1.4", "--heading", "90deg")
     going = robot.go("kitchen")
     going.await_output("driving")
@@ -231,32 +232,24 @@ def _stop_while_suspended(robot: ObservedRobot, component: str) -> Answer:
         os.kill(process, signal.SIGCONT)
 
 
-def test_ctrl_c_cancels_its_own_mission(robot: ObservedRobot) -> None:
+@pytest.mark.parametrize(
+    ("number", "code"), sampled([(signal.SIGINT, 130), (signal.SIGTERM, 128 + signal.SIGTERM)])
+)
+def test_signal_cancels_the_mission_of_its_command(
+    robot: ObservedRobot, number: signal.Signals, code: int
+) -> None:
     going = robot.go(*far_goals(robot))
     going.await_output("driving")
     robot.await_moved(0.3)
 
-    going.process.send_signal(signal.SIGINT)
+    going.process.send_signal(number)
 
     robot.await_stand()
-    assert going.await_end() == 130
+    assert going.await_end() == code
     assert going.lines[-1] == "canceled: the robot stops\n"
     answer = cairn("go", "--cancel", connect=robot.run.endpoint)
     assert answer.code == 1
     assert_words(answer.err, "cairn", "mobile_supervisor", "no goal")
-
-
-@pytest.mark.accuracy
-def test_sigterm_cancels_its_own_mission(robot: ObservedRobot) -> None:
-    going = robot.go(*far_goals(robot))
-    going.await_output("driving")
-    robot.await_moved(0.3)
-
-    going.process.send_signal(signal.SIGTERM)
-
-    robot.await_stand()
-    assert going.await_end() == 128 + signal.SIGTERM
-    assert going.lines[-1] == "canceled: the robot stops\n"
 
 
 @pytest.mark.accuracy

@@ -39,7 +39,6 @@ def messages(name: str) -> list[Any]:
     return [random.make(interface(name)) for _ in range(3)]
 
 
-@pytest.mark.accuracy
 @pytest.mark.slow
 def test_messages_of_every_type_are_decoded_to_their_classes() -> None:
     decoder = MessageDecoder()

@@ -87,7 +87,6 @@ class TestBase(Recorded, ParametersContract, OdometryContract):
     rate_hz = 8.43
 
 
-@pytest.mark.accuracy
 class TestScanner(Recorded, StopContract, LifeCycleContract, ParametersContract, ScanContract):
     rate_hz = 2.3
     cycles = 6
