@@ -11,7 +11,8 @@ BIN := $(VENV)/bin
 REPORT ?= demo-report
 
 # The versions and hashes of requirements/*.txt, and nothing else: see `make lock`.
-PIP = $(BIN)/python -m pip install --quiet
+# Python compiles a module when it is first imported: most of a gigabyte never is.
+PIP = $(BIN)/python -m pip install --quiet --no-compile
 LOCKED = $(PIP) --require-hashes --requirement
 # Without build isolation: the build backend is locked, too.
 LOCAL = $(PIP) --no-deps --no-build-isolation --no-index --editable
@@ -103,8 +104,10 @@ $(VENV)/ready: pyproject.toml lab/pyproject.toml requirements/dev.txt requiremen
 	$(LOCKED) requirements/pip.txt
 	$(LOCKED) requirements/dev.txt
 	$(LOCAL) . --editable lab
-	# Importing all plugins compiles the kernels, so that no robot waits for it, nor each test worker.
-	$(BIN)/python -c "from cairn.deployment.plugins import installed_plugins as plugins; plugins()"
+	@echo "compiling the kernels, so that no robot waits for it, nor each test worker"
+	@$(BIN)/python -c "from cairn.system.compilation import compile_deferred, defer_compilation; \
+	    from cairn.deployment.plugins import installed_plugins; \
+	    defer_compilation(); installed_plugins(); assert compile_deferred()"
 	@touch $@
 
 # The plugins that the tests run, some of them broken on purpose.

@@ -20,7 +20,12 @@ import numba
 import numpy as np
 from numba.core import caching
 
-from cairn.system.compilation import is_compilation_deferred, prepare_compilation, report_compiled
+from cairn.system.compilation import (
+    add_deferred,
+    is_compilation_deferred,
+    prepare_compilation,
+    report_compiled,
+)
 
 # Numba's annotations cover its public interface only.
 _caching: Any = caching
@@ -44,6 +49,7 @@ def compiled(*signatures: str, sums_in_any_order: bool = False) -> Callable[[Ker
         kernel._cache = _KernelCache(function, sums_in_any_order)
         if signatures and is_compilation_deferred():
             _compile_at_first_call(kernel, signatures)
+            add_deferred(function.__module__, lambda: _compile(kernel, signatures))
         elif signatures:
             _compile(kernel, signatures)
         return cast("Kernel", kernel)

@@ -39,7 +39,7 @@ from cairn.processes.orphan_cleanup import (
     set_parent_death_signal,
 )
 from cairn.runtime.process_exit import end_process
-from cairn.system.compilation import before_compilation
+from cairn.system.compilation import before_compilation, compile_deferred, defer_compilation
 from cairn.system.files import TAKES_NO_DATA
 
 BOOTSTRAP = (
@@ -146,7 +146,7 @@ def main() -> None:
     before_compilation(_compile_in_helper)
     import_failures = preload(modules)
     if os.getpid() != zygote:
-        os._exit(0)  # the helper: all kernels are in the cache
+        os._exit(0 if compile_deferred() else 1)  # the helper: all kernels are in the cache
     gc.collect()
     gc.freeze()
     listening = socket.socket(fileno=listener)
@@ -186,7 +186,7 @@ def preload(modules: Iterable[str]) -> dict[str, str]:
 
 
 def _compile_in_helper() -> None:
-    """Fork a helper process, which continues the imports and fills the cache of kernels.
+    """Fork a helper process, which continues the imports, then fills the cache with all kernels.
 
     Returns in both: in the zygote when the helper has ended, so that it loads the kernels from the
     cache. A compiler keeps about 200 MiB, which the zygote would share with all its forks. If the
@@ -207,6 +207,7 @@ def _compile_in_helper() -> None:
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, 1)  # the zygote imports the same modules, and reports the same failures
         os.dup2(nothing, 2)
+        defer_compilation()
         return
     with contextlib.suppress(PermissionError, ProcessLookupError):
         os.setpgid(helper, helper)  # the helper does the same: the first of the two counts

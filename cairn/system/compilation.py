@@ -4,12 +4,15 @@
 because neither knows the other.
 """
 
+import contextlib
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 _calls: list[Callable[[], None]] = []
 _on_compiled: list[Callable[[str], None]] = []
 _deferrals: list[None] = []
+_deferred: dict[str, list[Callable[[], None]]] = {}
 
 
 def before_compilation(
@@ -38,13 +41,18 @@ def report_compiled(kernel: str) -> None:
         call(kernel)
 
 
+def defer_compilation() -> None:
+    """Have the kernels of modules that are imported from now on compiled when first called."""
+    _deferrals.append(None)
+
+
 @contextmanager
 def deferred_compilation() -> Iterator[None]:
     """Have the kernels of modules that are imported within the context compiled when first called.
 
     For commands that only describe components and do not run them.
     """
-    _deferrals.append(None)
+    defer_compilation()
     try:
         yield
     finally:
@@ -54,3 +62,38 @@ def deferred_compilation() -> Iterator[None]:
 def is_compilation_deferred() -> bool:
     """Return whether kernels are compiled when they are first called."""
     return bool(_deferrals)
+
+
+def add_deferred(module: str, compile_kernel: Callable[[], None]) -> None:
+    """Remember a kernel of this module for `compile_deferred`."""
+    _deferred.setdefault(module, []).append(compile_kernel)
+
+
+def compile_deferred() -> bool:
+    """Fill the cache with all kernels that were deferred; return whether that succeeded.
+
+    Each core has a process, which takes one module after the other: kernels of one module often
+    call each other, and would be compiled by each process that compiles a caller.
+    """
+    modules = list(_deferred.values())
+    reader, writer = os.pipe()
+    os.write(writer, bytes(range(len(modules))))
+    os.close(writer)
+    workers = [_fork_compiler(modules, reader) for _ in os.sched_getaffinity(0)]
+    os.close(reader)
+    return all([os.waitpid(worker, 0)[1] == 0 for worker in workers])
+
+
+def _fork_compiler(modules: list[list[Callable[[], None]]], indices: int) -> int:
+    """Start a process that compiles the modules whose indices it reads; return its process id."""
+    worker = os.fork()
+    if worker:
+        return worker
+    with contextlib.suppress(
+        BaseException
+    ):  # the parent compiles again what failed, and reports it
+        while index := os.read(indices, 1):
+            for compile_kernel in modules[index[0]]:
+                compile_kernel()
+        os._exit(0)
+    os._exit(1)

@@ -149,6 +149,20 @@ def test_deferred_kernel_is_compiled_by_its_first_call(tmp_path: Path) -> None:
 
 
 @pytest.mark.accuracy
+def test_deferred_kernels_are_compiled_by_other_processes(tmp_path: Path) -> None:
+    package = Package(tmp_path)
+    package.create()
+    prepare = (
+        "from cairn.system.compilation import compile_deferred, deferred_compilation\n"
+        "with deferred_compilation():\n"
+        "    from edited_package.caller import caller\n"
+        "assert compile_deferred() and not caller.signatures\n"
+    )
+
+    assert package.run(prepare) == (21.0, True)
+
+
+@pytest.mark.accuracy
 def test_cache_of_a_read_only_package_is_in_the_folder_that_the_environment_names(
     tmp_path: Path,
 ) -> None:
