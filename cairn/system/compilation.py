@@ -81,7 +81,8 @@ def compile_deferred() -> bool:
     os.close(writer)
     workers = [_fork_compiler(modules, reader) for _ in os.sched_getaffinity(0)]
     os.close(reader)
-    return all([os.waitpid(worker, 0)[1] == 0 for worker in workers])
+    statuses = [os.waitpid(worker, 0)[1] for worker in workers]
+    return not any(statuses)
 
 
 def _fork_compiler(modules: list[list[Callable[[], None]]], indices: int) -> int:
