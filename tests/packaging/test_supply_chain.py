@@ -105,7 +105,7 @@ def test_makefile_installs_nothing_without_hashes() -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     installs = [line for line in text.splitlines() if "pip install" in line]
 
-    assert installs == ["PIP = $(BIN)/python -m pip install --quiet"]
+    assert installs == ["PIP = $(BIN)/python -m pip install --quiet --no-compile"]
     uses = [line.strip() for line in text.splitlines() if "$(PIP)" in line]
     assert uses == [
         "LOCKED = $(PIP) --require-hashes --requirement",
