@@ -132,11 +132,12 @@ class GraphHistory:
     def __init__(self, path: Path) -> None:
         """Open a file; raises `CairnError` if there is none, or it is damaged or in use."""
         check_exists(path)
-        self._path = path
+        self.path = path
+        """The file."""
         with explained_errors(path):
             self._connection = open_connection(path)
         try:
-            with explained_damage(self._path):
+            with explained_damage(self.path):
                 check_format(path, self._connection)
                 # A change that was reported must not be lost in a power cut.
                 self._connection.execute("PRAGMA synchronous = FULL")
@@ -145,11 +146,6 @@ class GraphHistory:
         except CairnError:
             self.close()
             raise
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._path
 
     def close(self) -> None:
         """Close the file."""
@@ -168,7 +164,7 @@ class GraphHistory:
 
         Raises `CairnError` if another program has the file open.
         """
-        with explained_errors(self._path):
+        with explained_errors(self.path):
             self._connection.execute("PRAGMA journal_mode = DELETE")
 
     def state(self, version: int | None = None) -> GraphState:
@@ -177,17 +173,17 @@ class GraphHistory:
         Islands that nothing joins to it have no position there, and are left out. Raises
         `CairnError` if the file is damaged.
         """
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             return _map_in(self._connection, read_state(self._connection, version))
 
     def edges(self, numbers: Sequence[int]) -> list[Edge]:
         """Return the constraints between some keyframes; raises `CairnError` as `state`."""
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             return read_edges(self._connection, numbers)
 
     def versions(self) -> tuple[int, int]:
         """Return the oldest version that the file keeps, and the present one."""
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             ((oldest, newest),) = self._connection.execute(
                 "SELECT oldest, version FROM graph"
             ).fetchall()
@@ -195,7 +191,7 @@ class GraphHistory:
 
     def next_number(self) -> int:
         """Return the number of the next keyframe."""
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             return _next(self._connection, "keyframes")
 
     def renew(self, before: int, renewal: Renewal) -> int:
@@ -229,7 +225,7 @@ class GraphHistory:
 
         The map stays the same, so this makes no version. Raises `CairnError` as `renew`.
         """
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             ((version,),) = connection.execute("SELECT version FROM graph").fetchall()
             _insert_edges(connection, edges)
             _end_lives(connection, retired, version)
@@ -239,7 +235,7 @@ class GraphHistory:
 
         Raises `CairnError` if the file is damaged.
         """
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             if not has_differences(self._connection):
                 return {}
             return {
@@ -260,7 +256,7 @@ class GraphHistory:
             (*block, one.since_ns, np.array(sorted(one.cells), "<i4").tobytes())
             for block, one in sorted(noted.items())
         ]
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             connection.execute("BEGIN IMMEDIATE")
             create_differences(connection)
             connection.executemany(
@@ -278,11 +274,11 @@ class GraphHistory:
         oldest, newest = self.versions()
         if not oldest <= version <= newest:
             raise CairnError(
-                f"{self._path}: keeps the versions {oldest} to {newest} of the map; "
+                f"{self.path}: keeps the versions {oldest} to {newest} of the map; "
                 f"{version} is not one of them"
             )
         if version == newest:
-            raise CairnError(f"{self._path}: the map is that of version {version} now")
+            raise CairnError(f"{self.path}: the map is that of version {version} now")
         then, now = self.state(version), self.state()
         gone, back = set(now.numbers) - set(then.numbers), set(then.numbers) - set(now.numbers)
         change = _rollback_change(then, now, stamp_ns, reason)
@@ -297,7 +293,7 @@ class GraphHistory:
 
     def prune(self, budget: HistoryBudget) -> None:
         """Delete the oldest history beyond a budget; raises `CairnError` if that fails."""
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             oldest = max(_excess(connection, budget.keyframes, _ENDED_KEYFRAMES),
                          _excess(connection, budget.tiles, _ENDED_TILES))  # fmt: skip
             if oldest:
@@ -316,12 +312,12 @@ class GraphHistory:
 
     @contextmanager
     def _changing(self, before: int) -> Iterator[tuple[sqlite3.Connection, int]]:
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             connection.execute("BEGIN IMMEDIATE")
             ((version,),) = connection.execute("SELECT version FROM graph").fetchall()
             if version != before:
                 raise CairnError(
-                    f"{self._path}: another program has changed the map to version {version}; "
+                    f"{self.path}: another program has changed the map to version {version}; "
                     "restart this one"
                 )
             yield connection, version + 1

@@ -24,17 +24,13 @@ class MapGrid:
 
     def __init__(self, resolution: float, reach: float) -> None:
         """Make an empty map with cells of `resolution` [m] of rays up to `reach` [m]."""
-        self._counts = ScanGrid(resolution, reach)
-        self._drawn = np.zeros((0, 3))  # where each keyframe is drawn; NaN: nowhere
-
-    @property
-    def counts(self) -> ScanGrid:
+        self.counts = ScanGrid(resolution, reach)
         """The ends and passages of rays."""
-        return self._counts
+        self._drawn = np.zeros((0, 3))  # where each keyframe is drawn; NaN: nowhere
 
     def renew(self, renewals: Renewals) -> None:
         """Draw in renewed places only keyframes from their version on, see `ScanGrid.renew`."""
-        self._counts.renew(renewals)
+        self.counts.renew(renewals)
 
     def update(
         self,
@@ -66,16 +62,16 @@ class MapGrid:
             rays, version = keyframes[number].rays, keyframes[number].version
             assert rays is not None
             if is_drawn[number]:
-                self._counts.remove(_pose(self._drawn, number), rays.rays(), version)
+                self.counts.remove(_pose(self._drawn, number), rays.rays(), version)
                 self._drawn[number] = np.nan
             if shown[number]:
-                self._counts.add(_pose(poses, number), rays.rays(), version)
+                self.counts.add(_pose(poses, number), rays.rays(), version)
                 self._drawn[number] = poses[number]
         return bool(outdated[:most].size)
 
     def grid(self) -> OccupancyCells:
         """Return the map; raises `ValueError` while nothing is drawn."""
-        return self._counts.grid()
+        return self.counts.grid()
 
 
 def _pose(poses: Array, number: int) -> Pose:

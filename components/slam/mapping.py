@@ -136,8 +136,9 @@ class Mapper:
         """Where only keyframes from a version of the map on count."""
         self.version = 0
         """Version of the map, which new keyframes get."""
+        self.pose: Pose = (0.0, 0.0, 0.0)
+        """The pose of the base in the map at the last scan or, without scans, observation."""
         self._odometry: Pose | None = None
-        self._pose: Pose = (0.0, 0.0, 0.0)
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
         self._way = 0.0
@@ -160,11 +161,6 @@ class Mapper:
         """Whether the robot is on the map, and on no island beside it."""
         return bool(self.keyframes) and bool(self.in_map()[-1])
 
-    @property
-    def pose(self) -> Pose:
-        """The pose of the base in the map at the last scan or, without scans, observation."""
-        return self._pose
-
     def add_scan(self, stamp_ns: int, odometry: Pose, rays: Rays) -> Tracked:
         """Add a scan.
 
@@ -181,17 +177,17 @@ class Mapper:
             self._continues = False
             tracked = self._find_near(stamp_ns, odometry, cloud)
         elif self._odometry is None:
-            tracked = Tracked(self._pose, np.zeros((3, 3)), None)
+            tracked = Tracked(self.pose, np.zeros((3, 3)), None)
         else:
             step = relative(self._odometry, odometry)
-            tracked = self.tracker.track(self._pose, step, cloud)
+            tracked = self.tracker.track(self.pose, step, cloud)
         self._odometry = odometry
-        self._pose = tracked.pose
+        self.pose = tracked.pose
         if tracked.is_lost:
             self._start_island()
         last = len(self.keyframes) - 1
         is_first = last < self._island
-        offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self._pose)
+        offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self.pose)
         has_moved = apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD)
         # If a scan that does not fit became a keyframe, those after it would fit to it.
         if is_first or (has_moved and not tracked.is_misfit):
@@ -258,7 +254,7 @@ class Mapper:
         if here and self.keyframes:
             last = len(self.keyframes) - 1
             self._log.add(self.keyframes[last].stamp_ns, self.keyframes[last].odometry)
-            self._odometry, self._pose = self.keyframes[last].odometry, self.graph.pose(last)
+            self._odometry, self.pose = self.keyframes[last].odometry, self.graph.pose(last)
             islands = self.graph.islands()
             self._island = int(np.flatnonzero(islands == islands[last])[0])
             self._set_surroundings()
@@ -369,7 +365,7 @@ class Mapper:
         if not is_first:
             path = self._log.path(self.calibration.calibration, self.keyframes[last].stamp_ns)
             offset = self._offset(path, last, stamp_ns)
-            self._pose = compose(self.graph.pose(last), offset)
+            self.pose = compose(self.graph.pose(last), offset)
         self._odometry = odometry
         if is_first or apart(offset, (0.0, 0.0, 0.0), meters, radians):
             nothing = scan_surfaces(PointCloud(np.zeros((0, 2)), np.zeros((0, 2))))
@@ -385,7 +381,7 @@ class Mapper:
     def _optimize(self) -> None:
         last = self.graph.pose(len(self.keyframes) - 1)
         self.graph.optimize_quickly()
-        self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
+        self.pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self.pose))
         # The next scan is aligned to where the keyframes are now.
         self._set_surroundings()
 
@@ -395,11 +391,11 @@ class Mapper:
         age_s = (stamp_ns - last.stamp_ns) / SECOND
         is_recent = 0.0 <= age_s < _NEAR_S
         moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
-        tracked = Tracked(self._pose, np.zeros((3, 3)), 0.0, is_misfit=True)
+        tracked = Tracked(self.pose, np.zeros((3, 3)), 0.0, is_misfit=True)
         if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
-            tracked = self.tracker.track(self._pose, relative(last.odometry, odometry), cloud)
+            tracked = self.tracker.track(self.pose, relative(last.odometry, odometry), cloud)
         if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
-            tracked = self.tracker.locate(self._pose, cloud, _NEAR_M)
+            tracked = self.tracker.locate(self.pose, cloud, _NEAR_M)
         is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
         return replace(tracked, is_lost=is_lost)
 
@@ -418,7 +414,7 @@ class Mapper:
             self.trajectory[k] = Step(step.stamp_ns, keyframe, offset)
 
     def _add_keyframe(self, frame: Keyframe, step: tuple[Pose, Tracked] | None) -> None:
-        number = self.graph.add_pose(self._pose)
+        number = self.graph.add_pose(self.pose)
         self.keyframes.append(frame)
         if number > self._island:
             edge = self._edge_to(number, step)
@@ -447,7 +443,7 @@ class Mapper:
             edge = odometry_edge(0, 1, stamps, path, self._model)
             return replace(edge, first=number - 1, second=number)
         offset, tracked = step
-        information = turned(tracked.information, self._pose[2])
+        information = turned(tracked.information, self.pose[2])
         return Edge(EdgeKind.STEP, number - 1, number, offset, information)
 
     def _close_submap(self) -> None:
