@@ -77,9 +77,6 @@ _LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
 # ...), until the map is optimized.
 _LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
 
-AS_STATED = OdometryCalibration()
-"""The calibration of odometry that is right."""
-
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its completed share, from 0 to 1."""
 
@@ -108,12 +105,7 @@ class Mapper:
     new island of the map; it is joined to the others once a place is recognized.
     """
 
-    def __init__(
-        self,
-        farthest: float,
-        model: MotionModel = MEASURED,
-        calibration: OdometryCalibration = AS_STATED,
-    ) -> None:
+    def __init__(self, farthest: float, model: MotionModel = MEASURED) -> None:
         """Start a map.
 
         Where no scan shows how the robot moved, odometry does.
@@ -121,8 +113,6 @@ class Mapper:
         Args:
             farthest: surfaces farther from the scanner are ignored [m].
             model: the uncertainty of odometry.
-            calibration: how the robot moves when odometry states a motion; an estimate
-                replaces it when the map is finished.
 
         """
         self.graph = PoseGraph()
@@ -148,8 +138,9 @@ class Mapper:
         self._builder = LandmarkBuilder(self.graph)
         self._contradicted = False  # by an observation since the last optimization
         self._optimized = 0  # number of keyframes then
-        self.calibration = CalibrationEstimate(calibration, OdometryCalibration(0.1, 0.1, 0.1))
-        """The calibration of odometry, estimated when the map is finished."""
+        as_stated, deviations = OdometryCalibration(), OdometryCalibration(0.1, 0.1, 0.1)
+        self.calibration = CalibrationEstimate(as_stated, deviations)
+        """How the robot moves when odometry states a motion, estimated when the map is finished."""
         self._continues = False  # the next scan is the first since the map was read
         # Closures since the last optimization, and the number of keyframes then.
         self._unsolved, self._solved_at = 0, 0
@@ -304,7 +295,7 @@ class Mapper:
 
     def landmarks(self) -> LandmarkReport:
         """Return the landmarks, and what became of the observations, of the finished map."""
-        return self._builder.report(self._stamps())
+        return self._builder.report()
 
     def finish(self, progress: Progress | None = None) -> None:
         """Close the last loops, and align all keyframes to those that saw the same."""
