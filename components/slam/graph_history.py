@@ -35,6 +35,7 @@ from cairn.components.slam.graph_file import (
     read_constraints,
     read_edges,
     read_state,
+    remove_beside,
 )
 from cairn.components.slam.keyframes import Keyframe
 from cairn.components.slam.pose_graph import Edge, PoseGraph
@@ -45,7 +46,6 @@ from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
 from cairn.system.files import replacing
-from cairn.visual_map.sqlite_file import side_files
 
 # Free pages that are returned to the disk when the file is opened: with fewer, or a smaller share
 # of the file, writing the whole file again is not worth it.
@@ -206,10 +206,8 @@ class GraphHistory:
             last = number + len(renewal.keyframes) - 1
             if renewal.keyframes:
                 connection.execute("INSERT INTO submaps VALUES (?, ?, ?)", (submap, number, last))
-            insert_keyframes(
-                connection,
-                [(number + k, _of(frame, submap)) for k, frame in enumerate(renewal.keyframes)],
-            )
+            frames = [replace(frame, submap=submap) for frame in renewal.keyframes]
+            insert_keyframes(connection, enumerate(frames, start=number))
             connection.executemany(
                 "INSERT INTO poses VALUES (?, ?, ?, ?)",
                 [(number + k, *pose) for k, pose in enumerate(renewal.poses)],
@@ -335,8 +333,8 @@ def copy_graph(original: Path, copy: Path) -> None:
         closing(open_connection(original, read_only=True)) as source,
     ):
         copy.parent.mkdir(parents=True, exist_ok=True)
-        for old in (copy, *side_files(copy)):
-            old.unlink(missing_ok=True)
+        copy.unlink(missing_ok=True)
+        remove_beside(copy)
         with replacing(copy) as part, closing(sqlite3.connect(part)) as target:
             source.backup(target)
             with target:
@@ -554,10 +552,6 @@ def _map_in(connection: sqlite3.Connection, state: GraphState) -> GraphState:
 def _next(connection: sqlite3.Connection, table: str) -> int:
     ((last,),) = connection.execute(f"SELECT coalesce(max(number), -1) FROM {table}").fetchall()
     return int(last) + 1
-
-
-def _of(frame: Keyframe, submap: int) -> Keyframe:
-    return replace(frame, submap=submap)
 
 
 def _rollback_change(then: GraphState, now: GraphState, stamp_ns: int, reason: str) -> GraphChange:

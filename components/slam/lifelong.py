@@ -16,6 +16,7 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.slam.closures import turned
 from cairn.components.slam.graph_history import (
     ChangedBlock,
     GraphChange,
@@ -556,11 +557,8 @@ def _joined(first: Edge, second: Edge, middle: Pose, end: Pose) -> Array:
 
 def _information(covariance: Array, heading: float) -> Array:
     """Return the information of a pose with a covariance in the map, in the frame of the pose."""
-    cosine, sine = math.cos(heading), math.sin(heading)
-    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     floor = np.diag([_LEAST_SD_M**2, _LEAST_SD_M**2, _LEAST_SD_RAD**2])
-    information: Array = np.linalg.inv(turn.T @ covariance @ turn + floor)
-    return information
+    return np.asarray(np.linalg.inv(turned(covariance, heading) + floor), np.float64)
 
 
 def _seen_blocks(scan: PosedScan, blocks: Collection[Block]) -> frozenset[Block]:
