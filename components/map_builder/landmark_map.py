@@ -93,28 +93,25 @@ class LandmarkMap:
         changes: list[LandmarkChange] = []
         refused: list[int] = []
         for piece in evidence:
+            after.append(None)  # unless it is kept
             known = self.landmarks.get(piece.object_id)
             is_new = known is None
             if known is None:
                 if not self._most_learned or piece.verdict is EvidenceVerdict.UNSEEN:
-                    after.append(None)
                     continue
                 if len(self.landmarks) >= self._most_learned:
                     refused.append(piece.object_id)
-                    after.append(None)
                     continue
                 known = new_landmark(piece.object_id)
             judged, change = self._rule(known, piece, now_s)
             if not _is_near(judged):
                 refused.append(piece.object_id)
-                after.append(None)
                 continue
             if is_new and judged is known:
-                after.append(None)  # evidence is kept about the map's objects only: they are few
-                continue
+                continue  # evidence is kept about the map's objects only: they are few
             if is_new:
                 judged = replace(judged, name=self._name_of(judged.object_id) or judged.name)
-            after.append((judged, judged is not known))
+            after[-1] = (judged, judged is not known)
             if judged is known:
                 continue
             self._journal.record(now_s, known, judged)
