@@ -194,20 +194,14 @@ class PathPlanner(Component):
         """Track the robot's motion."""
         stamp = to_ns(odom.header.stamp)
         change = self._tracker.add_odometry(stamp, planar_pose(odom.pose.pose))
-        if change in (OdometryChange.JUMPED, OdometryChange.RESET):
+        is_reset = change is OdometryChange.RESET
+        if is_reset or change is OdometryChange.JUMPED:
             self._waiting.clear()
-        if change is OdometryChange.JUMPED:
-            self.log.warning(
-                "odometry on %s %s: waiting for a new localization estimate",
-                self.odom.topic,
-                self._tracker.change,
-            )
-        elif change is OdometryChange.RESET:
-            self.log.warning(
-                "odometry on %s %s: forgetting the scanner's obstacles",
-                self.odom.topic,
-                self._tracker.change,
-            )
+            effect = "waiting for a new localization estimate"
+            if is_reset:
+                effect = "forgetting the scanner's obstacles"
+            self.log.warning("odometry on %s %s: %s", self.odom.topic, self._tracker.change, effect)
+        if is_reset:
             self._planned_at = self._scan_used_at = self._checked_at = 0
             self._avoided = AvoidedPositions()
             self._stuck = StuckDetector()
