@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.keyframes import Keyframe
+from cairn.components.slam.keyframes import Keyframe, pose_of
 from cairn.planar.grid import OccupancyCells
-from cairn.planar.poses import Pose, wrap_all
+from cairn.planar.poses import wrap_all
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
 
@@ -62,18 +62,13 @@ class MapGrid:
             rays, version = keyframes[number].rays, keyframes[number].version
             assert rays is not None
             if is_drawn[number]:
-                self.counts.remove(_pose(self._drawn, number), rays.rays(), version)
+                self.counts.remove(pose_of(self._drawn, number), rays.rays(), version)
                 self._drawn[number] = np.nan
             if shown[number]:
-                self.counts.add(_pose(poses, number), rays.rays(), version)
+                self.counts.add(pose_of(poses, number), rays.rays(), version)
                 self._drawn[number] = poses[number]
         return bool(outdated[:most].size)
 
     def grid(self) -> OccupancyCells:
         """Return the map; raises `ValueError` while nothing is drawn."""
         return self.counts.grid()
-
-
-def _pose(poses: Array, number: int) -> Pose:
-    x, y, theta = poses[number].tolist()
-    return x, y, theta
