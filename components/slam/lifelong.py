@@ -187,12 +187,7 @@ class LifelongMap:
 
         `covariance` (3, 3) of its pose is over x, y [m] and heading [rad] in the map.
         """
-        due = [
-            block
-            for block, pending in self._pending.items()
-            if scan.stamp_ns - pending.since_ns >= self._permanent_ns
-        ]
-        seen = _seen_blocks(scan, due)
+        seen = _seen_blocks(scan, self._due(scan.stamp_ns))
         if not seen:
             return
         for block in seen:
@@ -290,12 +285,18 @@ class LifelongMap:
             else:
                 pending[block] = _Pending(now_ns, cells)
         self._pending = pending
-        due = {
-            block for block, one in pending.items() if now_ns - one.since_ns >= self._permanent_ns
-        }
+        due = self._due(now_ns)
         self._waiting = [
             replace(one, blocks=one.blocks & due) for one in self._waiting if one.blocks & due
         ]
+
+    def _due(self, now_ns: int) -> set[Block]:
+        """Return the blocks that have differed for long enough."""
+        return {
+            block
+            for block, one in self._pending.items()
+            if now_ns - one.since_ns >= self._permanent_ns
+        }
 
     def _note(self, now_ns: int) -> None:
         """Note in the file which blocks differ, and since when: a restart must not delay them."""
@@ -313,11 +314,7 @@ class LifelongMap:
 
     def _clusters(self, now_ns: int) -> list[frozenset[Block]]:
         """Return the changed places to try now: connected blocks that have differed for long."""
-        left = {
-            block
-            for block, one in self._pending.items()
-            if now_ns - one.since_ns >= self._permanent_ns
-        }
+        left = self._due(now_ns)
         seen = frozenset[Block]().union(*(one.blocks for one in self._waiting))
         clusters = []
         while left:
