@@ -217,7 +217,8 @@ class PathPlanner(Component):
         if not estimate.located:
             return
         self._tracker.set_pose(to_ns(estimate.header.stamp), planar_pose(estimate.pose.pose))
-        if self._is_check_due():
+        due = has_passed(1 / self.config.check_hz, self._checked_at, self.clock.now() + 1)
+        if due or self._waits_for_plan:
             self._check_path()
 
     @on("scan")
@@ -347,11 +348,6 @@ class PathPlanner(Component):
             self._replan()
         else:
             self._improve()
-
-    def _is_check_due(self) -> bool:
-        now = self.clock.now()
-        is_over = has_passed(1 / self.config.check_hz, self._checked_at, now + 1)
-        return self._waits_for_plan or is_over
 
     @property
     def _waits_for_plan(self) -> bool:
