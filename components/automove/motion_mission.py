@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from cairn.components.automove.inputs import MissionInputs
-from cairn.components.automove.recovery_selection import MissionLimits
+from cairn.components.automove.state_machine import Mission
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import (
-    NAVIGATION_END_STATES,
     NO_REASON,
     MotionStatus,
     NavCommand,
@@ -18,35 +16,23 @@ from cairn.schemas.cairn_nav_msgs import (
     Reason,
     ReasonCode,
 )
-from cairn.schemas.unique_identifier_msgs.msg import UUID
 
 _PROGRESS = 0.02  # [m], [rad]: more than noise of odometry
 
 
-@dataclass
-class MotionMission:
+@dataclass(kw_only=True)
+class MotionMission(Mission):
     """One motion; used as `MissionStateMachine` is. `distance_left` is the rest: [m] or [rad]."""
 
-    mission_id: int
     request: NavigateGoal
-    next_command_id: Callable[[], int]
-    started_s: float
-    goal_id: UUID = field(default_factory=UUID)
-    limits: MissionLimits = field(default_factory=MissionLimits)
-    state: int = NavigationStatus.LOADING
-    reason: Reason = NO_REASON
-    behavior: int = NavCommand.STAND
-    command_id: int = field(init=False)
-    recoveries: int = 0
-    goal_index: int = 0
     target: Pose = (0.0, 0.0, 0.0)
     _moved_s: float = field(init=False)
     _least_left: float = field(init=False)
     _cause: Reason = NO_REASON
 
     def __post_init__(self) -> None:
-        """Start with the robot standing."""
-        self.command_id = self.next_command_id()
+        """Start with the first command, and all of the motion left."""
+        super().__post_init__()
         self._moved_s = self.started_s
         self._least_left = abs(self.request.amount)
 
@@ -54,11 +40,6 @@ class MotionMission:
     def goals(self) -> tuple[Pose, ...]:
         """There are none."""
         return ()
-
-    @property
-    def finished(self) -> bool:
-        """Whether the mission has its result."""
-        return self.state in NAVIGATION_END_STATES
 
     @property
     def distance(self) -> float:
@@ -82,14 +63,6 @@ class MotionMission:
         self.state = NavigationStatus.DRIVING
         self.command_id = self.next_command_id()
         self._moved_s = now_s
-
-    def cancel(self) -> None:
-        """End the mission as canceled."""
-        self._end(NavigationStatus.CANCELED, Reason(ReasonCode.CANCELED, "on request"))
-
-    def fail(self, reason: Reason) -> None:
-        """End the mission as failed."""
-        self._end(NavigationStatus.FAILED, reason)
 
     def distance_left(self, inputs: MissionInputs) -> float:
         """Return what is left [m] or [rad], as motion control has published it last."""
@@ -131,7 +104,3 @@ class MotionMission:
                 or ("the robot does not move: the base or the velocity gate holds it")
             )
             self.fail(Reason(self._cause.code or int(ReasonCode.NO_PROGRESS), words))
-
-    def _end(self, state: int, reason: Reason) -> None:
-        self.state, self.behavior, self.reason = state, NavCommand.STAND, reason
-        self.command_id = self.next_command_id()

@@ -50,9 +50,9 @@ _WAITED_FOR = frozenset(
 )
 
 
-@dataclass
-class MissionStateMachine:
-    """One mission: its goals (waypoints in frame map), the index of the current one, and the state.
+@dataclass(kw_only=True)
+class Mission:
+    """What all missions have; the robot stands at first.
 
     Call `step` periodically with the last inputs. Afterwards `command_id`, `behavior` and `target`
     are the command for the planner and motion control, and `state` and `reason` are the mission's
@@ -60,8 +60,6 @@ class MissionStateMachine:
     """
 
     mission_id: int
-    goals: Sequence[Pose]
-    goal_index: int
     next_command_id: Callable[[], int]
     started_s: float
     goal_id: UUID = field(default_factory=UUID)
@@ -71,6 +69,35 @@ class MissionStateMachine:
     recoveries: int = 0
     behavior: int = NavCommand.STAND
     command_id: int = field(init=False)
+    goal_index: int = 0
+
+    def __post_init__(self) -> None:
+        """Start with the first command."""
+        self.command_id = self.next_command_id()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the mission has its result."""
+        return self.state in NAVIGATION_END_STATES
+
+    def cancel(self) -> None:
+        """End the mission as canceled."""
+        self._end(NavigationStatus.CANCELED, Reason(ReasonCode.CANCELED, "on request"))
+
+    def fail(self, reason: Reason) -> None:
+        """End the mission as failed."""
+        self._end(NavigationStatus.FAILED, reason)
+
+    def _end(self, state: int, reason: Reason) -> None:
+        self.state, self.behavior, self.reason = state, NavCommand.STAND, reason
+        self.command_id = self.next_command_id()
+
+
+@dataclass(kw_only=True)
+class MissionStateMachine(Mission):
+    """A mission to goals (waypoints in frame map), with the index of the current one."""
+
+    goals: Sequence[Pose]
     alternative: AlternativeGoal | None = None
     """Where the robot drives to instead of its goal while it gives way or goes near."""
     explore_m: float = _EXPLORE_M
@@ -93,14 +120,9 @@ class MissionStateMachine:
     _moving_s: float = field(init=False)
 
     def __post_init__(self) -> None:
-        """Start with the robot standing."""
-        self.command_id = self.next_command_id()
+        """Start with the first command and all timers."""
+        super().__post_init__()
         self._restart_timers(self.started_s)
-
-    @property
-    def finished(self) -> bool:
-        """Whether the mission has its result."""
-        return self.state in NAVIGATION_END_STATES
 
     @property
     def goal(self) -> Pose:
@@ -131,14 +153,6 @@ class MissionStateMachine:
         """Localize the robot, as all plugins are loaded."""
         self.state, self.reason = NavigationStatus.LOCALIZING, NO_REASON
         self._restart_timers(now_s)
-
-    def cancel(self) -> None:
-        """End the mission as canceled."""
-        self._end(NavigationStatus.CANCELED, Reason(ReasonCode.CANCELED, "on request"))
-
-    def fail(self, reason: Reason) -> None:
-        """End the mission as failed."""
-        self._end(NavigationStatus.FAILED, reason)
 
     def distance_left(self, inputs: MissionInputs) -> float:
         """Return the distance to the goal [m]: along the path, or straight if none is followed."""
@@ -397,9 +411,8 @@ class MissionStateMachine:
         self._running_s = self._moving_s = now_s
 
     def _end(self, state: int, reason: Reason) -> None:
-        self.state, self.behavior, self.reason = state, NavCommand.STAND, reason
+        super()._end(state, reason)
         self.alternative = None
-        self.command_id = self.next_command_id()
 
 
 def _no_path(plan: Plan) -> Reason:

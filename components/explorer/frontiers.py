@@ -192,7 +192,8 @@ class _MapArea:
         turn = _direction_to(self.unknown, row, column, _FACED_M / frame.resolution)
         pose = self._pose(row, column, turn)
         view = self._view(row, column) or pose
-        points = np.column_stack(_points(frame, rows, columns))
+        cells_at = zip(rows.tolist(), columns.tolist(), strict=True)
+        points = np.array([frame.point(row, column) for row, column in cells_at])
         return Frontier(pose, view, float(path_m[best]), width_m, points)
 
     def _view(self, row: int, column: int) -> Pose | None:
@@ -268,13 +269,3 @@ def _nearest(roomy: NDArray[np.bool_], frame: Frame, here: Pose) -> Cell | None:
     if apart[nearest] * frame.resolution > _START_M:
         return None
     return int(rows[nearest]), int(columns[nearest])
-
-
-def _points(
-    frame: Frame, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x and y [m] of the centers of cells."""
-    ox, oy, theta = frame.origin
-    along, across = (columns + 0.5) * frame.resolution, (rows + 0.5) * frame.resolution
-    cosine, sine = math.cos(theta), math.sin(theta)
-    return ox + cosine * along - sine * across, oy + sine * along + cosine * across

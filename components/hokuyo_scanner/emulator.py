@@ -21,7 +21,6 @@ from cairn.components.hokuyo_scanner.emulator_models import (
     MODELS,
     ScipModel,
     spec_lines,
-    state_lines,
     version_lines,
 )
 from cairn.components.hokuyo_scanner.emulator_sensor import (
@@ -32,6 +31,7 @@ from cairn.components.hokuyo_scanner.emulator_sensor import (
     MeasureCommand,
     SentScan,
     Values,
+    state_lines,
 )
 from cairn.components.hokuyo_scanner.protocol import (
     BLOCK,
@@ -287,7 +287,8 @@ class EmulatedScip:
         if text == SCIP1_SWITCH and self._knows_scip2:
             self._scip1 = False
         elif text == "V":
-            lines = scip1_version(version_lines(self.model, self._serial_number))
+            lines = version_lines(self.model, self._serial_number)
+            lines = [one[:-2] for one in lines]  # without semicolons and check sums
         elif text == "L0":
             self.sensor.laser_off()
         elif text == "L1":
@@ -306,7 +307,7 @@ class EmulatedScip:
                 status = SCIP1_REFUSED
         else:
             status = SCIP1_UNKNOWN
-        return scip1_reply(line, status, lines)
+        return b"\n".join((line, status.encode(), *lines, b"", b""))
 
 
 class CommandHandler:
@@ -339,7 +340,7 @@ class CommandHandler:
             case "PP":
                 return "00", spec_lines(sensor.model)
             case "II":
-                return "00", state_lines(sensor.model, sensor.state(now))
+                return "00", state_lines(sensor, now)
             case "BM":
                 return self._laser_on(now), []
             case "QT":
@@ -509,16 +510,6 @@ def _blocks(text: NDArray[np.uint8]) -> bytes:
     lines[:, BLOCK] = (lines[:, :BLOCK].sum(axis=1) & 0x3F) + 0x30
     last = with_sum(text[full * BLOCK :].tobytes()) + b"\n" if rest else b""
     return (lines.tobytes() + last)[:-1]
-
-
-def scip1_reply(echo: bytes, status: str, lines: list[bytes]) -> bytes:
-    """Return a whole reply of SCIP 1.1."""
-    return b"\n".join((echo, status.encode(), *lines, b"", b""))
-
-
-def scip1_version(lines: list[bytes]) -> list[bytes]:
-    """Return the lines of V, from those of VV: without their semicolons and check sums."""
-    return [line[:-2] for line in lines]
 
 
 def parse_scip1_gather(parameters: str, model: ScipModel) -> MeasureCommand | None:

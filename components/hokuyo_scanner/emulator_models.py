@@ -1,15 +1,13 @@
-"""The models of SCIP scanners that are emulated, and how each describes itself: VV, PP, II."""
+"""The models of SCIP scanners that are emulated, and how each describes itself: VV, PP."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from cairn.components.hokuyo_scanner.protocol import check_sum, encode_number
+from cairn.components.hokuyo_scanner.protocol import check_sum
 
 _MAKER = "Hokuyo Automatic Co.,Ltd."
-_ETHERNET_LINE = "Ethernet 100 [Mbps]"
-
 
 Line = Literal["usb", "ethernet"]
 Generation = Literal["first", "EW", "UST"]
@@ -152,25 +150,6 @@ _ALL = (
 MODELS = {model.name: model for model in _ALL}
 
 
-@dataclass(frozen=True)
-class SensorState:
-    """The state that II reports. `baud` [bit/s]: of its RS-232 line, if it is on one.
-
-    `defect`: the status of its defect, None without one. `sums_arrows`: what follows `<-` in a
-    line is part of its check sum.
-    """
-
-    laser: bool
-    streaming: bool
-    sensitive: bool
-    rpm: int
-    level: int
-    baud: int | None
-    time_ms: int
-    defect: str | None
-    sums_arrows: bool
-
-
 def version_lines(model: ScipModel, serial_number: str) -> list[bytes]:
     """Return the lines of VV."""
     return [
@@ -185,7 +164,7 @@ def version_lines(model: ScipModel, serial_number: str) -> list[bytes]:
 def spec_lines(model: ScipModel) -> list[bytes]:
     """Return the lines of PP; a UST adds one that others do not have."""
     return [
-        field_line("MODL", f"{model.label}({_MAKER})"),
+        model_line(model),
         field_line("DMIN", str(model.least_mm)),
         field_line("DMAX", str(model.most_mm)),
         *([field_line("PROT", model.protocol)] if model.generation == "UST" else []),
@@ -197,61 +176,9 @@ def spec_lines(model: ScipModel) -> list[bytes]:
     ]
 
 
-def state_lines(model: ScipModel, state: SensorState) -> list[bytes]:
-    """Return the lines of II, in the words of each generation of sensors."""
-    describe = {"first": _first, "EW": _ew, "UST": _ust}[model.generation]
-    speed, measures, line, time, status = describe(state)
-    return [
-        field_line("MODL", f"{model.label}({_MAKER})"),
-        field_line("LASR", "ON" if state.laser else "OFF"),
-        field_line("SCSP", speed, sums_arrow=state.sums_arrows),
-        field_line("MESM", measures),
-        field_line("SBPS", line, sums_arrow=state.sums_arrows),
-        field_line("TIME", time),
-        field_line("STAT", status),
-    ]
-
-
-def _first(state: SensorState) -> tuple[str, str, str, str, str]:
-    default = "<-Default setting by user"
-    speed = f"Initial({state.rpm}[rpm]){default}"
-    if state.level:
-        speed = f"{state.level:02d}%down({state.rpm}[rpm])"
-    mode = "Sensitive" if state.sensitive else "Normal"
-    line = "USB only" if state.baud is None else f"{state.baud}[bps]{default}"
-    defect = state.defect
-    return (
-        speed,
-        f"Measuring by {mode} Mode" if state.laser else "IDLE",
-        line,
-        f"{state.time_ms:06X}",
-        "Sensor works well." if defect is None else f"Sensor malfunction No.{defect}",
-    )
-
-
-def _ew(state: SensorState) -> tuple[str, str, str, str, str]:
-    measures = "000 Idle"
-    if state.laser:
-        measures = "004 Multi_scan" if state.streaming else "003 Single_scan"
-    defect = state.defect
-    return (
-        str(state.rpm),
-        measures,
-        _ETHERNET_LINE,
-        f"{state.time_ms:06x}",
-        "Stable 000 no error." if defect is None else f"Error {defect:0>3}",
-    )
-
-
-def _ust(state: SensorState) -> tuple[str, str, str, str, str]:
-    defect = state.defect
-    return (
-        str(state.rpm),
-        "Measuring by Sensitive Mode",
-        _ETHERNET_LINE,
-        encode_number(state.time_ms, 4).decode(),
-        "sensor is working normally" if defect is None else f"abnormal {defect}",
-    )
+def model_line(model: ScipModel) -> bytes:
+    """Return the line of PP and II with the name of the model."""
+    return field_line("MODL", f"{model.label}({_MAKER})")
 
 
 def field_line(key: str, value: str, *, sums_arrow: bool = True) -> bytes:

@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.hokuyo_scanner.emulator_models import ScipModel, SensorState
-from cairn.components.hokuyo_scanner.protocol import NO_ECHO
+from cairn.components.hokuyo_scanner.emulator_models import ScipModel, field_line, model_line
+from cairn.components.hokuyo_scanner.protocol import NO_ECHO, encode_number
 
 ECHOES = 3
 """The most echoes of one beam."""
@@ -21,6 +21,8 @@ Values = NDArray[np.int32]
 
 CLOCK_MS = 1 << 24
 """The sensor's clock counts up to this [ms], in 4 h 39 min 37 s, and starts again at 0."""
+
+_ETHERNET_LINE = "Ethernet 100 [Mbps]"
 
 SLOWEST = 10
 """The highest level of CR; each takes one hundredth off the mirror's speed."""
@@ -49,7 +51,8 @@ class EmulatedSensor:
         self.deaf_until = -math.inf
         self._clock_start_ms = clock_start_ms
         self._drift_ppm = drift_ppm
-        self._sums_arrows = sums_arrows
+        self.sums_arrows = sums_arrows
+        """Whether what follows `<-` in a line of II is part of its check sum."""
         self.reset(0.0)
 
     def powered_on(self, now: float) -> None:
@@ -112,20 +115,6 @@ class EmulatedSensor:
             intensities if command.intensity else None,
         )
 
-    def state(self, now: float) -> SensorState:
-        """Return what II reports."""
-        return SensorState(
-            laser=self.laser,
-            streaming=self.streaming,
-            sensitive=self.sensitive,
-            rpm=round(60.0 / self.mirror.turn_s),
-            level=self.level,
-            baud=self.baud,
-            time_ms=self.clock.ms(now),
-            defect=self.defect,
-            sums_arrows=self._sums_arrows,
-        )
-
     def state_number(self) -> str:
         """Return what %ST reports."""
         if self.defect is not None:
@@ -137,6 +126,64 @@ class EmulatedSensor:
         if self.streaming:
             return "004"
         return "003" if self.laser else "000"
+
+
+def state_lines(sensor: EmulatedSensor, now: float) -> list[bytes]:
+    """Return the lines of II, in the words of each generation of sensors."""
+    describe = {"first": _first, "EW": _ew, "UST": _ust}[sensor.model.generation]
+    rpm = round(60.0 / sensor.mirror.turn_s)
+    speed, measures, line, time, status = describe(sensor, rpm, sensor.clock.ms(now))
+    return [
+        model_line(sensor.model),
+        field_line("LASR", "ON" if sensor.laser else "OFF"),
+        field_line("SCSP", speed, sums_arrow=sensor.sums_arrows),
+        field_line("MESM", measures),
+        field_line("SBPS", line, sums_arrow=sensor.sums_arrows),
+        field_line("TIME", time),
+        field_line("STAT", status),
+    ]
+
+
+def _first(sensor: EmulatedSensor, rpm: int, time_ms: int) -> tuple[str, str, str, str, str]:
+    default = "<-Default setting by user"
+    speed = f"Initial({rpm}[rpm]){default}"
+    if sensor.level:
+        speed = f"{sensor.level:02d}%down({rpm}[rpm])"
+    mode = "Sensitive" if sensor.sensitive else "Normal"
+    line = "USB only" if sensor.baud is None else f"{sensor.baud}[bps]{default}"
+    defect = sensor.defect
+    return (
+        speed,
+        f"Measuring by {mode} Mode" if sensor.laser else "IDLE",
+        line,
+        f"{time_ms:06X}",
+        "Sensor works well." if defect is None else f"Sensor malfunction No.{defect}",
+    )
+
+
+def _ew(sensor: EmulatedSensor, rpm: int, time_ms: int) -> tuple[str, str, str, str, str]:
+    measures = "000 Idle"
+    if sensor.laser:
+        measures = "004 Multi_scan" if sensor.streaming else "003 Single_scan"
+    defect = sensor.defect
+    return (
+        str(rpm),
+        measures,
+        _ETHERNET_LINE,
+        f"{time_ms:06x}",
+        "Stable 000 no error." if defect is None else f"Error {defect:0>3}",
+    )
+
+
+def _ust(sensor: EmulatedSensor, rpm: int, time_ms: int) -> tuple[str, str, str, str, str]:
+    defect = sensor.defect
+    return (
+        str(rpm),
+        "Measuring by Sensitive Mode",
+        _ETHERNET_LINE,
+        encode_number(time_ms, 4).decode(),
+        "sensor is working normally" if defect is None else f"abnormal {defect}",
+    )
 
 
 @dataclass(frozen=True)

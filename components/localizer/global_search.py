@@ -66,15 +66,16 @@ class RecentMeasurements:
             )
         return total
 
-    def loose(self, poses: Array) -> Array:
-        """Return the same of the newest scans with wide beams, so that poses nearby explain
+    def loose(self, poses: Array, newest: int = _LOOSE) -> Array:
+        """Return the same of the `newest` scans with wide beams, so that poses nearby explain
         them: (n,).
         """
-        return self._loosely(poses, _LOOSE)
-
-    def first_look(self, poses: Array) -> Array:
-        """Return the same of the observations and the newest scan alone: (n,)."""
-        return self._loosely(poses, 1)
+        total = self.observations.log_likelihood(poses, self.now, self.moved_s, self.landmarks)
+        if self.map is not None:
+            total += self.scan_share * self.scans.log_likelihood(
+                poses, self.now, self.map.wide.log_likelihood, newest
+            )
+        return total
 
     def fit(self, pose: PoseEstimate) -> float:
         """Return the share of the scans' beams that the map explains from a pose; NaN without
@@ -87,14 +88,6 @@ class RecentMeasurements:
     def support(self, pose: PoseEstimate, left_out: int | None = None) -> PoseSupport:
         """Return how many positions of objects agree with a pose, and how many contradict it."""
         return self.observations.support(pose, self.now, self.moved_s, self.landmarks, left_out)
-
-    def _loosely(self, poses: Array, newest: int) -> Array:
-        total = self.observations.log_likelihood(poses, self.now, self.moved_s, self.landmarks)
-        if self.map is not None:
-            total += self.scan_share * self.scans.log_likelihood(
-                poses, self.now, self.map.wide.log_likelihood, newest
-            )
-        return total
 
 
 # Poses drawn per square meter of free space, and at most: one per 6 cm x 6 cm; the wide beams of
@@ -167,7 +160,7 @@ def search(
     if not poses.shape[1]:
         return None
     if recent.scanned:
-        poses = _thinned(poses, recent.first_look(poses), _FIRST_LOOK, _FIRST_NOISE, random)
+        poses = _thinned(poses, recent.loose(poses, newest=1), _FIRST_LOOK, _FIRST_NOISE, random)
         loose = _LOOSE_SHARE * recent.loose(poses)
         poses = _thinned(poses, loose, _LOOSELY, _LOOSE_NOISE, random)
         before = [] if known is None else _apart(known, _KEPT)

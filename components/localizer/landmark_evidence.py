@@ -355,16 +355,15 @@ def converge(
     poses: Array,
     log_likelihood: Callable[[Array], Array],
     random: np.random.Generator,
-    rounds: int = _ROUNDS,
 ) -> PoseEstimate | None:
     """Let new samples converge by annealing within one image; return None if they do not.
 
-    Each of `rounds` rounds weighs by the log-likelihood at a growing temper, resamples, and adds
+    Each of eight rounds weighs by the log-likelihood at a growing temper, resamples, and adds
     noise that shrinks (8 cm, 5 degrees at first). Samples that end wider than 0.25 m give no
     evidence: the mean of two positions is not one of them.
     """
     count = poses.shape[1]
-    for k in range(rounds):
+    for k in range(_ROUNDS):
         temper = min(1.0, _TEMPER * (k + 1))
         weights = normalized(temper * log_likelihood(poses))
         poses = poses[:, systematic_choice(weights, count, random)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from dataclasses import replace
+from itertools import takewhile
 from typing import Protocol
 
 import numpy as np
@@ -145,31 +146,21 @@ class CommandedTrack:
     def _integrate(self, stamp: float) -> tuple[OdometryStep, tuple[float, float], int]:
         # Before the first command the base is assumed to stand.
         now = stamp if self.integrated_to == -math.inf else self.integrated_to
-        forward, turn = self._speed
+        begun = list(takewhile(lambda command: command[0] <= stamp, self._pending))
+        speeds = [self._speed, *((forward, turn) for _, forward, turn in begun)]
+        ends = [*(starts for starts, _, _ in begun), stamp]
         ahead = turned = moving = 0.0
-        taken = 0
-        for starts, next_forward, next_turn in self._pending:
-            if starts > stamp:
-                break
-            if starts > now:
-                step = starts - now
+        for (forward, turn), end in zip(speeds, ends, strict=True):
+            if end > now:
+                step, now = end - now, end
                 ahead += forward * step
                 turned += turn * step
                 if forward or turn:
                     moving += step
-                now = starts
-            forward, turn = next_forward, next_turn
-            taken += 1
-        if stamp > now:
-            step = stamp - now
-            ahead += forward * step
-            turned += turn * step
-            if forward or turn:
-                moving += step
         performed = OdometryStep(
             self.forward_gain * ahead, 0.0, self.turn_gain * turned, moving, measured=False
         )
-        return performed, (forward, turn), taken
+        return performed, speeds[-1], len(begun)
 
 
 class MeasuredTrack:

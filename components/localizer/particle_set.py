@@ -246,8 +246,6 @@ def tempered_update(
     log_weights: Array,
     log_likelihood: Callable[[Array, NDArray[np.intp]], Array],
     random: np.random.Generator,
-    bandwidth: float = _STAGED_BANDWIDTH,
-    rounds: int = _STAGES,
 ) -> None:
     """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
     place.
@@ -260,16 +258,16 @@ def tempered_update(
     rows, count = log_weights.shape
     contribution = log_likelihood(poses, np.arange(rows))
     left = np.ones(rows)
-    for stage in range(rounds):
+    for stage in range(_STAGES):
         full = log_weights + contribution * left[:, None]
         poor = np.nonzero(effective_count(full) < _ENOUGH_EFFECTIVE * count)[0]
-        if stage == rounds - 1 or not poor.size:
+        if stage == _STAGES - 1 or not poor.size:
             log_weights[:] = full - full.max(axis=1, keepdims=True)
             break
         share = _shares(log_weights[poor], contribution[poor], left[poor])
         weights = normalized(log_weights[poor] + contribution[poor] * share[:, None])
         for row, of_row in zip(poor, weights, strict=True):
-            poses[:, row] = resample(poses[:, row], of_row, bandwidth, random)
+            poses[:, row] = resample(poses[:, row], of_row, _STAGED_BANDWIDTH, random)
         log_weights[poor] = 0.0
         left[poor] -= share
         contribution[poor] = log_likelihood(poses[:, poor], poor)

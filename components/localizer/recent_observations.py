@@ -90,24 +90,14 @@ class PoseSupport:
 
 
 class RecentObservations:
-    """Observations younger than `horizon_s` seconds of motion, at most `per_object` of each object.
+    """Observations during the last 30 s of motion, at most four of each object.
 
     Poses are dead-reckoned, in a frame of their own. The variance of an observation grows with the
-    motion since then (`drift` [m/sqrt(s)], `turn_drift` [rad/sqrt(s)]): a little more than the
-    motion model, so that old observations do not outweigh new ones.
+    motion since then: a little more than in the motion model, so that old observations do not
+    outweigh new ones.
     """
 
-    def __init__(
-        self,
-        horizon_s: float = _HORIZON_S,
-        per_object: int = _PER_OBJECT,
-        drift: float = _DRIFT,
-        turn_drift: float = _TURN_DRIFT,
-    ) -> None:
-        self.horizon_s = horizon_s
-        self.per_object = per_object
-        self.drift = drift
-        self.turn_drift = turn_drift
+    def __init__(self) -> None:
         self.entries: list[TimedObservation] = []
 
     def clear(self) -> None:
@@ -123,7 +113,7 @@ class RecentObservations:
             if observations and not apart(one.at, at, ANOTHER_M, ANOTHER_RAD)
             else one
             for one in self.entries
-            if moved_s - one.moved_s <= self.horizon_s
+            if moved_s - one.moved_s <= _HORIZON_S
         ]
         for observation in observations:
             new = TimedObservation(observation, at, moved_s)
@@ -132,7 +122,7 @@ class RecentObservations:
                 # The newest pose is better: its odometry has drifted least.
                 kept.remove(same[-1])
                 new = replace(new, seen=same[-1].seen + 1.0, images=same[-1].images)
-            elif len(same) >= self.per_object:
+            elif len(same) >= _PER_OBJECT:
                 kept.remove(same[0])
             kept.append(new)
         self.entries = kept
@@ -237,8 +227,8 @@ class RecentObservations:
             np.array(rows).T[:, :, None]
         )
         age = moved_s - made_at
-        place_variance = self.drift**2 * age
-        turn_variance = self.turn_drift**2 * age
+        place_variance = _DRIFT**2 * age
+        turn_variance = _TURN_DRIFT**2 * age
         if covariance is not None:
             place_variance = place_variance + 0.5 * (covariance[0, 0] + covariance[1, 1])
             turn_variance = turn_variance + covariance[2, 2]

@@ -81,13 +81,10 @@ def usual_fit(usual: float, fit: float) -> float:
 
 
 class RecentScans:
-    """End points of the `keep` newest scans taken `apart_m` [m] or `turned` [rad] apart."""
+    """End points of the `keep` newest scans taken apart, 0.3 m or 0.35 rad."""
 
-    def __init__(
-        self, keep: int = _KEPT, apart_m: float = _APART_M, turned: float = _TURNED_RAD
-    ) -> None:
+    def __init__(self, keep: int = _KEPT) -> None:
         self.keep = keep
-        self.apart_m, self.turned = apart_m, turned
         self._scans: deque[tuple[Array, Pose]] = deque()
 
     def __len__(self) -> int:
@@ -102,7 +99,9 @@ class RecentScans:
 
         It replaces the last one as long as that was not taken apart from the one before.
         """
-        if len(self._scans) >= 2 and not self._apart(self._scans[-2][1], self._scans[-1][1]):
+        if len(self._scans) >= 2 and not apart(
+            self._scans[-2][1], self._scans[-1][1], _APART_M, _TURNED_RAD
+        ):
             self._scans.pop()
         elif len(self._scans) == self.keep:
             self._scans.popleft()
@@ -129,9 +128,6 @@ class RecentScans:
             return math.nan
         shares = [field.fit(compose(pose, relative(now, at)), points) for points, at in self._scans]
         return float(np.mean(shares))
-
-    def _apart(self, a: Pose, b: Pose) -> bool:
-        return apart(a, b, self.apart_m, self.turned)
 
 
 class ScanFit:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -123,14 +123,8 @@ class Decision:
         """Return what it has decided about other cells."""
         if not self.cells & cells:
             return self
-        return Decision(
-            self.robot,
-            self.tile,
-            self.stamp_ns,
-            self.free & ~cells,
-            self.occupied & ~cells,
-            self.unknown & ~cells,
-        )
+        free, occupied, unknown = self.free & ~cells, self.occupied & ~cells, self.unknown & ~cells
+        return replace(self, free=free, occupied=occupied, unknown=unknown)
 
     def joined(self, other: Decision) -> Decision:
         """Return both, of one rank and tile; occupied outranks unknown, which outranks free.
@@ -140,7 +134,7 @@ class Decision:
         occupied = self.occupied | other.occupied
         unknown = (self.unknown | other.unknown) & ~occupied
         free = (self.free | other.free) & ~occupied & ~unknown
-        return Decision(self.robot, self.tile, self.stamp_ns, free, occupied, unknown)
+        return replace(self, free=free, occupied=occupied, unknown=unknown)
 
     def values(self) -> Iterator[tuple[int, int]]:
         """Yield the sets of cells with the value of each in a grid map."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -125,15 +125,7 @@ def summarize(steps: Sequence[HistoryStep]) -> list[HistoryStep]:
         if last is None or not both_ignored or last.verdict != step.verdict:
             merged.append(step)
             continue
-        merged[-1] = HistoryStep(
-            last.stamp_ns,
-            last.text,
-            step.reliability,
-            counted=False,
-            verdict=last.verdict,
-            similarity=last.similarity,
-            times=last.times + 1,
-        )
+        merged[-1] = replace(last, reliability=step.reliability, times=last.times + 1)
     return merged
 
 

@@ -119,7 +119,7 @@ class GridKeeper:
             else None
         )
         cells, stored, stamp_ns = previous or (original, None, 0)
-        self._occupancy = Occupancy(cells, settle_s, undo_s)
+        self.occupancy = Occupancy(cells, settle_s, undo_s)
         self._changed = False
         self._stored = stored
         self._undecided: Box | None = None
@@ -129,19 +129,14 @@ class GridKeeper:
             decisions = [] if stored is None else [one.decision() for one in stored.decisions]
             self.sharing = CellSharing(robot, known_cells(original), decisions)
             # What the robot has changed while it did not share.
-            rows, columns = self._occupancy.cells.shape
+            rows, columns = self.occupancy.cells.shape
             self._undecided = (0, 0, rows, columns)
             self._newest_ns = stamp_ns
             self.contribute()
 
-    @property
-    def occupancy(self) -> Occupancy:
-        """Return the map."""
-        return self._occupancy
-
     def integrate(self, stamp_s: float, pose: Pose, rays: Rays) -> GridWindow | None:
         """Integrate a scan from a known pose; return the window that this changes."""
-        window = self._occupancy.integrate(stamp_s, pose, rays)
+        window = self.occupancy.integrate(stamp_s, pose, rays)
         self._note(window, round(stamp_s * SECOND))
         return window
 
@@ -150,7 +145,7 @@ class GridKeeper:
 
         Cells that other robots have decided about since then stay as they are.
         """
-        window = self._occupancy.undo(stamp_s)
+        window = self.occupancy.undo(stamp_s)
         self._note(window, now_ns)
         return window
 
@@ -158,7 +153,7 @@ class GridKeeper:
         """Decide for all robots what this one has changed since the last call."""
         box, self._undecided = self._undecided, None
         if self.sharing is not None and box is not None:
-            self._changed |= self.sharing.contribute(self._occupancy.cells, box, self._newest_ns)
+            self._changed |= self.sharing.contribute(self.occupancy.cells, box, self._newest_ns)
 
     def merge(self, decisions: Iterable[Decision]) -> list[GridWindow]:
         """Take in decisions of other robots; return the windows that they change.
@@ -168,9 +163,9 @@ class GridKeeper:
         assert self.sharing is not None
         self.contribute()
         before = self.sharing.record.summaries()
-        windows = self.sharing.merge(decisions, self._occupancy)
+        windows = self.sharing.merge(decisions, self.occupancy)
         self._changed |= before != self.sharing.record.summaries()
-        cells = self._occupancy.cells
+        cells = self.occupancy.cells
         return [
             GridWindow(rows.start, columns.start, cells[rows, columns].copy())
             for rows, columns in windows
@@ -183,8 +178,8 @@ class GridKeeper:
         it stands. Returns the window that this changes.
         """
         assert self.sharing is not None
-        frame = self._occupancy.frame
-        rows, columns = self._occupancy.cells.shape
+        frame = self.occupancy.frame
+        rows, columns = self.occupancy.cells.shape
         column, row = frame.cells(x, y)
         reach = radius / frame.resolution + 0.5  # as the planner, which finds a start blocked
         top, left = max(0, int(row - reach)), max(0, int(column - reach))
@@ -194,13 +189,13 @@ class GridKeeper:
         window = slice(top, bottom), slice(left, right)
         down, across = np.ogrid[top:bottom, left:right]
         below = (down + 0.5 - row) ** 2 + (across + 0.5 - column) ** 2 <= reach**2
-        added = (self._occupancy.cells[window] == OCCUPIED) & self.sharing.is_changed(window)
+        added = (self.occupancy.cells[window] == OCCUPIED) & self.sharing.is_changed(window)
         found, beside = np.nonzero(below & added)
         if not found.size:
             return None
         flat = (found + top) * columns + beside + left
-        self._occupancy.adopt(flat, np.full(flat.shape, FREE, np.int8))
-        freed = GridWindow(top, left, self._occupancy.cells[window].copy())
+        self.occupancy.adopt(flat, np.full(flat.shape, FREE, np.int8))
+        freed = GridWindow(top, left, self.occupancy.cells[window].copy())
         self._note(freed, now_ns)
         return freed
 
@@ -211,7 +206,7 @@ class GridKeeper:
         """
         if self._copy is None or not self._changed:
             return
-        write_map(self._copy, self._occupancy.grid)
+        write_map(self._copy, self.occupancy.grid)
         if self.sharing is not None:
             decisions = [_StoredDecision.of(one) for one in self.sharing.record]
             self._stored = _StoredRecord(decisions=decisions)

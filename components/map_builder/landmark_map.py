@@ -93,28 +93,25 @@ class LandmarkMap:
         changes: list[LandmarkChange] = []
         refused: list[int] = []
         for piece in evidence:
+            after.append(None)  # unless it is kept
             known = self.landmarks.get(piece.object_id)
             is_new = known is None
             if known is None:
                 if not self._most_learned or piece.verdict is EvidenceVerdict.UNSEEN:
-                    after.append(None)
                     continue
                 if len(self.landmarks) >= self._most_learned:
                     refused.append(piece.object_id)
-                    after.append(None)
                     continue
                 known = new_landmark(piece.object_id)
             judged, change = self._rule(known, piece, now_s)
             if not _is_near(judged):
                 refused.append(piece.object_id)
-                after.append(None)
                 continue
             if is_new and judged is known:
-                after.append(None)  # evidence is kept about the map's objects only: they are few
-                continue
+                continue  # evidence is kept about the map's objects only: they are few
             if is_new:
                 judged = replace(judged, name=self._name_of(judged.object_id) or judged.name)
-            after.append((judged, judged is not known))
+            after[-1] = (judged, judged is not known)
             if judged is known:
                 continue
             self._journal.record(now_s, known, judged)
@@ -215,10 +212,11 @@ class LandmarkKeeper:
         self._original = map_file
         self.path = working_copy or map_file
         self._copies = working_copy is not None and not _is_reusable(map_file, working_copy, now_ns)
-        self._store: LandmarkStore | None = None
+        self.store: LandmarkStore | None = None
+        """The open file, with what was saved; None while it cannot be written."""
         try:
-            self._store = self._opened()
-            opened = _Opened.of(self._store)
+            self.store = self._opened()
+            opened = _Opened.of(self.store)
         except MapNotWritable:
             with open_landmarks(map_file if self._copies else self.path, read_only=True) as store:
                 opened = _Opened.of(store)
@@ -240,14 +238,9 @@ class LandmarkKeeper:
         return [self._map.landmarks[key] for key in sorted(self._map.landmarks)]
 
     @property
-    def store(self) -> LandmarkStore | None:
-        """The open file, with what was saved; None while it cannot be written."""
-        return self._store
-
-    @property
     def is_saved(self) -> bool:
         """Whether the file has everything."""
-        return self._store is not None and not self._unsaved
+        return self.store is not None and not self._unsaved
 
     @property
     def unsaved(self) -> str:
@@ -329,22 +322,22 @@ class LandmarkKeeper:
         """Commit everything that the file does not have yet; raises `MapFileError`."""
         if self.is_saved:
             return
-        if self._store is None:
-            self._store = self._opened()
+        if self.store is None:
+            self.store = self._opened()
         unsaved = self._unsaved
         shared: dict[int, list[Contribution]] = {}
         if self.sharing is not None:
             record = self.sharing.record
             shared = {object_id: record.about(object_id) for object_id in unsaved.contributions}
-        self._store.commit(
+        self.store.commit(
             self.landmarks, unsaved.evidence, unsaved.changes, unsaved.summaries, shared
         )
         self._unsaved = _Unsaved()
 
     def close(self) -> None:
         """Close the file without committing; the next keeper continues with what was saved."""
-        if self._store is not None:
-            self._store.close()
+        if self.store is not None:
+            self.store.close()
 
     def _share(self, robot: str, opened: _Opened) -> LandmarkSharing:
         """Return the robot's part in the shared record, which has what its map has.

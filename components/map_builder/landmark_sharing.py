@@ -119,10 +119,8 @@ class LandmarkSharing:
 
     def landmark(self, object_id: int) -> SharedLandmark | None:
         """Return what the record knows about an object, None if nothing."""
-        original = self._originals.get(object_id)
-        position = None if original is None else original.position
-        prior = CANDIDATE_RELIABILITY if original is None else original.reliability
-        return shared_landmark(self.record, object_id, position, prior)
+        original = self._original_position(object_id)
+        return shared_landmark(self.record, object_id, original, self._prior(object_id))
 
     def contribute(
         self, landmark: LandmarkRecord, stamp_ns: int, *, registered: bool

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cairn.components.motion_control.collision_checks import check_arcs, check_lines
+from cairn.components.motion_control.collision_checks import check_lines, free_arc
 from cairn.components.motion_control.followed_path import FollowedPath
 from cairn.components.motion_control.local_planner import LocalPlanner, PlannerInput
 from cairn.components.motion_control.scan_memory import NearbyObstacles, ScanMemory
@@ -188,9 +188,6 @@ class BackOff:
         self._length = length
         self._start: Pose | None = None
         self._turned_planner: LocalPlanner | None = None
-        self._zero = np.zeros(1)
-        self._free = np.empty(1)
-        self._clear = np.empty(1)
         self._end: BehaviorResult | None = None
 
     def step(self, inputs: BehaviorInput) -> BehaviorResult:
@@ -206,17 +203,7 @@ class BackOff:
         if self._turned_planner is not None:
             return self._drive_turned(self._turned_planner, inputs, driven, left)
         limits = self._limits
-        points = inputs.obstacles.points * -1.0
-        check_arcs(
-            points,
-            self._zero,
-            self._zero,
-            limits.keepout_radius,
-            limits.contact_radius,
-            self._free,
-            self._clear,
-        )
-        free = float(self._free[0])
+        free = _free_behind(limits, inputs.obstacles)
         if free < self._LEAST:
             return self._end_blocked(driven, f"an obstacle {free + limits.margin:.2f} m behind")
         since = inputs.now - self.SEEN_NS
@@ -259,9 +246,6 @@ class Reverse:
         self._length = length
         self._speed = min(speed, BackOff.SPEED) if speed > 0.0 else BackOff.SPEED
         self._start: Pose | None = None
-        self._zero = np.zeros(1)
-        self._free = np.empty(1)
-        self._clear = np.empty(1)
 
     def step(self, inputs: BehaviorInput) -> BehaviorResult:
         """Return the result for the current inputs."""
@@ -271,16 +255,7 @@ class Reverse:
         if left <= self._END_M:
             return BehaviorResult(state=MotionState.DONE)
         limits = self._limits
-        check_arcs(
-            inputs.obstacles.points * -1.0,
-            self._zero,
-            self._zero,
-            limits.keepout_radius,
-            limits.contact_radius,
-            self._free,
-            self._clear,
-        )
-        free = float(self._free[0]) - self._STOP_GAP_M
+        free = _free_behind(limits, inputs.obstacles) - self._STOP_GAP_M
         if free < self._LEAST:
             reason = f"an obstacle {max(0.0, free) + limits.margin:.2f} m behind"
             return BehaviorResult(
@@ -410,6 +385,11 @@ class Explore:
         self._path = FollowedPath(np.array([inputs.odom, end]), end)
         self._moved_at = inputs.now
         return BehaviorResult(left=self._left)
+
+
+def _free_behind(limits: MotionLimits, obstacles: NearbyObstacles) -> float:
+    """Return how far the robot can drive straight back [m]."""
+    return free_arc(obstacles.points * -1.0, 0.0, limits.keepout_radius, limits.contact_radius)
 
 
 def _driving(target: VelocityTarget, left: float) -> BehaviorResult:

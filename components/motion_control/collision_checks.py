@@ -93,6 +93,13 @@ def check_arcs(
         clear[j] = math.sqrt(nearest)
 
 
+def free_arc(points: Array, curvature: float, radius: float, least: float) -> float:
+    """Return the length [m] that a circle can drive ahead along one arc, see `check_arcs`."""
+    free, clear = np.empty(1), np.empty(1)
+    check_arcs(points, np.array([curvature]), np.zeros(1), radius, least, free, clear)
+    return float(free[0])
+
+
 @compiled("void(float64[:,::1], float64[::1], float64, float64, float64[::1])")
 def check_lines(points: Array, directions: Array, radius: float, least: float, free: Array) -> None:
     """Fill `free` with the length [m] that a circle can drive in `directions` (m,) [rad]."""

@@ -40,12 +40,10 @@ class SafetyStop:
 
     def note_localization(self, estimate: LocalizationEstimate, health_limit: float) -> None:
         """Judge whether the pose in the map is reliable."""
+        if self._lost is not None:  # it must be clearly better to count as found
+            health_limit = min(1.0, health_limit + _HEALTH_HYSTERESIS)
+        self._lost = None
         if estimate.health < health_limit or not estimate.located:
-            reason = f"the robot is lost, health {estimate.health:.2f}: {estimate.reason}"
-            self._lost = estimate.reason_code, reason
-        elif estimate.health >= min(1.0, health_limit + _HEALTH_HYSTERESIS):
-            self._lost = None
-        elif self._lost is not None:
             reason = f"the robot is lost, health {estimate.health:.2f}: {estimate.reason}"
             self._lost = estimate.reason_code, reason
 

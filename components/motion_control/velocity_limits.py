@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cairn.components.motion_control.collision_checks import check_arcs
+from cairn.components.motion_control.collision_checks import free_arc
 from cairn.components.motion_control.scan_memory import NearbyObstacles
 
 # Where no other reason is given, these constants were chosen by hand; `lab/constants.yaml`
@@ -136,8 +136,6 @@ class CommandLimiter:
         self._limits = limits
         self._command = STAND
         self._at = 0
-        self._free = np.empty(1)
-        self._clear = np.empty(1)
 
     def stop(self, now: int) -> Command:
         """Command to stand at once: the base brakes as hard as it can."""
@@ -183,15 +181,7 @@ class CommandLimiter:
         if forward < 0.0:
             points = points * np.array([-1.0, 1.0])
             turn = -turn
-        bend = np.array([turn / abs(forward)])
-        check_arcs(
-            points,
-            bend,
-            np.zeros(1),
-            limits.minimum_radius,
-            limits.contact_radius,
-            self._free,
-            self._clear,
-        )
-        most = limits.speed_to_stop_in(self._free[0] - _TOUCH, late_s)
+        bend = turn / abs(forward)
+        free = free_arc(points, bend, limits.minimum_radius, limits.contact_radius)
+        most = limits.speed_to_stop_in(free - _TOUCH, late_s)
         return math.copysign(min(abs(forward), most), forward)

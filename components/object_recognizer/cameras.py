@@ -147,17 +147,13 @@ class FrozenImageDetector:
     def __init__(self) -> None:
         self._last: Image | None = None
         self._since_ns = 0
-        self._frozen = False
-
-    @property
-    def frozen(self) -> bool:
-        """Return whether the newest image equals the one before."""
-        return self._frozen
+        self.frozen = False
+        """Whether the newest image equals the one before."""
 
     def frozen_for_ns(self, image: Image, now_ns: int) -> int | None:
         """Return for how long the image has been the same, bit for bit; None if it is new."""
         last, self._last = self._last, image
-        self._frozen = same = (
+        self.frozen = same = (
             last is not None
             and (last.width, last.height, last.encoding)
             == (image.width, image.height, image.encoding)

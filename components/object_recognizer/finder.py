@@ -380,14 +380,9 @@ class ObjectFinder(Component):
             )
 
     def _publish(self) -> None:
-        stamp = from_ns(max(0, self.clock.now()))
-        self.object_proposals.publish(
-            ObjectProposals(
-                header=Header(stamp=stamp, frame_id="map"),
-                proposals=tuple(one.message() for one in self._proposals.waiting),
-            )
-        )
-        header = Header(stamp=stamp, frame_id="map")
+        header = Header(stamp=from_ns(max(0, self.clock.now())), frame_id="map")
+        proposals = tuple(one.message() for one in self._proposals.waiting)
+        self.object_proposals.publish(ObjectProposals(header=header, proposals=proposals))
         version = len(self._landmarks)
         self.accepted_objects.publish(
             VisualMap(header=header, version=version, objects=tuple(self._landmarks))

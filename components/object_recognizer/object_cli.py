@@ -151,15 +151,7 @@ def show_object(
     """Show the model of an object; --json prints its views as a list."""
     path = map_file or DEFAULT_MAP
     model = _find(path, read_models(path), name)
-    views = [
-        {
-            "view": number,
-            "width": view.width,
-            "height": view.height,
-            "features": len(view.features),
-        }
-        for number, view in enumerate(model.views)
-    ]
+    views = [{"view": number, **_view_row(view)} for number, view in enumerate(model.views)]
     if out is not None:
         from cairn.components.object_recognizer.drawing import draw_views  # loads Matplotlib
 
@@ -237,13 +229,7 @@ def _teach(
                 "map": str(path),
                 "views": total,
                 "taught": [
-                    {
-                        "image": source,
-                        "width": view.width,
-                        "height": view.height,
-                        "features": len(view.features),
-                        "recognized_from": smallest[source],
-                    }
+                    {"image": source, **_view_row(view), "recognized_from": smallest[source]}
                     for source, view in views.items()
                 ],
                 "look_alikes": list(alike),
@@ -403,6 +389,10 @@ def _find(path: Path, known: ObjectModels, name: str) -> ObjectModel:
         names = ", ".join(one.name for one in known.models) or "none"
         raise CairnError(f"{path}: object model {name!r} does not exist; available: {names}.")
     return model
+
+
+def _view_row(view: ModelView) -> dict[str, Any]:
+    return {"width": view.width, "height": view.height, "features": len(view.features)}
 
 
 def _row(model: ObjectModel) -> dict[str, Any]:

@@ -89,7 +89,8 @@ class Proposals:
         """Read the file if it exists; raise `MapFileError` if it is not readable."""
         self.path = path
         self._all: dict[int, Proposal] = {}
-        self._is_saved = True
+        self.is_saved = True
+        """Whether the file has all of it."""
         if path.exists():
             self._read()
         self._last = max(self._all, default=0)
@@ -109,11 +110,6 @@ class Proposals:
         """Whether nothing more can be proposed."""
         return len(self._all) >= MOST_PROPOSALS
 
-    @property
-    def is_saved(self) -> bool:
-        """Whether the file has all of it."""
-        return self._is_saved
-
     def add(self, hypothesis: Hypothesis) -> Proposal:
         """Propose a hypothesis."""
         self._last = number = self._last + 1
@@ -124,7 +120,7 @@ class Proposals:
         )
         one = Proposal(model, position, hypothesis.seen, hypothesis.first_ns)
         self._all[number] = one
-        self._is_saved = False
+        self.is_saved = False
         return one
 
     def waiting_one(self, number: int) -> Proposal:
@@ -138,18 +134,18 @@ class Proposals:
     def reject(self, number: int) -> None:
         """Keep a thing as rejected, so that it is not proposed again."""
         self._all[number] = replace(self.waiting_one(number), is_rejected=True)
-        self._is_saved = False
+        self.is_saved = False
 
     def remove(self, number: int) -> None:
         """Forget a proposal that was accepted."""
         del self._all[number]
-        self._is_saved = False
+        self.is_saved = False
 
     def save(self) -> None:
         """Write the file; raise `CairnError` or `OSError` if that fails, the old one stays."""
         landmarks = [_record(one) for one in self._all.values()]
         write_map(self.path, _SOURCE, landmarks, 0, self.models)
-        self._is_saved = True
+        self.is_saved = True
 
     def _read(self) -> None:
         models: Mapping[int, ObjectModel] = {

@@ -194,20 +194,14 @@ class PathPlanner(Component):
         """Track the robot's motion."""
         stamp = to_ns(odom.header.stamp)
         change = self._tracker.add_odometry(stamp, planar_pose(odom.pose.pose))
-        if change in (OdometryChange.JUMPED, OdometryChange.RESET):
+        is_reset = change is OdometryChange.RESET
+        if is_reset or change is OdometryChange.JUMPED:
             self._waiting.clear()
-        if change is OdometryChange.JUMPED:
-            self.log.warning(
-                "odometry on %s %s: waiting for a new localization estimate",
-                self.odom.topic,
-                self._tracker.change,
-            )
-        elif change is OdometryChange.RESET:
-            self.log.warning(
-                "odometry on %s %s: forgetting the scanner's obstacles",
-                self.odom.topic,
-                self._tracker.change,
-            )
+            effect = "waiting for a new localization estimate"
+            if is_reset:
+                effect = "forgetting the scanner's obstacles"
+            self.log.warning("odometry on %s %s: %s", self.odom.topic, self._tracker.change, effect)
+        if is_reset:
             self._planned_at = self._scan_used_at = self._checked_at = 0
             self._avoided = AvoidedPositions()
             self._stuck = StuckDetector()
@@ -223,7 +217,8 @@ class PathPlanner(Component):
         if not estimate.located:
             return
         self._tracker.set_pose(to_ns(estimate.header.stamp), planar_pose(estimate.pose.pose))
-        if self._is_check_due():
+        due = has_passed(1 / self.config.check_hz, self._checked_at, self.clock.now() + 1)
+        if due or self._waits_for_plan:
             self._check_path()
 
     @on("scan")
@@ -353,11 +348,6 @@ class PathPlanner(Component):
             self._replan()
         else:
             self._improve()
-
-    def _is_check_due(self) -> bool:
-        now = self.clock.now()
-        is_over = has_passed(1 / self.config.check_hz, self._checked_at, now + 1)
-        return self._waits_for_plan or is_over
 
     @property
     def _waits_for_plan(self) -> bool:

@@ -61,15 +61,13 @@ class PlannedPath:
     """Poses (n, 3) in frame map, and the same points (n, 2) in cells of a map at `frame`.
 
     The first `leaving` segments lead a robot out of an obstacle that it seems to be in, or out of a
-    keepout zone; the last
-    `entering` ones lead to a goal that is in the margin of an obstacle.
+    keepout zone.
     """
 
     poses: Array
     points: Array
     frame: Frame
     leaving: int
-    entering: int
 
     def length(self, since: int = 0) -> float:
         """Return its length [m] from the pose with index `since` on."""
@@ -343,7 +341,7 @@ class Planner:
         poses[:-1, 2] = np.arctan2(mean[:, 1], mean[:, 0])
         poses[0, :2] = start[:2]
         poses[-1] = goal
-        return PlannedPath(poses, points, frame, left, int(entering))
+        return PlannedPath(poses, points, frame, left)
 
 
 @dataclass(frozen=True)

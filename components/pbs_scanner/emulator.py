@@ -44,10 +44,6 @@ class SentDistances:
         return json.dumps({"turn": self.turn, "distances": self.distances.tolist()})
 
 
-PbsScene = Callable[[int, float], NDArray[np.uint16]]
-"""Returns what turn `n` measures, which began at a time [s]: distances [mm] of all rays."""
-
-
 class EmulatedPbs:
     """The sensor. Implements `cairn.driver.emulator.EmulatedDevice`.
 
@@ -57,14 +53,13 @@ class EmulatedPbs:
     def __init__(
         self,
         *,
-        scene: PbsScene | None = None,
         seed: int = 0,
         low_speed: bool = False,
         code: bytes | None = None,
         on_scan: Callable[[SentDistances], None] | None = None,
     ) -> None:
         """`code`: a fixed link code; None: a random one at each power-on."""
-        self._scene = scene or (lambda turn, began_s: emulated_room(seed, turn, began_s))
+        self._seed = seed
         self._random = np.random.default_rng(seed)
         self._turn_s = SLOW_TURN_S if low_speed else TURN_S
         self._fixed_code = code
@@ -111,7 +106,7 @@ class EmulatedPbs:
 
     def _distances(self, now: float) -> bytes:
         turn = max(0, math.floor((now - self._on_since) / self._turn_s) - 1)
-        sent = SentDistances(turn, self._scene(turn, turn * self._turn_s))
+        sent = SentDistances(turn, emulated_room(self._seed, turn, turn * self._turn_s))
         if self._on_scan is not None:
             self._on_scan(sent)
         return sent.distances.astype("<u2").tobytes()

@@ -11,7 +11,6 @@ No document of Hokuyo's is public; this is what the two public drivers for it ag
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -60,12 +59,13 @@ class PbsClient:
         """How often the sensor has refused the link since it granted it last."""
         self.missed = 0
         """Requests without a reply so far."""
+        self.requested_at = -math.inf
+        """When distances were requested last [s]."""
         self._period_s = period_s
         self._code: bytes | None = None
         self._pending: _Request | None = None
         self._pending_since = -math.inf
         self._linked_at = -math.inf
-        self._distances_at = -math.inf
         self._failed: dict[_Request, int] = {"code": 0, "link": 0, "distances": 0}
         self._unanswered = 0
 
@@ -74,18 +74,13 @@ class PbsClient:
         """Whether so many requests had no reply that no sensor can be there."""
         return self._unanswered >= _SILENT_REQUESTS
 
-    @property
-    def requested_at(self) -> float:
-        """When distances were requested last [s]."""
-        return self._distances_at
-
     def due(self) -> float:
         """Return when `step` has something to do next [s]."""
         if self._pending is not None:
             return self._pending_since + _REPLY_TIMEOUT_S
         if self._code is None or not self.linked:
             return -math.inf
-        return min(self._linked_at + _RENEW_S, self._distances_at + self._period_s)
+        return min(self._linked_at + _RENEW_S, self.requested_at + self._period_s)
 
     def step(self, now: float) -> bytes | None:
         """Return the frame to send now, if any."""
@@ -97,7 +92,7 @@ class PbsClient:
             return self._request("code", LINK_CODE, now)
         if not self.linked or now >= self._linked_at + _RENEW_S:
             return self._request("link", link_request(self._code), now)
-        self._distances_at = now
+        self.requested_at = now
         return self._request("distances", DISTANCES, now)
 
     def receive(self, payload: bytes, now: float) -> NDArray[np.int32] | None:
@@ -144,19 +139,10 @@ class PbsClient:
         self.missed += 1
         self._unanswered += 1
         self._failed[request] += 1
-        limits: dict[_Request, tuple[int, Callable[[], None]]] = {
-            "link": (_LINK_TRIES, self._forget_code),
-            "distances": (_DISTANCE_TRIES, self._forget_link),
-        }
-        if request in limits and self._failed[request] >= limits[request][0]:
-            self._failed[request] = 0
-            limits[request][1]()
-
-    def _forget_code(self) -> None:
-        self._code, self.linked = None, False
-
-    def _forget_link(self) -> None:
-        self.linked = False
+        if request == "link" and self._failed["link"] >= _LINK_TRIES:
+            self._code, self.linked, self._failed["link"] = None, False, 0
+        elif request == "distances" and self._failed["distances"] >= _DISTANCE_TRIES:
+            self.linked, self._failed["distances"] = False, 0
 
 
 class FrameSplitter:

@@ -15,7 +15,7 @@ import sqlite3
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
@@ -176,11 +176,10 @@ class BagFile:
 
     @contextmanager
     def _decompressed(self, file: Path, mode: str) -> Iterator[Path]:
-        with ExitStack() as stack:
-            if mode != "file":
-                yield file
-                return
-            folder = stack.enter_context(TemporaryDirectory())
+        if mode != "file":
+            yield file
+            return
+        with TemporaryDirectory() as folder:
             unpack_file(file, Path(folder, "bag"))
             yield Path(folder, "bag")
 

@@ -147,7 +147,9 @@ def _explained(bag: BagFile) -> Iterator[None]:
                 f"{path} cannot be read as a ROS 1 bag ({why}). It is cut off or damaged: repair "
                 "it with `rosbag reindex`, or take a fresh copy."
             ) from error
-        repair = f"mcap recover {path.name}" if _is_mcap(path) else f"ros2 bag reindex {path}"
+        repair = (
+            f"mcap recover {path.name}" if path.suffix == ".mcap" else f"ros2 bag reindex {path}"
+        )
         raise RecordingError(
             f"{path} cannot be read as a ROS 2 bag ({why}). It is cut off, damaged, or was not "
             f"closed after recording: repair it with `{repair}`, or take a fresh copy."
@@ -158,10 +160,6 @@ UNREADABLE: Final = (
     ValueError, OSError, struct.error, sqlite3.Error, yaml.YAMLError, SerdeError,
 )  # fmt: skip
 """What reading a damaged bag raises, beside `RecordingError`."""
-
-
-def _is_mcap(path: Path) -> bool:
-    return path.suffix == ".mcap"
 
 
 def error_text(error: Exception) -> str:

@@ -183,18 +183,17 @@ def image_stamps(folder: Path, files: Sequence[Path], rate_hz: float | None) -> 
     """
     table = folder / TIMES
     if table.is_file():
-        stamps = _by_table(table, files)
-    elif all(_stamp_in_name(file) is not None for file in files):
-        stamps = [_stamp_in_name(file) or 0 for file in files]
-    elif rate_hz is not None:
+        return _by_table(table, files)
+    named = [stamp for file in files if (stamp := _stamp_in_name(file)) is not None]
+    if len(named) == len(files):
+        return named
+    if rate_hz is not None:
         return stamps_at_rate(len(files), rate_hz)
-    else:
-        raise RecordingError(
-            f"{folder}: the times of its images are unknown: set image_rate_hz, or add a file "
-            f"{TIMES} with a time [s] for each image, line by line; names such as {files[0].name} "
-            "are not times since 1970"
-        )
-    return stamps
+    raise RecordingError(
+        f"{folder}: the times of its images are unknown: set image_rate_hz, or add a file "
+        f"{TIMES} with a time [s] for each image, line by line; names such as {files[0].name} "
+        "are not times since 1970"
+    )
 
 
 def check_order(folder: Path, files: Sequence[Path], stamps: Sequence[int]) -> None:

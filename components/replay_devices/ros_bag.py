@@ -96,7 +96,7 @@ class BagRecording(Recording):
         self._mount = self._find_mount(scan, odom)
         self._scans = self._read("scan", scan, self._to_scan, self._to_scans)
         self._odometry = self._read("odom", odom, _odometry_step, _odometry_stream)
-        self._objects = self._read("objects", objects, _unchanged, _observations)
+        self._objects = self._read("objects", objects, lambda _, message: message, _observations)
         maps = self._messages.get(surveyed or "", [])
         self._landmark_map: VisualMap | None = maps[-1][1] if maps else None
         kinds = {"scan": scan, "odom": odom, "objects": objects}
@@ -315,7 +315,8 @@ class BagRecording(Recording):
         self._quality["odom"] = time_quality(stamps)
         order = sorted(range(len(stamps)), key=stamps.__getitem__)
         stamps = [stamps[k] for k in order]
-        poses = np.array([_transform_pose(pairs[k][1].transform) for k in order])
+        transforms = [pairs[k][1].transform for k in order]
+        poses = np.array([_pose_of(one.translation, one.rotation) for one in transforms])
         self._notes.append("odometry is computed from the transforms of frame odom")
         covariances = covariances_of(odometry_deviations(poses))
         return OdometryStream(stamps, poses, covariances, odometry_velocities(stamps, poses))
@@ -346,10 +347,6 @@ def _odometry_stream(stamps: list[int], steps: list[_OdometryStep]) -> OdometryS
     return OdometryStream(stamps, poses, covariances, np.array([step.twist for step in steps]))
 
 
-def _unchanged(_: int, message: RecognizedObjectArray) -> RecognizedObjectArray:
-    return message
-
-
 def _observations(stamps: list[int], messages: list[RecognizedObjectArray]) -> ObservationStream:
     return ObservationStream(stamps, (), messages)
 
@@ -364,10 +361,6 @@ def _timed_poses(stamps: list[int], poses: list[Pose]) -> TimedPoses:
 
 def _pose(pose: Any) -> Pose:
     return _pose_of(pose.position, pose.orientation)
-
-
-def _transform_pose(transform: Any) -> Pose:
-    return _pose_of(transform.translation, transform.rotation)
 
 
 def _pose_of(position: Any, rotation: Any) -> Pose:

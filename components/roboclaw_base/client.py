@@ -165,8 +165,7 @@ class RoboclawClient:
     def status(self) -> ControllerStatus:
         """Return the status bits by name, of old or new firmware."""
         (bits,) = self.read_either(protocol.STATUS, protocol.OLD_STATUS)
-        old = protocol.READ_STATUS in self._shorter
-        return protocol.decode_old_status(bits) if old else protocol.decode_status(bits)
+        return protocol.decode_status(bits, old=protocol.READ_STATUS in self._shorter)
 
     def _parser(self, command: ReadCommand) -> Callable[[bytes], bytes | None]:
         size = command.size + CRC_SIZE

@@ -108,7 +108,7 @@ STATUS = ReadCommand(READ_STATUS, ">I")
 """Status bits, 4 bytes; see `decode_status`."""
 
 OLD_STATUS = ReadCommand(READ_STATUS, ">H")
-"""Status bits of old firmware, 2 bytes with other meanings; see `decode_old_status`."""
+"""Status bits of old firmware, 2 bytes with other meanings; see `decode_status`."""
 
 
 def crc16(data: bytes) -> int:
@@ -183,17 +183,9 @@ class ControllerStatus:
     warnings: tuple[str, ...] = ()
 
 
-def decode_status(bits: int) -> ControllerStatus:
-    """Name the 32 bits of current firmware; unknown bits become warnings."""
-    return _named_bits(bits, _ERRORS, _WARNINGS)
-
-
-def decode_old_status(bits: int) -> ControllerStatus:
-    """Name the 16 bits of old firmware, as in the older edition of the manual."""
-    return _named_bits(bits, _OLD_ERRORS, _OLD_WARNINGS)
-
-
-def _named_bits(bits: int, errors: dict[int, str], warnings: dict[int, str]) -> ControllerStatus:
+def decode_status(bits: int, *, old: bool) -> ControllerStatus:
+    """Return what the bits of a status mean, of old firmware or of new."""
+    errors, warnings = (_OLD_ERRORS, _OLD_WARNINGS) if old else (_ERRORS, _WARNINGS)
     unknown = bits & ~sum(errors) & ~sum(warnings)
     return ControllerStatus(
         errors=tuple(name for bit, name in errors.items() if bits & bit),

@@ -26,12 +26,8 @@ class CommandRelay:
         self._rest_s = rest_s
         self._command = LatestCommand(timeout_s)
         self._rest_since: float | None = None
-        self._awaits_rest = False
-
-    @property
-    def awaits_rest(self) -> bool:
+        self.awaits_rest = False
         """Whether the command must be rest, or cease, before the base is driven again."""
-        return self._awaits_rest
 
     def set(self, now: float, forward: float, turn: float) -> None:
         """Set the command, received at time `now` [s]."""
@@ -39,7 +35,7 @@ class CommandRelay:
 
     def base_restarted(self, now: float) -> None:
         """Let the base rest if it is commanded to move at time `now` [s]."""
-        self._awaits_rest = (self._command.fresh(now) or REST) != REST
+        self.awaits_rest = (self._command.fresh(now) or REST) != REST
 
     def due(self, now: float, *, usable: bool) -> Velocity | None:
         """Return what to send at time `now` [s]; None: nothing.
@@ -48,8 +44,8 @@ class CommandRelay:
         """
         command = self._command.fresh(now)
         if command is None or command == REST:
-            self._awaits_rest = False
-        if command is not None and usable and not self._awaits_rest:
+            self.awaits_rest = False
+        if command is not None and usable and not self.awaits_rest:
             self._rest_since = None
             return command
         if self._rest_since is None:

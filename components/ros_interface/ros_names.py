@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 from cairn import RELIABLE, SECOND, Component, In, Out, every, from_ns, on, to_ns
 from cairn.bus.actions import RESULT_TIMEOUT_S
-from cairn.bus.bus import Call, ServiceError, Subscription
+from cairn.bus.bus import Subscription
 from cairn.bus.keys import ROS_NAMES, EndpointEntity
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.components.ros_interface.diagnostics import diagnostic_status
@@ -54,7 +53,7 @@ class RosNames(Component):
         self._topics = [_Topic(context, one) for one in ros_topics(deployment)]
         self._services = [_Service(context, one) for one in ros_services(deployment)]
         self.follow_subscribers()
-        self._stop_watching = _nothing
+        self._stop_watching: Callable[[], None] = lambda: None
         if isinstance(context.bus, ZenohBus):  # in lockstep there is no other robot
             topic = ros_name(self.diagnostics.topic.rpartition("/")[2])
             self._stop_watching = context.bus.graph.watch(topic, self._check_robot)
@@ -190,13 +189,6 @@ class _Service:
             self._context.log.warning("refused a call of %s: %s", self._service.name, error)
             return
         if call is not None:
-            refuse: Callable[[ServiceError], None] = partial(_refuse, call)
-            self._client.call(call.request, call.reply, refuse, RESULT_TIMEOUT_S)
-
-
-def _refuse(call: Call, error: ServiceError) -> None:
-    call.refuse(str(error))
-
-
-def _nothing() -> None:
-    return
+            self._client.call(
+                call.request, call.reply, lambda error: call.refuse(str(error)), RESULT_TIMEOUT_S
+            )

@@ -173,9 +173,9 @@ def _place_labels(axes: Axes, landmarks: Iterable[ObjectRecord]) -> None:
             None,
         )
         if near is None:
-            groups.append((position, [_label(landmark)]))
+            groups.append((position, [str(landmark.object_id)]))
         else:
-            near[1].append(_label(landmark))
+            near[1].append(str(landmark.object_id))
     for position, labels in groups:
         axes.annotate(
             ", ".join(labels), position, (9, 7), textcoords="offset points", fontsize=9,
@@ -221,10 +221,6 @@ def _curve(record: RunRecord, landmark: ObjectRecord) -> tuple[list[float], list
 
 def _has_moved(landmark: ObjectRecord) -> bool:
     return bool(landmark.moves.standing)
-
-
-def _label(landmark: ObjectRecord) -> str:
-    return str(landmark.object_id)
 
 
 def _save(figure: Figure, file: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -118,20 +118,17 @@ class Recorder(Component):
         allowed = {"reason"} if verb == "trigger" else set()
         if recorder is None or not set(arguments) <= allowed:
             return super().on_request(verb, arguments)
-        if verb == "status":
-            return recorder.status().as_plain()
         if verb == "trigger":
             reason = str(arguments.get("reason", "by request"))
             recorder.trigger(reason[:_LONGEST_REASON])
-            return recorder.status().as_plain()
-        calls: Mapping[str, Callable[[], None]] = {
-            "split": recorder.split,
-            "pause": recorder.pause,
-            "resume": recorder.resume,
-        }
-        if verb not in calls:
+        elif verb == "split":
+            recorder.split()
+        elif verb == "pause":
+            recorder.pause()
+        elif verb == "resume":
+            recorder.resume()
+        elif verb != "status":
             return super().on_request(verb, arguments)
-        calls[verb]()
         return recorder.status().as_plain()
 
     @every(hz=1)

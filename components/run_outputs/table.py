@@ -14,7 +14,8 @@ _COLUMNS = ("landmark", "state", "reliability", "given", "now", "true", "off by"
 
 def render_table(summary: dict[str, Any]) -> str:
     """Return the summary of a run as text, at most 120 columns wide."""
-    console = Console(file=io.StringIO(), width=_WIDTH, highlight=False)
+    text = io.StringIO()
+    console = Console(file=text, width=_WIDTH, highlight=False)
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in _COLUMNS:
         table.add_column(column, justify="left" if column in ("state", "events") else "right")
@@ -26,9 +27,7 @@ def render_table(summary: dict[str, Any]) -> str:
     for line in _mission_lines(summary):
         console.print(line)
     console.print(_closing(summary))
-    file = console.file
-    assert isinstance(file, io.StringIO)
-    return file.getvalue()
+    return text.getvalue()
 
 
 def _row(landmark: dict[str, Any]) -> tuple[str, ...]:

@@ -91,7 +91,6 @@ Array = NDArray[np.float64]
 class BeamPattern:
     """The beams of a model that are measured: every `skip`-th between two angles [rad]."""
 
-    numbers: NDArray[np.int64]
     angles: Array
     times: Array
 
@@ -101,7 +100,7 @@ class BeamPattern:
         angles: Array = model.first + model.increment * np.arange(model.steps, dtype=np.float64)
         inside = np.nonzero((angles >= first - 1e-9) & (angles <= last + 1e-9))[0][::skip]
         times = (inside - inside[0]) * model.time_increment if len(inside) else np.zeros(0)
-        return BeamPattern(inside, angles[inside], times)
+        return BeamPattern(angles[inside], times)
 
 
 def simulate_sweep(

@@ -96,9 +96,7 @@ class Task:
 class ClosureCounts:
     """How many comparisons of submaps ended how."""
 
-    searched: int = 0
     accepted: int = 0
-    not_found: int = 0
     ambiguous: int = 0
     misaligned: int = 0
     conflicting: int = 0
@@ -161,7 +159,6 @@ class LoopCloser:
                 is_needed = islands[submaps[task.new].middle] != islands[submaps[task.old].middle]
             if is_needed:
                 done += 1
-                self.counts.searched += 1
                 edge = self._compare(task, submaps, graph)
                 if edge is not None and task.is_sure and self._is_distinctive(edge, graph):
                     accepted.append(edge)
@@ -190,7 +187,6 @@ class LoopCloser:
         ]
         cloud = placed_together([(one.surfaces, pose) for pose, one in around]).thinned(DENSE_M)
         if min(query.count, cloud.count) < _LEAST_POINTS:
-            self.counts.not_found += 1
             return None
         least = _LEAST_SCORE_ANYWHERE if task.anywhere else _LEAST_SCORE
         center = (0.0, 0.0, 0.0) if task.anywhere else relative(base, at)
@@ -200,7 +196,6 @@ class LoopCloser:
         if peaks and not task.anywhere:
             peaks.append(Peak(center, least))  # along a corridor it may be best
         if not peaks:
-            self.counts.not_found += 1
             return None
         found = self._only_alignment(peaks, query, cloud)
         if found is None:
@@ -379,11 +374,11 @@ def _anywhere_tasks(
     return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in chosen[:_MOST_PLACES]]
 
 
-def turned(information: Array, heading: float) -> Array:
-    """Return an information (3, 3) in the frame of a pose with this heading."""
+def turned(matrix: Array, heading: float) -> Array:
+    """Return an information or covariance (3, 3) in the frame of a pose with this heading."""
     cosine, sine = math.cos(heading), math.sin(heading)
     rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    result: Array = rotation.T @ information @ rotation
+    result: Array = rotation.T @ matrix @ rotation
     return result
 
 

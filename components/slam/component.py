@@ -30,7 +30,13 @@ from cairn import (
     to_ns,
 )
 from cairn.components.slam.config import SlamConfig
-from cairn.components.slam.graph_file import GraphFile, kept_path, read_graph, set_aside
+from cairn.components.slam.graph_file import (
+    GraphFile,
+    kept_path,
+    read_graph,
+    remove_beside,
+    set_aside,
+)
 from cairn.components.slam.landmarks import write_landmarks
 from cairn.components.slam.map_grid import MapGrid
 from cairn.components.slam.mapping import Mapper
@@ -52,7 +58,6 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.visual_map.observations import observations_of
-from cairn.visual_map.sqlite_file import side_files
 
 # The graph is saved this often [s]: what a kill loses.
 _SAVE_S = 3.0
@@ -298,8 +303,8 @@ class Slam(Component):
                 self.log.warning("continued the map of %d scans", len(mapper.keyframes))
                 return mapper
             self._file.close()  # the earlier process had not saved anything yet
-            for old in (path, *side_files(path)):
-                old.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
+            remove_beside(path)
         farthest = min(config.reach, float(scan.range_max))
         if config.extend is not None:
             mapper = read_graph(config.extend)

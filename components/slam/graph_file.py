@@ -211,13 +211,13 @@ class GraphFile:
 def write_graph(path: Path, mapper: Mapper, source: str) -> None:
     """Write a whole graph to a new file, or replace one; raises `CairnError` if that fails."""
     with explained_errors(path), replacing(path) as part:
-        _remove_beside(part)  # of a process that was killed
+        remove_beside(part)  # of a process that was killed
         try:
             with closing(GraphFile.create(part, mapper.farthest, source, called=path)) as file:
                 file.save(mapper)
                 file.seal()
         finally:
-            _remove_beside(part)
+            remove_beside(part)
 
 
 def read_graph(path: Path, model: MotionModel = MEASURED) -> Mapper:
@@ -241,12 +241,10 @@ def set_aside(path: Path) -> Path | None:
     """
     with explained_errors(path):
         if not path.exists():
-            for old in side_files(path):
-                old.unlink(missing_ok=True)
+            remove_beside(path)
             return None
         kept = kept_path(path)
-        for old in side_files(kept):
-            old.unlink(missing_ok=True)
+        remove_beside(kept)
         path.replace(kept)
         # What a process that was killed has saved last is in the file beside it.
         for old, new in zip(side_files(path), side_files(kept), strict=True):
@@ -603,7 +601,7 @@ def check_exists(path: Path) -> None:
         raise CairnError(f"{path}: {fault}; give a graph that `cairn map build` has written")
 
 
-def _remove_beside(path: Path) -> None:
+def remove_beside(path: Path) -> None:
     """Remove the files that SQLite keeps beside one, and leaves there on a full disk."""
     for file in side_files(path):
         file.unlink(missing_ok=True)

@@ -35,6 +35,7 @@ from cairn.components.slam.graph_file import (
     read_constraints,
     read_edges,
     read_state,
+    remove_beside,
 )
 from cairn.components.slam.keyframes import Keyframe
 from cairn.components.slam.pose_graph import Edge, PoseGraph
@@ -45,7 +46,6 @@ from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
 from cairn.system.files import replacing
-from cairn.visual_map.sqlite_file import side_files
 
 # Free pages that are returned to the disk when the file is opened: with fewer, or a smaller share
 # of the file, writing the whole file again is not worth it.
@@ -132,11 +132,12 @@ class GraphHistory:
     def __init__(self, path: Path) -> None:
         """Open a file; raises `CairnError` if there is none, or it is damaged or in use."""
         check_exists(path)
-        self._path = path
+        self.path = path
+        """The file."""
         with explained_errors(path):
             self._connection = open_connection(path)
         try:
-            with explained_damage(self._path):
+            with explained_damage(self.path):
                 check_format(path, self._connection)
                 # A change that was reported must not be lost in a power cut.
                 self._connection.execute("PRAGMA synchronous = FULL")
@@ -145,11 +146,6 @@ class GraphHistory:
         except CairnError:
             self.close()
             raise
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._path
 
     def close(self) -> None:
         """Close the file."""
@@ -168,7 +164,7 @@ class GraphHistory:
 
         Raises `CairnError` if another program has the file open.
         """
-        with explained_errors(self._path):
+        with explained_errors(self.path):
             self._connection.execute("PRAGMA journal_mode = DELETE")
 
     def state(self, version: int | None = None) -> GraphState:
@@ -177,17 +173,17 @@ class GraphHistory:
         Islands that nothing joins to it have no position there, and are left out. Raises
         `CairnError` if the file is damaged.
         """
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             return _map_in(self._connection, read_state(self._connection, version))
 
     def edges(self, numbers: Sequence[int]) -> list[Edge]:
         """Return the constraints between some keyframes; raises `CairnError` as `state`."""
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             return read_edges(self._connection, numbers)
 
     def versions(self) -> tuple[int, int]:
         """Return the oldest version that the file keeps, and the present one."""
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             ((oldest, newest),) = self._connection.execute(
                 "SELECT oldest, version FROM graph"
             ).fetchall()
@@ -195,7 +191,7 @@ class GraphHistory:
 
     def next_number(self) -> int:
         """Return the number of the next keyframe."""
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             return _next(self._connection, "keyframes")
 
     def renew(self, before: int, renewal: Renewal) -> int:
@@ -210,10 +206,8 @@ class GraphHistory:
             last = number + len(renewal.keyframes) - 1
             if renewal.keyframes:
                 connection.execute("INSERT INTO submaps VALUES (?, ?, ?)", (submap, number, last))
-            insert_keyframes(
-                connection,
-                [(number + k, _of(frame, submap)) for k, frame in enumerate(renewal.keyframes)],
-            )
+            frames = [replace(frame, submap=submap) for frame in renewal.keyframes]
+            insert_keyframes(connection, enumerate(frames, start=number))
             connection.executemany(
                 "INSERT INTO poses VALUES (?, ?, ?, ?)",
                 [(number + k, *pose) for k, pose in enumerate(renewal.poses)],
@@ -229,7 +223,7 @@ class GraphHistory:
 
         The map stays the same, so this makes no version. Raises `CairnError` as `renew`.
         """
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             ((version,),) = connection.execute("SELECT version FROM graph").fetchall()
             _insert_edges(connection, edges)
             _end_lives(connection, retired, version)
@@ -239,7 +233,7 @@ class GraphHistory:
 
         Raises `CairnError` if the file is damaged.
         """
-        with explained_damage(self._path):
+        with explained_damage(self.path):
             if not has_differences(self._connection):
                 return {}
             return {
@@ -260,7 +254,7 @@ class GraphHistory:
             (*block, one.since_ns, np.array(sorted(one.cells), "<i4").tobytes())
             for block, one in sorted(noted.items())
         ]
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             connection.execute("BEGIN IMMEDIATE")
             create_differences(connection)
             connection.executemany(
@@ -278,11 +272,11 @@ class GraphHistory:
         oldest, newest = self.versions()
         if not oldest <= version <= newest:
             raise CairnError(
-                f"{self._path}: keeps the versions {oldest} to {newest} of the map; "
+                f"{self.path}: keeps the versions {oldest} to {newest} of the map; "
                 f"{version} is not one of them"
             )
         if version == newest:
-            raise CairnError(f"{self._path}: the map is that of version {version} now")
+            raise CairnError(f"{self.path}: the map is that of version {version} now")
         then, now = self.state(version), self.state()
         gone, back = set(now.numbers) - set(then.numbers), set(then.numbers) - set(now.numbers)
         change = _rollback_change(then, now, stamp_ns, reason)
@@ -297,7 +291,7 @@ class GraphHistory:
 
     def prune(self, budget: HistoryBudget) -> None:
         """Delete the oldest history beyond a budget; raises `CairnError` if that fails."""
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             oldest = max(_excess(connection, budget.keyframes, _ENDED_KEYFRAMES),
                          _excess(connection, budget.tiles, _ENDED_TILES))  # fmt: skip
             if oldest:
@@ -316,12 +310,12 @@ class GraphHistory:
 
     @contextmanager
     def _changing(self, before: int) -> Iterator[tuple[sqlite3.Connection, int]]:
-        with explained_errors(self._path), self._connection as connection:
+        with explained_errors(self.path), self._connection as connection:
             connection.execute("BEGIN IMMEDIATE")
             ((version,),) = connection.execute("SELECT version FROM graph").fetchall()
             if version != before:
                 raise CairnError(
-                    f"{self._path}: another program has changed the map to version {version}; "
+                    f"{self.path}: another program has changed the map to version {version}; "
                     "restart this one"
                 )
             yield connection, version + 1
@@ -339,8 +333,8 @@ def copy_graph(original: Path, copy: Path) -> None:
         closing(open_connection(original, read_only=True)) as source,
     ):
         copy.parent.mkdir(parents=True, exist_ok=True)
-        for old in (copy, *side_files(copy)):
-            old.unlink(missing_ok=True)
+        copy.unlink(missing_ok=True)
+        remove_beside(copy)
         with replacing(copy) as part, closing(sqlite3.connect(part)) as target:
             source.backup(target)
             with target:
@@ -558,10 +552,6 @@ def _map_in(connection: sqlite3.Connection, state: GraphState) -> GraphState:
 def _next(connection: sqlite3.Connection, table: str) -> int:
     ((last,),) = connection.execute(f"SELECT coalesce(max(number), -1) FROM {table}").fetchall()
     return int(last) + 1
-
-
-def _of(frame: Keyframe, submap: int) -> Keyframe:
-    return replace(frame, submap=submap)
 
 
 def _rollback_change(then: GraphState, now: GraphState, stamp_ns: int, reason: str) -> GraphChange:

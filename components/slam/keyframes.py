@@ -205,6 +205,12 @@ def cloud_in(
     )
 
 
+def pose_of(poses: Array, number: int) -> Pose:
+    """Return one of the poses (n, 3)."""
+    x, y, theta = poses[number].tolist()
+    return x, y, theta
+
+
 class PlaceIndex:
     """Finds the keyframes that saw the same surfaces: by cells of 0.5 m, and sides of walls."""
 

@@ -49,24 +49,21 @@ class MappedLandmark:
         object_id: number of the object.
         position: in the map, with its covariance relative to the map as a whole.
         sightings: number of keyframes from which it was observed there.
-        island: first keyframe of the part of the map that it belongs to.
 
     """
 
     object_id: int
     position: MapPosition
     sightings: int
-    island: int
 
 
 @dataclass(frozen=True)
 class MovedObject:
-    """An object that stood in two places: positions [m], and when it was last seen in the first."""
+    """An object that stood in two places: positions [m]."""
 
     object_id: int
     old: tuple[float, float]
     new: tuple[float, float]
-    last_seen_ns: int
 
 
 @dataclass(frozen=True)
@@ -220,12 +217,11 @@ class LandmarkBuilder:
             self._newest[object_id] = before
         return joined
 
-    def report(self, stamps: NDArray[np.int64]) -> LandmarkReport:
+    def report(self) -> LandmarkReport:
         """Return the landmarks of the finished graph; `stamps` are the times of keyframes [ns]."""
         graph = self._graph
         deviations = graph.sighting_deviations()
         covariances = graph.landmark_covariances() if graph.sightings else {}
-        islands = graph.islands()
         certain, uncertain = [], []
         for object_id, landmark in sorted(self._newest.items()):
             rows = self._rows_of(landmark)
@@ -236,11 +232,10 @@ class LandmarkBuilder:
             (x, y), covariance = graph.landmarks[landmark], covariances[landmark] / _INDEPENDENCE
             xx, xy, _, yy = covariance.ravel().tolist()
             position = MapPosition(x, y, xx, xy, yy)
-            island = int(islands[graph.sightings[agreeing[0]].keyframe])
-            certain.append(MappedLandmark(object_id, position, len(agreeing), island))
+            certain.append(MappedLandmark(object_id, position, len(agreeing)))
         return LandmarkReport(
             landmarks=tuple(certain),
-            moved=tuple(self._moves(stamps)),
+            moved=tuple(self._moves()),
             uncertain=tuple(uncertain),
             sightings=len(graph.sightings),
             outliers=int((deviations > _AGREES).sum()),
@@ -273,15 +268,13 @@ class LandmarkBuilder:
         at = [int(stamps[group[0].keyframe]) for group in self._seen]
         return _merged(self._seen, path, at)
 
-    def _moves(self, stamps: NDArray[np.int64]) -> Iterator[MovedObject]:
+    def _moves(self) -> Iterator[MovedObject]:
         places = self._graph.landmarks
         for landmark in sorted(places):
             object_id = landmark % _NEXT_PLACE
             later = [k for k in places if k % _NEXT_PLACE == object_id and k > landmark]
             if later:
-                last = self._graph.sightings[self._rows_of(landmark)[-1]].keyframe
-                new = places[min(later)]
-                yield MovedObject(object_id, places[landmark], new, int(stamps[last]))
+                yield MovedObject(object_id, places[landmark], places[min(later)])
 
     def _assign(self, rows: list[int], landmark: int) -> None:
         for row in rows:

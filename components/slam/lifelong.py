@@ -16,6 +16,7 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.slam.closures import turned
 from cairn.components.slam.graph_history import (
     ChangedBlock,
     GraphChange,
@@ -186,12 +187,7 @@ class LifelongMap:
 
         `covariance` (3, 3) of its pose is over x, y [m] and heading [rad] in the map.
         """
-        due = [
-            block
-            for block, pending in self._pending.items()
-            if scan.stamp_ns - pending.since_ns >= self._permanent_ns
-        ]
-        seen = _seen_blocks(scan, due)
+        seen = _seen_blocks(scan, self._due(scan.stamp_ns))
         if not seen:
             return
         for block in seen:
@@ -289,12 +285,18 @@ class LifelongMap:
             else:
                 pending[block] = _Pending(now_ns, cells)
         self._pending = pending
-        due = {
-            block for block, one in pending.items() if now_ns - one.since_ns >= self._permanent_ns
-        }
+        due = self._due(now_ns)
         self._waiting = [
             replace(one, blocks=one.blocks & due) for one in self._waiting if one.blocks & due
         ]
+
+    def _due(self, now_ns: int) -> set[Block]:
+        """Return the blocks that have differed for long enough."""
+        return {
+            block
+            for block, one in self._pending.items()
+            if now_ns - one.since_ns >= self._permanent_ns
+        }
 
     def _note(self, now_ns: int) -> None:
         """Note in the file which blocks differ, and since when: a restart must not delay them."""
@@ -312,11 +314,7 @@ class LifelongMap:
 
     def _clusters(self, now_ns: int) -> list[frozenset[Block]]:
         """Return the changed places to try now: connected blocks that have differed for long."""
-        left = {
-            block
-            for block, one in self._pending.items()
-            if now_ns - one.since_ns >= self._permanent_ns
-        }
+        left = self._due(now_ns)
         seen = frozenset[Block]().union(*(one.blocks for one in self._waiting))
         clusters = []
         while left:
@@ -556,11 +554,8 @@ def _joined(first: Edge, second: Edge, middle: Pose, end: Pose) -> Array:
 
 def _information(covariance: Array, heading: float) -> Array:
     """Return the information of a pose with a covariance in the map, in the frame of the pose."""
-    cosine, sine = math.cos(heading), math.sin(heading)
-    turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     floor = np.diag([_LEAST_SD_M**2, _LEAST_SD_M**2, _LEAST_SD_RAD**2])
-    information: Array = np.linalg.inv(turn.T @ covariance @ turn + floor)
-    return information
+    return np.asarray(np.linalg.inv(turned(covariance, heading) + floor), np.float64)
 
 
 def _seen_blocks(scan: PosedScan, blocks: Collection[Block]) -> frozenset[Block]:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.keyframes import Keyframe
+from cairn.components.slam.keyframes import Keyframe, pose_of
 from cairn.planar.grid import OccupancyCells
-from cairn.planar.poses import Pose, wrap_all
+from cairn.planar.poses import wrap_all
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
 
@@ -24,17 +24,13 @@ class MapGrid:
 
     def __init__(self, resolution: float, reach: float) -> None:
         """Make an empty map with cells of `resolution` [m] of rays up to `reach` [m]."""
-        self._counts = ScanGrid(resolution, reach)
-        self._drawn = np.zeros((0, 3))  # where each keyframe is drawn; NaN: nowhere
-
-    @property
-    def counts(self) -> ScanGrid:
+        self.counts = ScanGrid(resolution, reach)
         """The ends and passages of rays."""
-        return self._counts
+        self._drawn = np.zeros((0, 3))  # where each keyframe is drawn; NaN: nowhere
 
     def renew(self, renewals: Renewals) -> None:
         """Draw in renewed places only keyframes from their version on, see `ScanGrid.renew`."""
-        self._counts.renew(renewals)
+        self.counts.renew(renewals)
 
     def update(
         self,
@@ -66,18 +62,13 @@ class MapGrid:
             rays, version = keyframes[number].rays, keyframes[number].version
             assert rays is not None
             if is_drawn[number]:
-                self._counts.remove(_pose(self._drawn, number), rays.rays(), version)
+                self.counts.remove(pose_of(self._drawn, number), rays.rays(), version)
                 self._drawn[number] = np.nan
             if shown[number]:
-                self._counts.add(_pose(poses, number), rays.rays(), version)
+                self.counts.add(pose_of(poses, number), rays.rays(), version)
                 self._drawn[number] = poses[number]
         return bool(outdated[:most].size)
 
     def grid(self) -> OccupancyCells:
         """Return the map; raises `ValueError` while nothing is drawn."""
-        return self._counts.grid()
-
-
-def _pose(poses: Array, number: int) -> Pose:
-    x, y, theta = poses[number].tolist()
-    return x, y, theta
+        return self.counts.grid()

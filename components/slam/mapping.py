@@ -77,9 +77,6 @@ _LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
 # ...), until the map is optimized.
 _LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
 
-AS_STATED = OdometryCalibration()
-"""The calibration of odometry that is right."""
-
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and its completed share, from 0 to 1."""
 
@@ -108,12 +105,7 @@ class Mapper:
     new island of the map; it is joined to the others once a place is recognized.
     """
 
-    def __init__(
-        self,
-        farthest: float,
-        model: MotionModel = MEASURED,
-        calibration: OdometryCalibration = AS_STATED,
-    ) -> None:
+    def __init__(self, farthest: float, model: MotionModel = MEASURED) -> None:
         """Start a map.
 
         Where no scan shows how the robot moved, odometry does.
@@ -121,8 +113,6 @@ class Mapper:
         Args:
             farthest: surfaces farther from the scanner are ignored [m].
             model: the uncertainty of odometry.
-            calibration: how the robot moves when odometry states a motion; an estimate
-                replaces it when the map is finished.
 
         """
         self.graph = PoseGraph()
@@ -136,8 +126,9 @@ class Mapper:
         """Where only keyframes from a version of the map on count."""
         self.version = 0
         """Version of the map, which new keyframes get."""
+        self.pose: Pose = (0.0, 0.0, 0.0)
+        """The pose of the base in the map at the last scan or, without scans, observation."""
         self._odometry: Pose | None = None
-        self._pose: Pose = (0.0, 0.0, 0.0)
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
         self._way = 0.0
@@ -147,8 +138,9 @@ class Mapper:
         self._builder = LandmarkBuilder(self.graph)
         self._contradicted = False  # by an observation since the last optimization
         self._optimized = 0  # number of keyframes then
-        self.calibration = CalibrationEstimate(calibration, OdometryCalibration(0.1, 0.1, 0.1))
-        """The calibration of odometry, estimated when the map is finished."""
+        as_stated, deviations = OdometryCalibration(), OdometryCalibration(0.1, 0.1, 0.1)
+        self.calibration = CalibrationEstimate(as_stated, deviations)
+        """How the robot moves when odometry states a motion, estimated when the map is finished."""
         self._continues = False  # the next scan is the first since the map was read
         # Closures since the last optimization, and the number of keyframes then.
         self._unsolved, self._solved_at = 0, 0
@@ -159,11 +151,6 @@ class Mapper:
     def is_located(self) -> bool:
         """Whether the robot is on the map, and on no island beside it."""
         return bool(self.keyframes) and bool(self.in_map()[-1])
-
-    @property
-    def pose(self) -> Pose:
-        """The pose of the base in the map at the last scan or, without scans, observation."""
-        return self._pose
 
     def add_scan(self, stamp_ns: int, odometry: Pose, rays: Rays) -> Tracked:
         """Add a scan.
@@ -181,17 +168,17 @@ class Mapper:
             self._continues = False
             tracked = self._find_near(stamp_ns, odometry, cloud)
         elif self._odometry is None:
-            tracked = Tracked(self._pose, np.zeros((3, 3)), None)
+            tracked = Tracked(self.pose, np.zeros((3, 3)), None)
         else:
             step = relative(self._odometry, odometry)
-            tracked = self.tracker.track(self._pose, step, cloud)
+            tracked = self.tracker.track(self.pose, step, cloud)
         self._odometry = odometry
-        self._pose = tracked.pose
+        self.pose = tracked.pose
         if tracked.is_lost:
             self._start_island()
         last = len(self.keyframes) - 1
         is_first = last < self._island
-        offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self._pose)
+        offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self.pose)
         has_moved = apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD)
         # If a scan that does not fit became a keyframe, those after it would fit to it.
         if is_first or (has_moved and not tracked.is_misfit):
@@ -258,7 +245,7 @@ class Mapper:
         if here and self.keyframes:
             last = len(self.keyframes) - 1
             self._log.add(self.keyframes[last].stamp_ns, self.keyframes[last].odometry)
-            self._odometry, self._pose = self.keyframes[last].odometry, self.graph.pose(last)
+            self._odometry, self.pose = self.keyframes[last].odometry, self.graph.pose(last)
             islands = self.graph.islands()
             self._island = int(np.flatnonzero(islands == islands[last])[0])
             self._set_surroundings()
@@ -308,7 +295,7 @@ class Mapper:
 
     def landmarks(self) -> LandmarkReport:
         """Return the landmarks, and what became of the observations, of the finished map."""
-        return self._builder.report(self._stamps())
+        return self._builder.report()
 
     def finish(self, progress: Progress | None = None) -> None:
         """Close the last loops, and align all keyframes to those that saw the same."""
@@ -369,7 +356,7 @@ class Mapper:
         if not is_first:
             path = self._log.path(self.calibration.calibration, self.keyframes[last].stamp_ns)
             offset = self._offset(path, last, stamp_ns)
-            self._pose = compose(self.graph.pose(last), offset)
+            self.pose = compose(self.graph.pose(last), offset)
         self._odometry = odometry
         if is_first or apart(offset, (0.0, 0.0, 0.0), meters, radians):
             nothing = scan_surfaces(PointCloud(np.zeros((0, 2)), np.zeros((0, 2))))
@@ -385,7 +372,7 @@ class Mapper:
     def _optimize(self) -> None:
         last = self.graph.pose(len(self.keyframes) - 1)
         self.graph.optimize_quickly()
-        self._pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self._pose))
+        self.pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self.pose))
         # The next scan is aligned to where the keyframes are now.
         self._set_surroundings()
 
@@ -395,11 +382,11 @@ class Mapper:
         age_s = (stamp_ns - last.stamp_ns) / SECOND
         is_recent = 0.0 <= age_s < _NEAR_S
         moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
-        tracked = Tracked(self._pose, np.zeros((3, 3)), 0.0, is_misfit=True)
+        tracked = Tracked(self.pose, np.zeros((3, 3)), 0.0, is_misfit=True)
         if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
-            tracked = self.tracker.track(self._pose, relative(last.odometry, odometry), cloud)
+            tracked = self.tracker.track(self.pose, relative(last.odometry, odometry), cloud)
         if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
-            tracked = self.tracker.locate(self._pose, cloud, _NEAR_M)
+            tracked = self.tracker.locate(self.pose, cloud, _NEAR_M)
         is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
         return replace(tracked, is_lost=is_lost)
 
@@ -418,7 +405,7 @@ class Mapper:
             self.trajectory[k] = Step(step.stamp_ns, keyframe, offset)
 
     def _add_keyframe(self, frame: Keyframe, step: tuple[Pose, Tracked] | None) -> None:
-        number = self.graph.add_pose(self._pose)
+        number = self.graph.add_pose(self.pose)
         self.keyframes.append(frame)
         if number > self._island:
             edge = self._edge_to(number, step)
@@ -447,7 +434,7 @@ class Mapper:
             edge = odometry_edge(0, 1, stamps, path, self._model)
             return replace(edge, first=number - 1, second=number)
         offset, tracked = step
-        information = turned(tracked.information, self._pose[2])
+        information = turned(tracked.information, self.pose[2])
         return Edge(EdgeKind.STEP, number - 1, number, offset, information)
 
     def _close_submap(self) -> None:

@@ -15,6 +15,7 @@ from cairn.components.slam.keyframes import (
     ScanSurfaces,
     Submap,
     placed_together,
+    pose_of,
     scan_surfaces,
 )
 from cairn.components.slam.point_cloud import PointCloud
@@ -82,11 +83,11 @@ class SubmapView:
 
 def view_of(submap: Submap, keyframes: Sequence[Keyframe], poses: Array) -> SubmapView:
     """Return what a submap shows, from the poses (n, 3) of the keyframes."""
-    origin = _pose(poses, submap.middle)
+    origin = pose_of(poses, submap.middle)
     grid = ScanGrid(_CELL, REACH_M)
     placed = []
     for number in range(submap.first, submap.last + 1):
-        at, frame = relative(origin, _pose(poses, number)), keyframes[number]
+        at, frame = relative(origin, pose_of(poses, number)), keyframes[number]
         if frame.rays is not None:
             grid.add(at, frame.rays.rays())
         placed.append((frame.surfaces, at))
@@ -121,8 +122,3 @@ def conflicts(points: Array, views: Sequence[tuple[Pose, SubmapView]]) -> float:
     through = free & ~solid
     known = int(np.count_nonzero(seen))
     return int(np.count_nonzero(through)) / known if known else 0.0
-
-
-def _pose(poses: Array, number: int) -> Pose:
-    x, y, theta = poses[number].tolist()
-    return x, y, theta

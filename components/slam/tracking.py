@@ -86,20 +86,16 @@ class ScanTracker:
         self._before: PointCloud | None = None  # what the last scan showed, where it was taken
         self._reference: Reference | None = None
         self._search_map: CorrelationMap | None = None
-        self._usual_fit = 0.0
+        self.usual_fit = 0.0
+        """How well scans have fitted lately, from 0 to 1."""
         self._misfits = self._since_jump = 0  # scans in a row
         self._driven: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan that fitted
         self._covariance = np.zeros((3, 3))  # since the surroundings were set
 
-    @property
-    def usual_fit(self) -> float:
-        """How well scans have fitted lately, from 0 to 1."""
-        return self._usual_fit
-
     def start(self) -> None:
         """Forget the keyframes: the robot is somewhere else."""
         self._reference = self._search_map = None
-        self._usual_fit, self._misfits, self._since_jump = 0.0, 0, 0
+        self.usual_fit, self._misfits, self._since_jump = 0.0, 0, 0
 
     def set_surroundings(self, cloud: PointCloud) -> None:
         """Set the points, in the map, of the last keyframes."""
@@ -130,7 +126,7 @@ class ScanTracker:
             return self._at(guess, noise, None, None)
         trusted = _inverse(_TRUSTED**2 * noise + np.diag([0.0, 0.0, _STAMPED_LATE_RAD**2]))
         found = reference.align(cloud, guess, trusted, _REACH_M)
-        if found.fit < _POOR_FIT * self._usual_fit or apart(
+        if found.fit < _POOR_FIT * self.usual_fit or apart(
             found.pose, guess, _SURPRISE_M, _SURPRISE_RAD
         ):
             slip = _covariance(step, _SLIP)
@@ -145,7 +141,7 @@ class ScanTracker:
             is_possible = not apart(other.pose, guess, _MOST_SLIP * sd_m, _MOST_SLIP * sd_rad)
             if is_better and is_possible and surfaces * other.paired >= _SLIP_SURFACE:
                 found, noise = other, slip
-        is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self._usual_fit)
+        is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self.usual_fit)
         self._misfits = self._misfits + 1 if is_misfit else 0
         self._driven = compose(self._driven, step) if self._misfits > 1 else step
         if not is_misfit:
@@ -161,8 +157,8 @@ class ScanTracker:
         if self._misfits:
             # Better a wrong step of odometry than one to where nothing fits.
             return self._at(guess, noise, None, found.fit)
-        gain = _FIT_MEMORY if self._usual_fit else 1.0
-        self._usual_fit += gain * (found.fit - self._usual_fit)
+        gain = _FIT_MEMORY if self.usual_fit else 1.0
+        self.usual_fit += gain * (found.fit - self.usual_fit)
         return self._at(found.pose, noise, found.information, found.fit)
 
     def _follows(self, cloud: PointCloud, step: Pose, prior: Array) -> bool:

@@ -136,7 +136,8 @@ def probe(
     if right is not None:
         line("\n".join(pairs.as_lines()))
     if out is not None:
-        for file, trial in zip(_files(out), trials, strict=False):
+        files = out, out.with_name(f"{out.stem}_right{out.suffix}")
+        for file, trial in zip(files, trials, strict=False):
             if trial.newest is not None:
                 write_picture(trial.newest.gray, file)
                 note(f"{file} written")
@@ -171,7 +172,7 @@ def try_cameras(
     with ExitStack() as stack:
         trials = []
         for side, settings in enumerate(cameras):
-            camera = VideoCamera(settings, {}, _accept_any, partial(_put, images, side), log)
+            camera = VideoCamera(settings, {}, lambda _: None, partial(_put, images, side), log)
             stack.callback(camera.close)
             trials.append(CameraTrial(camera, camera.open()))
         for side, trial in enumerate(trials):
@@ -273,10 +274,6 @@ def _describe_control(device: VideoDevice, control: CameraControl) -> dict[str, 
     }
 
 
-def _accept_any(_: CaptureFormat) -> None:
-    """Accept any format: the trial reports it."""
-
-
 def _put(images: queue.Queue[tuple[int, StampedImage]], side: int, image: StampedImage) -> None:
     images.put((side, image))
 
@@ -307,7 +304,3 @@ def _collect(
 def _note_error(trial: CameraTrial, error: Exception) -> None:
     if str(error) not in trial.errors:
         trial.errors.append(str(error) if isinstance(error, DeviceError) else repr(error))
-
-
-def _files(out: Path) -> tuple[Path, Path]:
-    return out, out.with_name(f"{out.stem}_right{out.suffix}")

@@ -213,6 +213,9 @@ class Waypoints(ActionGoal):
 class MotionGoal(ActionGoal):
     """A goal of one motion: `spin` or `back_up`."""
 
+    motion: ClassVar[int]
+    """What to do, as `NavigateGoal.motion`."""
+
     def __init__(self, goal: ServerGoal[Any, Any, Any]) -> None:
         """Raises `CairnError` if the robot cannot move like this."""
         super().__init__(goal)
@@ -228,11 +231,6 @@ class MotionGoal(ActionGoal):
     def poses(self) -> Sequence[PoseStamped]:
         """There are none."""
         return ()
-
-    @property
-    def motion(self) -> int:
-        """What to do, as `NavigateGoal.motion`."""
-        raise NotImplementedError
 
     @property
     def amount(self) -> float:

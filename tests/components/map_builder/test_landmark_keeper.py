@@ -247,8 +247,8 @@ def test_locked_map_is_reported(map_file: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_full_disk_is_reported_with_the_file(map_file: Path) -> None:
     keeper = keep(map_file)
-    assert keeper._store is not None
-    keeper._store._connection.execute("PRAGMA max_page_count = 1")
+    assert keeper.store is not None
+    keeper.store._connection.execute("PRAGMA max_page_count = 1")
 
     for step in range(400):
         keeper.apply(step, [observation(0.9, step)])

@@ -136,7 +136,6 @@ def test_object_that_is_moved_stands_where_it_was_seen_last() -> None:
     (moved,) = report.moved
     assert moved.object_id == 5
     assert math.dist(moved.old, moved.new) == pytest.approx(1.2, abs=0.2)
-    assert 40e9 < moved.last_seen_ns < 71e9
 
 
 @pytest.mark.accuracy
@@ -223,7 +222,7 @@ def test_landmarks_of_a_graph_file_are_extended(tmp_path: Path) -> None:
     report = mapper.landmarks()
     assert len(mapper.graph.sightings) > before
     # Both drives are one map: landmarks connect them.
-    assert {one.island for one in report.landmarks} == {0}
+    assert set(mapper.graph.islands().tolist()) == {0}
     assert mapper.in_map().all()
     assert max(map_errors(places(report), OBJECTS).values()) < 0.1
 
