@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal
 
 from cairn.bus.bus import Call, OnFailure, ServiceClient, ServiceError, ServiceServer
 from cairn.errors import CairnError
@@ -12,11 +12,8 @@ from cairn.runtime.component import ComponentContext
 from cairn.runtime.port import Port, check_max_bytes, type_of
 from cairn.runtime.service_events import ServiceEvents
 from cairn.schemas.cairn_msgs import PortStatus
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage, Request, Response, type_name
 from cairn.schemas.service_msgs.msg import ServiceEventInfo
-
-Request = TypeVar("Request")
-Response = TypeVar("Response")
 
 
 class Server(Port, Generic[Request, Response]):
