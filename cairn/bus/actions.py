@@ -10,7 +10,7 @@ An action `/robot/spin` consists of the services `/robot/spin/_action/send_goal`
 import logging
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic
 
 import numpy as np
 
@@ -19,13 +19,9 @@ from cairn.errors import CairnError, Escalate
 from cairn.schemas.action_msgs.msg import GoalInfo, GoalStatus, GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
 from cairn.schemas.builtin_interfaces import from_ns, to_ns
-from cairn.schemas.message import Action, InvalidMessage, Service, type_name
+from cairn.schemas.message import Action, Feedback, Goal, InvalidMessage, Result, Service, type_name
 from cairn.schemas.unique_identifier_msgs.msg import UUID
 from cairn.system.clock import SECOND
-
-Goal = TypeVar("Goal")
-Result = TypeVar("Result")
-Feedback = TypeVar("Feedback")
 
 SEND_GOAL: Final = "_action/send_goal"
 CANCEL_GOAL: Final = "_action/cancel_goal"

@@ -22,7 +22,7 @@ from typing import Any
 import zenoh
 from pydantic import BaseModel, ConfigDict, Field
 
-from cairn.bus.channels import arriving
+from cairn.bus.channels import ChannelReader
 from cairn.bus.keys import control_key
 from cairn.bus.message_limits import REPLY_BYTES, REQUEST_BYTES
 from cairn.bus.reply_thread import ReplyThread
@@ -192,37 +192,26 @@ class ControlServer:
         self._post = post
         self._answer = answer
         # Each urgent verb has a ring of its own, which a flood of other requests does not fill.
-        self._queryables: list[zenoh.Queryable[Any]] = []
-        self._threads: list[threading.Thread] = []
+        self._readers: list[ChannelReader] = []
         for verb in ("", *sorted(self._urgent)):
-            queryable: zenoh.Queryable[Any] = session.declare_queryable(
+            queryable: Any = session.declare_queryable(
                 control_key(domain, component, verb) if verb else self._key,
                 zenoh.handlers.RingChannel(_RING),
             )
-            thread = threading.Thread(
-                target=self._serve,
-                args=(queryable.handler, verb),
-                name="cairn control",
-                daemon=True,
+            self._readers.append(
+                ChannelReader(queryable, partial(self._serve, verb), "cairn control")
             )
-            thread.start()
-            self._queryables.append(queryable)
-            self._threads.append(thread)
 
     def close(self) -> None:
         """Stop receiving requests."""
-        for queryable in self._queryables:
-            queryable.undeclare()
-        for thread in self._threads:
-            thread.join(timeout=2.0)
+        for reader in self._readers:
+            reader.close()
         self._replies.close()
 
-    def _serve(self, channel: Any, urgent: str) -> None:
-        """Receive the requests with an urgent verb; "": all others."""
-        for query in arriving(channel):
-            if self._kind(_verb(query)) == urgent:
-                self._receive(query)
-            del query  # the requester learns of this process's end when nothing holds its query
+    def _serve(self, urgent: str, query: zenoh.Query) -> None:
+        """Receive a request if it has this urgent verb; "": any other one."""
+        if self._kind(_verb(query)) == urgent:
+            self._receive(query)
 
     def _kind(self, verb: str) -> str:
         return verb if verb in self._urgent else ""

@@ -23,13 +23,14 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, cast
 
 import zenoh
 
-from cairn.bus.channels import arriving
+from cairn.bus.channels import ChannelReader
 from cairn.bus.keys import CAIRN_ID_PREFIX, process_id, router_key, session_key
 from cairn.bus.message_limits import REPLY_BYTES
 from cairn.bus.session import is_member, process_of
@@ -89,13 +90,8 @@ class DiscoveryBarrier:
         self._silent = _SilentSessions()
         self._links = PeerLinks(session, secret, several_machines=several_machines)
         own_key = session_key(self._zid)
-        self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
-            own_key, zenoh.handlers.RingChannel(256)
-        )
-        self._thread = threading.Thread(
-            target=self._answer, args=(own_key,), name="cairn discovery", daemon=True
-        )
-        self._thread.start()
+        queryable: Any = session.declare_queryable(own_key, zenoh.handlers.RingChannel(256))
+        self._reader = ChannelReader(queryable, partial(self._answer, own_key), "cairn discovery")
 
     def wait_for_peers(self, timeout_s: float) -> list[str]:
         """Wait until every process of the run and this one know all declarations of each other.
@@ -120,8 +116,7 @@ class DiscoveryBarrier:
 
     def close(self) -> None:
         """Stop answering."""
-        self._queryable.undeclare()
-        self._thread.join(timeout=2.0)
+        self._reader.close()
         self._links.close()
 
     def _reach_own(self, peers: Sequence[str], deadline: float) -> list[str]:
@@ -216,12 +211,11 @@ class DiscoveryBarrier:
             return False
         return status.rpartition(b")")[2].split()[:1] in ([b"T"], [b"t"])
 
-    def _answer(self, own_key: str) -> None:
-        for query in arriving(self._queryable.handler):
-            nonce = b"" if query.payload is None else query.payload.to_bytes()[:_NONCE_BYTES]
-            silent = json.dumps(self._silent.left_s()).encode()
-            with query, suppress(zenoh.ZError):  # the process that asked may have ended
-                query.reply(own_key, self._tag(self._zid, nonce, silent) + silent)
+    def _answer(self, own_key: str, query: zenoh.Query) -> None:
+        nonce = b"" if query.payload is None else query.payload.to_bytes()[:_NONCE_BYTES]
+        silent = json.dumps(self._silent.left_s()).encode()
+        with query, suppress(zenoh.ZError):  # the process that asked may have ended
+            query.reply(own_key, self._tag(self._zid, nonce, silent) + silent)
 
     def _tag(self, zid: str, nonce: bytes, silent: bytes) -> bytes:
         """Return what proves that a reply comes from a process of this run."""

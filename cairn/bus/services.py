@@ -18,7 +18,7 @@ import zenoh
 
 from cairn.bus import keys
 from cairn.bus.bus import OnFailure, OnReply, Post, ServerOptions, ServiceError, check_response
-from cairn.bus.channels import arriving
+from cairn.bus.channels import ChannelReader
 from cairn.bus.codec import Codec
 from cairn.bus.message_limits import (
     PENDING_BYTES,
@@ -71,14 +71,14 @@ class ZenohServer:
         self._announcement = node.announce("SS", name, service, SERVICES)
         self._closed = False
         key = self._announcement.key
-        self._queries: _Queries | None = None
+        self._queries: ChannelReader | None = None
         self._private: PrivateQueries | None = None
         if is_private:
             self._private = node.private_queries(name, service)
             self._private.add(key, self._receive)
         else:
             ring = ring_length(_RING, self._max_bytes)
-            self._queries = _Queries(node.bus.session, key, ring, self._receive)
+            self._queries = _reader(node.bus.session, key, ring, self._receive)
 
     def take(self) -> "ZenohCall | None":
         """Remove and return the oldest pending call; None if there is none.
@@ -140,31 +140,12 @@ class ZenohServer:
             _refuse(query, f"{self.name}: busy: too many calls wait already; call again later")
 
 
-class _Queries:
-    """Reads the queries of a key on a thread of its own, so that Zenoh's thread never waits."""
-
-    def __init__(
-        self, session: zenoh.Session, key: str, ring: int, receive: Callable[[zenoh.Query], None]
-    ) -> None:
-        self._receive = receive
-        self._queryable: zenoh.Queryable[Any] = session.declare_queryable(
-            key, zenoh.handlers.RingChannel(ring), complete=True
-        )
-        self._thread = threading.Thread(
-            target=self._read, args=(self._queryable.handler,), name=key.split("/")[1], daemon=True
-        )
-        self._thread.start()
-
-    def close(self) -> None:
-        """Receive nothing more."""
-        self._queryable.undeclare()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=2.0)
-
-    def _read(self, channel: Any) -> None:
-        for query in arriving(channel):
-            self._receive(query)
-            del query  # the client learns of the end of this process when nothing holds its query
+def _reader(
+    session: zenoh.Session, key: str, ring: int, receive: Callable[[zenoh.Query], None]
+) -> ChannelReader:
+    """Read the queries of a key on a thread of its own, so that Zenoh's thread never waits."""
+    queryable: Any = session.declare_queryable(key, zenoh.handlers.RingChannel(ring), complete=True)
+    return ChannelReader(queryable, receive, key.split("/")[1])
 
 
 class PrivateQueries:
@@ -173,7 +154,7 @@ class PrivateQueries:
     def __init__(self, session: zenoh.Session, key_expression: str) -> None:
         """Read the queries of the services whose keys are added."""
         self._receivers: dict[str, Callable[[zenoh.Query], None]] = {}
-        self._queries = _Queries(session, key_expression, _PRIVATE_RING, self._dispatch)
+        self._queries = _reader(session, key_expression, _PRIVATE_RING, self._dispatch)
 
     def add(self, key: str, receive: Callable[[zenoh.Query], None]) -> None:
         """Call `receive` with each query of a key from now on."""

@@ -4,7 +4,6 @@
 """
 
 import itertools
-import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -29,7 +28,7 @@ from cairn.bus.bus import (
     ServerOptions,
     SubscriptionOptions,
 )
-from cairn.bus.channels import arriving
+from cairn.bus.channels import ChannelReader
 from cairn.bus.codec import Codec
 from cairn.bus.conflicts import endpoint_qos_mismatch, endpoint_type_conflict
 from cairn.bus.discovery import DiscoveryBarrier
@@ -356,11 +355,8 @@ class ZenohSubscription:
             self._gate = _ExclusiveGate(verifier, refusals, node.bus.graph)
         ring = qos.depth if exclusive is None else max(qos.depth, _EXCLUSIVE_RING)
         ring = ring_length(ring, max_bytes)
-        self._subscriber = _declare_subscriber(node.bus.session, self._announcement.key, qos, ring)
-        self._thread = threading.Thread(
-            target=self._collect, args=(self._subscriber.handler,), name=topic, daemon=True
-        )
-        self._thread.start()
+        subscriber = _declare_subscriber(node.bus.session, self._announcement.key, qos, ring)
+        self._reader = ChannelReader(subscriber, self._receive, topic)
 
     @property
     def dropped(self) -> int:
@@ -409,27 +405,24 @@ class ZenohSubscription:
         if self._closed:
             return
         self._closed = True
-        self._subscriber.undeclare()
-        if threading.current_thread() is not self._thread:  # it may be the one that closes
-            self._thread.join(timeout=2.0)
+        self._reader.close()
         self._pending.clear()
         self._announcement.close()
 
-    def _collect(self, channel: Any) -> None:
-        for sample in arriving(channel):
-            size = len(sample.payload)
-            if size > self._max_bytes:  # before it is copied or decoded
-                self._reject_long(sample, size)
-                continue
-            payload = sample.payload if self._gate is None else self._gate.verified(sample)
-            if payload is None:
-                continue
-            if self._pending.put((payload, sample), size):
-                self._wake()
-            # Last, because the wake-up may run the handler, which should not wait for this.
-            attachment = keys.Attachment.of(sample)
-            if attachment is not None:  # otherwise a peer without rmw_zenoh's numbering
-                self._in_transit.received(attachment.gid, attachment.sequence)
+    def _receive(self, sample: zenoh.Sample) -> None:
+        size = len(sample.payload)
+        if size > self._max_bytes:  # before it is copied or decoded
+            self._reject_long(sample, size)
+            return
+        payload = sample.payload if self._gate is None else self._gate.verified(sample)
+        if payload is None:
+            return
+        if self._pending.put((payload, sample), size):
+            self._wake()
+        # Last, because the wake-up may run the handler, which should not wait for this.
+        attachment = keys.Attachment.of(sample)
+        if attachment is not None:  # otherwise a peer without rmw_zenoh's numbering
+            self._in_transit.received(attachment.gid, attachment.sequence)
 
     def _reject_long(self, sample: zenoh.Sample, size: int) -> None:
         self._too_long += 1

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
-from cairn.deployment.plugins import Plugin, installed_plugins, load_plugin
+from cairn.deployment.plugins import installed_plugins, load_plugin
 from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import ports_of
 from cairn.runtime.topic_ports import In, Out
@@ -35,6 +35,8 @@ def plugins(
     if plugin:
         _show_one(plugin, as_json=json)
         return
+    with deferred_compilation():  # nothing waits for kernels, because no component runs
+        plugins = installed_plugins()
     rows = [
         {
             "plugin": found.name,
@@ -45,7 +47,7 @@ def plugins(
             "package": found.package,
             "usable": not found.error,
         }
-        for found in _installed()
+        for found in plugins
     ]
     show(rows, ("plugin", "package", "summary"), as_json=json, nothing="no plugin is installed")
 
@@ -105,9 +107,3 @@ def _port(port: In[Any] | Out[Any]) -> dict[str, str]:
         "type": type_name(port.interface),
         "qos": qos.replace("_", " "),
     }
-
-
-def _installed() -> list[Plugin]:
-    """Return the installed plugins; nothing waits for kernels, because no component runs."""
-    with deferred_compilation():
-        return installed_plugins()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,14 +49,11 @@ def export_definitions(types: Mapping[str, type[Any]], folder: Path) -> int:
             )
     try:
         for package in names:
-            _write(share, package, {name: types[name] for name in _of(package, types)})
+            own = {name: one for name, one in types.items() if name.startswith(f"{package}/")}
+            _write(share, package, own)
     except OSError as error:
         raise CairnError(f"{folder} cannot be written: {error.strerror or error}") from error
     return len(names)
-
-
-def _of(package: str, types: Mapping[str, type[Any]]) -> Iterator[str]:
-    return (name for name in types if name.startswith(f"{package}/"))
 
 
 def _is_ours(folder: Path) -> bool:

@@ -168,7 +168,7 @@ def _text(found: type[Any]) -> str:
     inner = dict.fromkeys(one for part in parts for one in classes_in(part))
     others = [one for one in inner if one not in parts]
     texts = [_own_text(found)]
-    texts += [f"MSG: {_short_name(one)}\n{_own_text(one)}" for one in others]
+    texts += [f"MSG: {type_name(one).replace('/msg/', '/')}\n{_own_text(one)}" for one in others]
     return f"{_SEPARATOR}\n".join(texts)
 
 
@@ -181,10 +181,6 @@ def _own_text(found: type[Any]) -> str:
         text = file.read_text(encoding="utf-8")
         return text if text.endswith("\n") or not text else f"{text}\n"
     return own_definition(found)
-
-
-def _short_name(found: type[Any]) -> str:
-    return type_name(found).replace("/msg/", "/")
 
 
 def _print_written(imported: Imported) -> None:

@@ -152,17 +152,13 @@ def _show(found: list[ServiceInfo], kind: str, nothing: str, *, as_json: bool) -
         {
             kind: one.name,
             "type": one.type_name,
-            "servers": list(one.servers),
-            "clients": list(one.clients),
-            "foreign": list(one.foreign),
-            "problems": list(one.problems),
+            "servers": one.servers if as_json else marked_all(one.servers, one.foreign),
+            "clients": one.clients if as_json else marked_all(one.clients, one.foreign),
+            "foreign": one.foreign,
+            "problems": one.problems,
         }
         for one in found
     ]
-    if not as_json:
-        for row, one in zip(rows, found, strict=True):
-            row["servers"] = marked_all(one.servers, one.foreign)
-            row["clients"] = marked_all(one.clients, one.foreign)
     show(rows, (kind, "type", "servers", "clients"), as_json=as_json, nothing=nothing)
     print_problems(problem for one in found for problem in one.problems)
 

@@ -40,15 +40,13 @@ class _FieldSeries:
         for path, values in zip(self._paths, self._values, strict=True):
             value = path.value(message)
             values.append(value if not path.is_sequence else [float(one) for one in value])
-        while self._times[0] < now - self._seconds or (self._paths[0].is_sequence and self._stale):
+        while self._times[0] < now - self._seconds or (
+            # Only the newest message is drawn over indices.
+            self._paths[0].is_sequence and len(self._times) > 1
+        ):
             self._times.popleft()
             for values in self._values:
                 values.popleft()
-
-    @property
-    def _stale(self) -> bool:
-        """Whether it has more than the newest message, which alone is drawn over indices."""
-        return len(self._times) > 1
 
     def curves(self) -> list[tuple[str, list[float], list[float]]]:
         """Return the label, the abscissas and the ordinates of each curve, for what is finite."""

@@ -31,7 +31,7 @@ from cairn.processes.launcher import ZygoteProcess
 from cairn.processes.lockstep import LockstepRun
 from cairn.processes.machine_identity import machine_identity
 from cairn.processes.process_run import checked_plan, endpoints, run_processes, started_zygote
-from cairn.processes.run_plan import RunPlan, check_sources, with_recorder
+from cairn.processes.run_plan import PlanRequest, RunPlan, check_sources, with_recorder
 from cairn.processes.systemd_notify import ServiceManager, service_manager
 from cairn.runtime.child_spec import LogLevel
 from cairn.runtime.process_exit import ExitReport
@@ -136,7 +136,8 @@ def up(
                 if recording is not None:
                     deployment = with_recorder(deployment, recording)
             else:
-                plan = checked_plan(zygote, file, sources, sets, recording, machine)
+                request = PlanRequest(file, sources, sets, recording, machine)
+                plan = checked_plan(zygote, request)
                 deployment = plan.deployment
                 if plan.added and deployment.call_log is None:
                     note(_NO_CALL_LOG)

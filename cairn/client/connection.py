@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeGuard, cast
+from typing import Any, Literal, TypeGuard, cast
 
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
@@ -152,17 +152,15 @@ class Connection:
         own = (one for one in graph if isinstance(one, keys.NodeEntity) and not one.is_foreign)
         return sorted({one.name for one in own})
 
-    def endpoints(self, topic: str = "") -> list[keys.EndpointEntity]:
+    def endpoints(
+        self, topic: str = "", kind: Literal["M$*", "S$*"] = "M$*"
+    ) -> list[keys.EndpointEntity]:
         """Return the publishers and subscriptions of a topic (full name), or of all topics.
 
-        `*` in the topic stands for any characters.
+        `*` in the topic stands for any characters. With kind `S$*`, return the servers and clients
+        of services instead.
         """
-        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, topic, "M$*"))
-        return [entity for entity in graph if isinstance(entity, keys.EndpointEntity)]
-
-    def service_endpoints(self, service: str = "") -> list[keys.EndpointEntity]:
-        """Return the servers and clients of a service (full name), or of all services."""
-        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, service, "S$*"))
+        graph = read_graph(self.session, keys.endpoints_pattern(self.domain, topic, kind))
         return [entity for entity in graph if isinstance(entity, keys.EndpointEntity)]
 
     def statuses(self) -> dict[str, ComponentStatus]:

@@ -8,7 +8,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from cairn.bus import keys
 from cairn.bus.actions import CANCEL_GOAL, UnknownGoalError, uuid_of
@@ -47,13 +47,6 @@ _LAST_STATUS_S = 1.0
 _PLACES_S = 2.0
 
 PlanarPose = tuple[float, float, float]
-
-
-class _Samples(Protocol):
-    """A queue of samples."""
-
-    def get(self, *, timeout: float) -> Any:
-        """Return the next one; `queue.Empty` if none arrives in time."""
 
 
 def find_place(zones: Sequence[Zone], name: str) -> PlanarPose:
@@ -152,13 +145,13 @@ class MissionClient:
         """Return whether the deployment still runs."""
         return self._connection.is_alive()
 
-    def listen(self) -> AbstractContextManager[_Samples]:
+    def listen(self) -> AbstractContextManager[queue.Queue[Any]]:
         """Subscribe to the navigation status."""
         topic = f"{self._robot}/navigation_status"
         key = keys.message_key(self._connection.domain, topic, NavigationStatus)
         return self._connection.listen(key, latched=True)
 
-    def next_status(self, samples: _Samples, wait_s: float) -> NavigationStatus | None:
+    def next_status(self, samples: queue.Queue[Any], wait_s: float) -> NavigationStatus | None:
         """Return the next status; None if none arrives in time, or if it is not valid."""
         try:
             sample = samples.get(timeout=wait_s)
@@ -227,7 +220,7 @@ class NavigationGoal(Closing):
         self._missions = missions
         self._identity = secrets.token_bytes(16)
         self._listening = missions.listen()
-        self._samples: _Samples | None = None
+        self._samples: queue.Queue[Any] | None = None
         self._running: RunningGoal[Any, Any, Any] | None = None
         self._last = NavigationStatus(goals=len(poses))
 
@@ -314,7 +307,7 @@ class NavigationGoal(Closing):
         self.close()
         yield self._last
 
-    def _next_status(self, samples: _Samples, wait_s: float) -> NavigationStatus | None:
+    def _next_status(self, samples: queue.Queue[Any], wait_s: float) -> NavigationStatus | None:
         """Return the next status of this goal, None if there is none in time."""
         deadline = time.monotonic() + wait_s
         while (left_s := deadline - time.monotonic()) > 0:
@@ -325,7 +318,7 @@ class NavigationGoal(Closing):
 
     def _end(
         self,
-        samples: _Samples,
+        samples: queue.Queue[Any],
         running: RunningGoal[Any, Any, Any],
         status: NavigationStatus | None,
     ) -> None:

@@ -57,7 +57,7 @@ def find_services(connection: Connection) -> tuple[list[ServiceInfo], list[Servi
     """Return the services on the bus, without those that are part of an action, and the actions."""
     found: defaultdict[tuple[bool, str, str], list[Endpoint]] = defaultdict(list)
     entities: defaultdict[tuple[bool, str], list[keys.EndpointEntity]] = defaultdict(list)
-    for entity in connection.service_endpoints():
+    for entity in connection.endpoints(kind="S$*"):
         end = endpoint_of(entity)
         if not end.is_part_of_action:
             is_action = end.role.startswith("action")

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
-from typing import Final, Protocol
+from typing import Final
 
 import zenoh
 
@@ -27,12 +27,8 @@ _RELEASE_LIMIT_S: Final = 5.0  # of a request to the gate
 Velocity = tuple[float, float]
 STILL: Final[Velocity] = (0.0, 0.0)
 
-
-class Teleoperate(Protocol):
-    """Sends a command to the velocity gate: `cairn.client.Teleoperation`."""
-
-    def __call__(self, speed: float, turn: float = 0.0) -> None:
-        """Drive at a speed [m/s] and a turn rate [rad/s] for 0.3 s."""
+Drive = Callable[[float, float], None]
+"""Sends a speed [m/s] and a turn rate [rad/s] to the velocity gate, for 0.3 s."""
 
 
 class DeadMan:
@@ -92,7 +88,7 @@ class Driver:
     def __init__(
         self,
         operator_id: int,
-        acquire: Callable[[], AbstractContextManager[Teleoperate]],
+        acquire: Callable[[], AbstractContextManager[Drive]],
         before: Driver | None = None,
         now: Callable[[], int] = time.monotonic_ns,
     ) -> None:

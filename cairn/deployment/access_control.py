@@ -64,9 +64,8 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
     roles: Mapping[Role, list[dict[str, Any]]] = {
         "view": _view_rules(deployment.domain, requests["view"], confidential),
         "operate": _operate_rules(deployment.domain, topics, requests["operate"]),
-        "administer": [rule("everything", "ingress", EVERY_MESSAGE, EVERY_KEY),
-                       rule("everything", "egress", EVERY_MESSAGE, EVERY_KEY)],
-    }  # fmt: skip
+        "administer": everything(),
+    }
     granted: Mapping[Role, tuple[Role, ...]] = {
         "view": ("view",),
         "operate": ("view", "operate"),
@@ -89,6 +88,11 @@ def access_control(deployment: Deployment) -> dict[str, Any]:
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def everything() -> list[dict[str, Any]]:
+    """Return the rules that allow everything."""
+    return [rule("everything", flow, EVERY_MESSAGE, EVERY_KEY) for flow in get_args(Flow)]
 
 
 def admitted(

@@ -9,7 +9,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
@@ -319,20 +319,31 @@ def _is(node: DocumentNode | None, value: str, default: bool = False) -> bool:
     return default if node is None else node.value == value
 
 
+P = TypeVar("P", In[Any] | Out[Any], ServicePort | ActionPort)
+
 _CLOCK = "clock"
 _CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 
 
 @dataclass(frozen=True)
-class _PortUse:
-    """One port of one component on a topic."""
+class _Use(Generic[P]):
+    """A port of one component on a topic, or its server or client of a service or an action."""
 
     component: CheckedComponent
-    port: In[Any] | Out[Any]
+    port: P
+
+    @property
+    def type_name(self) -> str:
+        """The type of the messages, the service or the action."""
+        return type_name(self.port.interface)
 
     def problem(self, found: str, remedy: str) -> Problem:
         path = dotted((*self.component.path, "topics", self.port.name))
         return Problem(self.component.line(self.port.name), path, found, remedy)
+
+
+_PortUse = _Use[In[Any] | Out[Any]]
+_ServiceUse = _Use[ServicePort | ActionPort]
 
 
 def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> Iterator[Problem]:
@@ -357,23 +368,6 @@ def _wiring_problems(root: DocumentNode, components: list[CheckedComponent]) -> 
     yield from _neighbor_problems(topics, external)
     yield from _device_problems(root, components)
     yield from _clock_problems(root, topics[_CLOCK], _CLOCK in external)
-
-
-@dataclass(frozen=True)
-class _ServiceUse:
-    """One server or client of a service or an action."""
-
-    component: CheckedComponent
-    port: ServicePort | ActionPort
-
-    @property
-    def type_name(self) -> str:
-        """The type of the service or action."""
-        return type_name(self.port.interface)
-
-    def problem(self, found: str, remedy: str) -> Problem:
-        path = dotted((*self.component.path, "topics", self.port.name))
-        return Problem(self.component.line(self.port.name), path, found, remedy)
 
 
 def _service_problems(
@@ -420,14 +414,13 @@ def _service_problems(
 def _type_conflicts(topic: str, uses: list[_PortUse]) -> Iterator[Problem]:
     uses = sorted(uses, key=lambda use: use.port.direction == "in")
     first = uses[0]
-    expected = type_name(first.port.interface)
     verbs = {"in": "reads", "out": "publishes"}
     for use in uses[1:]:
-        if type_name(use.port.interface) != expected:
+        if use.type_name != first.type_name:
             yield use.problem(
                 f"topic {topic} has two types: {use.port.name} {verbs[use.port.direction]} "
-                f"{type_name(use.port.interface)}, but {first.component.name}.{first.port.name} "
-                f"{verbs[first.port.direction]} {expected}",
+                f"{use.type_name}, but {first.component.name}.{first.port.name} "
+                f"{verbs[first.port.direction]} {first.type_name}",
                 "give one of them another topic",
             )
 
@@ -494,11 +487,7 @@ def _clock_problems(root: DocumentNode, uses: list[_PortUse], external: bool) ->
     clock = root.find("clock")
     if clock is None or clock.value != "simulated" or external:
         return
-    writers = [
-        use
-        for use in uses
-        if use.port.direction == "out" and type_name(use.port.interface) == _CLOCK_TYPE
-    ]
+    writers = [use for use in uses if use.port.direction == "out" and use.type_name == _CLOCK_TYPE]
     if not writers:
         yield Problem(
             clock.where,

@@ -1,13 +1,14 @@
 """Exclusive topics of a deployment: which component may publish on each, and which ones read it."""
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import Any
 
 from cairn.bus.bus import full_name
 from cairn.bus.exclusive import ExclusiveTopic
 from cairn.bus.keys import ROS_NAMES
-from cairn.deployment.model import Deployment
+from cairn.deployment.model import Deployment, Member
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.errors import CairnError
 from cairn.runtime.ports import ports_of
@@ -22,13 +23,11 @@ def exclusive_topics(deployment: Deployment) -> tuple[ExclusiveTopic, ...]:
     """
     writers: defaultdict[str, list[str]] = defaultdict(list)
     readers: defaultdict[str, list[str]] = defaultdict(list)
-    for member in deployment.members():
-        for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
-            if port.direction == "out":
-                writers[topic].append(member.name)
-            elif port.exclusive:
-                readers[topic].append(member.name)
+    for member, topic, port in ports_in(deployment):
+        if port.direction == "out":
+            writers[topic].append(member.name)
+        elif port.exclusive:
+            readers[topic].append(member.name)
     if deployment.ros_names:  # it passes on what the entitled component has published
         for names in readers.values():
             names.append(ROS_NAMES)
@@ -71,9 +70,10 @@ def only_writer(topic: str, writers: Iterable[str], writer: str) -> str:
     )
 
 
-def ports_of_plugin(plugin: str) -> list[In[Any] | Out[Any]]:
-    """Return the ports of a plugin; none if it cannot be loaded."""
-    try:
-        return list(ports_of(load_plugin(plugin)).values())
-    except PluginError:
-        return []
+def ports_in(deployment: Deployment) -> Iterator[tuple[Member, str, In[Any] | Out[Any]]]:
+    """Yield the component, topic and declaration of each port whose plugin can be loaded."""
+    for member in deployment.members():
+        with suppress(PluginError):
+            for port in ports_of(load_plugin(member.spec.plugin)).values():
+                topic = member.spec.topics.get(port.name, port.name)
+                yield member, full_name(deployment.robot.name, topic), port

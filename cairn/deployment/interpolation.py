@@ -122,7 +122,7 @@ class _References:
             return self.frame(frame, at, path)
         steps = tuple(name.split("."))
         if self.settings.find(*steps) is None:
-            known = [".".join(known) for known in _names(self.settings, ())]
+            known = [".".join(known) for known in self.settings.key_paths()]
             raise self.problem(at, path, f"there is no setting {name}", suggestion(name, known))
         within = [one[: len(steps)] == steps for one in self.in_progress]
         cycle = within.index(True) if True in within else None
@@ -151,10 +151,3 @@ class _References:
     def problem(self, at: Location, path: KeyPath, found: str, remedy: str) -> _UnresolvedError:
         self.problems.append(Problem(at, dotted(path), found, remedy))
         return _UnresolvedError()
-
-
-def _names(node: DocumentNode, path: KeyPath) -> list[KeyPath]:
-    names = []
-    for key, child in node.entries.items():
-        names += [(*path, key), *_names(child, (*path, key))]
-    return names

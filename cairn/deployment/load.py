@@ -5,7 +5,7 @@ is replaced, null removes a key (RFC 7386). Among the settings null is a value, 
 that does not exist could not be referred to.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -243,18 +243,11 @@ def _target(
         return tuple(keys), None
     names = keys[1:] if keys[0] == "settings" else keys
     if base.find("settings", *names) is None:
-        known = [".".join(steps) for steps in _settings(base.find("settings"), ())]
+        settings = base.find("settings")
+        known = [] if settings is None else [".".join(steps) for steps in settings.key_paths()]
         found = f"there is no setting {'.'.join(names)}"
         return (), Problem(at, "", found, suggestion(".".join(names), known))
     return ("settings", *names), None
-
-
-def _settings(node: DocumentNode | None, path: KeyPath) -> Iterator[KeyPath]:
-    if node is None:
-        return
-    for key, child in node.entries.items():
-        yield (*path, key)
-        yield from _settings(child, (*path, key))
 
 
 def _nested(steps: KeyPath, value: DocumentNode, at: Location) -> DocumentNode:

@@ -18,11 +18,11 @@ from cairn.bus import keys
 from cairn.bus.bus import full_name
 from cairn.bus.keys import ROS_NAMES
 from cairn.deployment.access_control import (
-    EVERY_KEY,
     EVERY_MESSAGE,
     LOCAL,
     ROUTERS,
     confidential_topics,
+    everything,
     operator_topics,
     requests_by_role,
     rule,
@@ -65,12 +65,8 @@ def machine_access(deployment: Deployment, machine: str) -> dict[str, Any]:
 
     What no rule allows is denied; local links may do everything. `admitted` adds the certificates.
     """
-    everything = [
-        rule("everything", "ingress", EVERY_MESSAGE, EVERY_KEY),
-        rule("everything", "egress", EVERY_MESSAGE, EVERY_KEY),
-    ]
-    rules = list(everything)
-    policies = [{"subjects": [LOCAL], "rules": [one["id"] for one in everything]}]
+    rules = everything()
+    policies = [{"subjects": [LOCAL], "rules": [one["id"] for one in rules]}]
     for other in deployment.machines:
         if other != machine:
             allowed = _machine_rules(deployment, other)

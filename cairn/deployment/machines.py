@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pydantic import BaseModel, ConfigDict
 
 from cairn.bus.bus import full_name
-from cairn.deployment.exclusive_topics import ports_of_plugin
+from cairn.deployment.exclusive_topics import ports_in
 from cairn.deployment.model import RECORDER, Deployment, root_name, view_name
 from cairn.deployment.problems import Problem, suggestion
 from cairn.deployment.yaml_document import DocumentNode, KeyPath, component_nodes, dotted
@@ -80,13 +80,11 @@ def remote_inputs(deployment: Deployment) -> tuple[RemoteInput, ...]:
     """
     writers: defaultdict[str, list[str]] = defaultdict(list)
     readers: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
-    for member in deployment.members():
-        for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
-            if port.direction == "out":
-                writers[topic].append(member.name)
-            else:
-                readers[topic, deployment.machine_of(member.name)].append(member.name)
+    for member, topic, port in ports_in(deployment):
+        if port.direction == "out":
+            writers[topic].append(member.name)
+        else:
+            readers[topic, deployment.machine_of(member.name)].append(member.name)
     return tuple(
         RemoteInput(
             topic=topic,

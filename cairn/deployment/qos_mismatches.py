@@ -5,7 +5,7 @@ from typing import Any
 
 from cairn.bus.bus import full_name
 from cairn.bus.conflicts import qos_mismatch
-from cairn.deployment.exclusive_topics import ports_of_plugin
+from cairn.deployment.exclusive_topics import ports_in
 from cairn.deployment.model import Deployment
 from cairn.runtime.topic_ports import In, Out
 
@@ -16,10 +16,8 @@ def qos_mismatches(deployment: Deployment) -> tuple[str, ...]:
     They do not prevent a start: Cairn delivers the messages nevertheless.
     """
     topics: defaultdict[str, list[tuple[str, In[Any] | Out[Any]]]] = defaultdict(list)
-    for member in deployment.members():
-        for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
-            topics[topic].append((full_name(deployment.robot.name, member.name), port))
+    for member, topic, port in ports_in(deployment):
+        topics[topic].append((full_name(deployment.robot.name, member.name), port))
     found = (
         qos_mismatch(topic, publisher, offered.qos, subscriber, requested.qos)
         for topic, uses in sorted(topics.items())

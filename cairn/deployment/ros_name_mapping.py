@@ -6,6 +6,7 @@ between both names. A name leads to the robot if nothing in the deployment publi
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from cairn.bus.bus import full_name
 from cairn.bus.qos import LATCHED, RELIABLE, Qos
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
+from cairn.runtime.component import Component
 from cairn.runtime.ports import ServicePort, actions_of, ports_of, services_of
 from cairn.runtime.runtime import STATUS_TOPIC
 from cairn.runtime.timers import CLOCK_TOPIC
@@ -118,33 +120,31 @@ def ros_services(deployment: Deployment) -> list[RosService]:
 
 
 def _ports(deployment: Deployment) -> Iterator[_Port]:
-    for member in deployment.members():
-        try:
-            cls = load_plugin(member.spec.plugin)
-        except PluginError:  # its own start reports why
-            continue
+    for topics, cls in _loadable(deployment):
         for port in ports_of(cls).values():
-            name = _short(deployment, member.spec.topics.get(port.name, port.name))
+            name = _short(deployment, topics.get(port.name, port.name))
             yield _Port(name, port, port.name in cls.confidential_inputs)
         for action in actions_of(cls).values():
-            name = _short(deployment, member.spec.topics.get(action.name, action.name))
+            name = _short(deployment, topics.get(action.name, action.name))
             for part, topic in action.topics().items():
                 yield _Port(f"{name}/{part}", topic, is_confidential=False)
 
 
 def _services(deployment: Deployment) -> Iterator[tuple[str, ServicePort]]:
-    for member in deployment.members():
-        try:
-            cls = load_plugin(member.spec.plugin)
-        except PluginError:
-            continue
-        topics = member.spec.topics
+    for topics, cls in _loadable(deployment):
         for port in services_of(cls).values():
             yield _short(deployment, topics.get(port.name, port.name)), port
         for action in actions_of(cls).values():
             name = _short(deployment, topics.get(action.name, action.name))
             for part, service in action.services().items():
                 yield f"{name}/{part}", service
+
+
+def _loadable(deployment: Deployment) -> Iterator[tuple[Mapping[str, str], type[Component]]]:
+    """Yield topics by port, and class, of each component; the start of another one reports why."""
+    for member in deployment.members():
+        with suppress(PluginError):
+            yield member.spec.topics, load_plugin(member.spec.plugin)
 
 
 def _keeps_its_name(name: str, known: Mapping[str, Any]) -> bool:

@@ -9,7 +9,7 @@ from cairn.bus.message_limits import (
     MessageLimits,
     default_max_bytes,
 )
-from cairn.deployment.exclusive_topics import ports_of_plugin
+from cairn.deployment.exclusive_topics import ports_in
 from cairn.deployment.machines import machine_status_topic
 from cairn.deployment.model import Deployment
 from cairn.runtime.rosout import ROSOUT
@@ -33,12 +33,10 @@ def topic_limits(deployment: Deployment) -> MessageLimits:
     for machine in deployment.machines:
         topic = machine_status_topic(deployment.robot.name, machine, deployment.main_machine)
         longest[topic] = default_max_bytes(MachineStatus)
-    for member in deployment.members():
-        for port in ports_of_plugin(member.spec.plugin):
-            topic = full_name(deployment.robot.name, member.spec.topics.get(port.name, port.name))
-            if port.direction == "in":
-                size = port.max_bytes or default_max_bytes(port.interface)
-                longest[topic] = max(longest[topic], size)
+    for _, topic, port in ports_in(deployment):
+        if port.direction == "in":
+            size = port.max_bytes or default_max_bytes(port.interface)
+            longest[topic] = max(longest[topic], size)
     limit = deployment.bus.max_message_size or max(MAX_MESSAGE_SIZE, *longest.values())
     accepted = {topic: TRANSPORT_FACTOR * size for topic, size in longest.items()}
     return MessageLimits(

@@ -54,6 +54,13 @@ class DocumentNode:
             return [node.plain() for node in self.value]
         return self.value
 
+    def key_paths(self) -> "Iterator[KeyPath]":
+        """Yield the path of each key below this node, through mappings only."""
+        for key, node in self.entries.items():
+            yield (key,)
+            for below in node.key_paths():
+                yield (key, *below)
+
     def find(self, *steps: str | int) -> "DocumentNode | None":
         """Return the node at a path of keys and list indices, or None."""
         node = self

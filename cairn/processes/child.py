@@ -6,6 +6,7 @@ arrived are read before it is judged. Time in which the supervisor could not run
 
 import logging
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -196,7 +197,49 @@ class ChildStatus:
     fallback_of: str = ""
 
 
-class Child:
+class AnyChild(ABC):
+    """What a child on this machine and one on another have in common: their state, and its log."""
+
+    def __init__(
+        self, name: str, parent: LaunchRequest, host: SupervisorHost, log: logging.Logger
+    ) -> None:
+        """`parent` is the supervisor's launch."""
+        self.name = name
+        self.spec = parent.spec.children[name]
+        self.incarnation = 0
+        self.reason = ""
+        self.state: State = "unloaded"
+        self.target = LifecycleState.ACTIVE
+        """The state of its life cycle in which it should be; see `hold`."""
+        self.stop_failure = ""
+        """Why the last stop was not clean, "" if it was."""
+        self._host = host
+        self._log = log
+
+    @property
+    @abstractmethod
+    def runs(self) -> bool:
+        """Whether it has been started and has not ended, as far as its supervisor knows."""
+
+    @property
+    def components(self) -> int:
+        """How many components stop with it, itself included; 0 if it does not run."""
+        return self.spec.components if self.runs else 0
+
+    def status(self) -> ChildStatus:
+        """Return the state of the child, that of one on another machine as last reported."""
+        held_in = self.target.value if self.state == "held" else ""
+        return ChildStatus(self.name, self.state, self.incarnation, self.reason, held_in)
+
+    def _log_event(self, level: int, event: str, reason: str = "") -> None:
+        words = f"child {event}: {self.name}"
+        self._log.log(level, "%s", f"{words}: {reason}" if reason else words)
+
+    def _without_name(self, error: BaseException) -> str:
+        return str(error).removeprefix(f"{self.name}: ")
+
+
+class Child(AnyChild):
     """One child of a supervisor, through all of its incarnations."""
 
     def __init__(
@@ -208,39 +251,19 @@ class Child:
         on_exit: Callable[[], None],
     ) -> None:
         """`parent` is the supervisor's launch; for `on_exit` see `SupervisorHost.launch_child`."""
-        self.name = name
-        self.spec = parent.spec.children[name]
+        super().__init__(name, parent, host, log)
         self.handle: ChildHandle | None = None
-        self.incarnation = 0
-        self.reason = ""
-        self.state: State = "unloaded"
-        self.target = LifecycleState.ACTIVE
-        """The state of its life cycle in which it should be; see `hold`."""
-        self.stop_failure = ""
-        """Why the last stop was not clean, "" if it was."""
         self._parent = parent
-        self._host = host
-        self._log = log
         self._on_exit = on_exit
         self._heartbeat: Heartbeat | None = None  # the last one of this incarnation
         self._heartbeat_at = 0.0  # awake time [s] when it was read, or the child became active
         self._deviates = False
         self._unkillable: ChildHandle | None = None
 
-    def status(self) -> ChildStatus:
-        """Return the state of the child."""
-        held_in = self.target.value if self.state == "held" else ""
-        return ChildStatus(self.name, self.state, self.incarnation, self.reason, held_in)
-
     @property
     def runs(self) -> bool:
         """Whether it has been started and has not ended."""
         return self.handle is not None
-
-    @property
-    def components(self) -> int:
-        """How many components stop with it, itself included; 0 if it does not run."""
-        return self.spec.components if self.runs else 0
 
     def expect_stop(self, limit_s: float) -> None:
         """Have the child start nothing any more; see `ChildHandle`. From any thread."""
@@ -516,10 +539,3 @@ class Child:
     def _note_stop_failure(self, reason: str) -> None:
         self.stop_failure = self.stop_failure or reason
         self._log_event(logging.WARNING, "stop failed", reason)
-
-    def _log_event(self, level: int, event: str, reason: str = "") -> None:
-        words = f"child {event}: {self.name}"
-        self._log.log(level, "%s", f"{words}: {reason}" if reason else words)
-
-    def _without_name(self, error: Exception) -> str:
-        return str(error).removeprefix(f"{self.name}: ")

@@ -27,7 +27,6 @@ from cairn.bus.session import (
     peer_socket,
 )
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.deployment.load import SourceDocument
 from cairn.deployment.machines import published_elsewhere
 from cairn.deployment.model import ROOT, Deployment, root_name
 from cairn.deployment.plugins import load_plugin
@@ -47,7 +46,7 @@ from cairn.processes.launcher import ZygoteProcess, start_zygote
 from cairn.processes.machine_identity import machine_secrets
 from cairn.processes.machines import MachineMonitor
 from cairn.processes.prepared import CODEC
-from cairn.processes.run_plan import RunPlan, argument_of_check, check_for_root, plan_of
+from cairn.processes.run_plan import PLAN, REQUEST, PlanRequest, RunPlan, check_for_root
 from cairn.processes.systemd_notify import ServiceManager
 from cairn.processes.zygote import COMPILATION_LIMIT_S
 from cairn.runtime.child_spec import ChildSpec
@@ -94,21 +93,15 @@ def started_zygote(modules: Sequence[str]) -> Iterator[ZygoteProcess]:
             zygote.close()
 
 
-def checked_plan(
-    zygote: ZygoteProcess,
-    file: Path,
-    sources: Sequence[SourceDocument],
-    sets: Sequence[str],
-    recording: Path | None = None,
-    machine: str = "",
-) -> RunPlan:
+def checked_plan(zygote: ZygoteProcess, request: PlanRequest) -> RunPlan:
     """Return `check_and_plan` of a deployment, made by a fork of the zygote that runs it.
 
     Raises `CairnError` with everything that is wrong, before anything is started.
     """
     entry = f"{check_for_root.__module__}:{check_for_root.__name__}"
-    argument = argument_of_check(file, sources, sets, recording, machine)
-    return plan_of(call_in_fork(zygote, "check", entry, argument, timeout_s=_IMPORTS_LIMIT_S))
+    argument = REQUEST.dump_python(request, mode="json")
+    result = call_in_fork(zygote, "check", entry, argument, timeout_s=_IMPORTS_LIMIT_S)
+    return PLAN.validate_python(result)
 
 
 def run_processes(

@@ -23,7 +23,7 @@ from typing import Any, Protocol
 
 from cairn.errors import CairnError
 from cairn.processes.child import (
-    ChildStatus,
+    AnyChild,
     ChildUnavailable,
     StartResult,
     State,
@@ -66,26 +66,18 @@ class Machines(Protocol):
         """Wait until a root reports something, at most `timeout_s` [s]."""
 
 
-class RemoteChild:
+class RemoteChild(AnyChild):
     """One child of a supervisor on another machine; it has the methods of `Child`."""
+
+    runs = False
 
     def __init__(
         self, name: str, parent: LaunchRequest, host: SupervisorHost, log: logging.Logger
     ) -> None:
         """`parent` is the supervisor's launch."""
-        self.name = name
-        self.spec = parent.spec.children[name]
-        self.incarnation = 0
-        self.reason = ""
-        self.state: State = "unloaded"
-        self.target = LifecycleState.ACTIVE
-        self.stop_failure = ""
-        self.runs = False
-        """Whether it has been started, and not stopped since, as far as its supervisor knows."""
+        super().__init__(name, parent, host, log)
         assert self.spec.machine is not None
         self._machine = self.spec.machine
-        self._host = host
-        self._log = log
         self._loading: Future[Any] | None = None
         self._was_lost = False  # and has not been found again
         self._is_slow = False
@@ -94,16 +86,6 @@ class RemoteChild:
         self._loaded_at = -math.inf  # when its root has answered that it is active [s]
         self._retry_s = 0.0
         self._retry_at = -math.inf  # before that it is not loaded again [s]
-
-    def status(self) -> ChildStatus:
-        """Return the state of the child, as last reported by its machine."""
-        held_in = self.target.value if self.state == "held" else ""
-        return ChildStatus(self.name, self.state, self.incarnation, self.reason, held_in)
-
-    @property
-    def components(self) -> int:
-        """How many components stop with it, itself included; 0 if it does not run."""
-        return self.spec.components if self.runs else 0
 
     def start(self, canceled: Callable[[], bool]) -> StartResult:
         """Have its machine load it, and wait until it is active.
@@ -303,10 +285,3 @@ class RemoteChild:
             "starting": "starting", "active": "active", "held": "held", "stopping": "stopping",
         }  # fmt: skip
         self.state = states.get(reported.state, "ended")
-
-    def _log_event(self, level: int, event: str, reason: str = "") -> None:
-        words = f"child {event}: {self.name}"
-        self._log.log(level, "%s", f"{words}: {reason}" if reason else words)
-
-    def _without_name(self, error: BaseException) -> str:
-        return str(error).removeprefix(f"{self.name}: ")

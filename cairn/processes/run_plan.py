@@ -74,8 +74,23 @@ class RunPlan:
         return {name: parent for name, parent in found.items() if name not in self.added}
 
 
-_PLAN = TypeAdapter(RunPlan)
-_SOURCES = TypeAdapter(list[SourceDocument])
+@dataclass(frozen=True)
+class PlanRequest:
+    """What is to be checked and planned: the deployment in a file that was read.
+
+    `sources` are the file and its overlays, `sets` the `--set`s. With `recording`, it is recorded
+    to that file, on `machine`.
+    """
+
+    file: Path
+    sources: list[SourceDocument]
+    sets: list[str]
+    recording: Path | None = None
+    machine: str = ""
+
+
+PLAN = TypeAdapter(RunPlan)
+REQUEST = TypeAdapter(PlanRequest)
 
 
 def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:
@@ -100,51 +115,20 @@ def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:
     return RunPlan(deployment, exclusive, limits, gateway, machine, access, inputs)
 
 
-def check_and_plan(
-    file: Path,
-    sources: Sequence[SourceDocument],
-    sets: Sequence[str],
-    recording: Path | None = None,
-    machine: str = "",
-) -> RunPlan:
-    """Return the plan of the deployment in a file that was read, with its overlays and `--set`s.
-
-    With `recording`, it is recorded to that file, on `machine`. Raises `CairnError` with everything
-    that is wrong with it.
-    """
-    deployment = check_sources(file, sources, sets)
-    check_machine(deployment, machine, file.name)
-    if recording is None:
+def check_and_plan(request: PlanRequest) -> RunPlan:
+    """Return the plan of a deployment; raises `CairnError` with all that is wrong with it."""
+    machine = request.machine
+    deployment = check_sources(request.file, request.sources, request.sets)
+    check_machine(deployment, machine, request.file.name)
+    if request.recording is None:
         return plan_run(deployment, machine)
-    plan = plan_run(with_recorder(deployment, recording, machine), machine)
+    plan = plan_run(with_recorder(deployment, request.recording, machine), machine)
     return replace(plan, added=(_RECORDING,))
 
 
-def check_for_root(argument: Mapping[str, Any]) -> Any:
-    """Return `check_and_plan` of file, sources and sets as JSON: the root calls it in a fork."""
-    sources = _SOURCES.validate_python(argument["sources"])
-    recording = argument["recording"] and Path(argument["recording"])
-    file, sets, machine = Path(argument["file"]), argument["sets"], argument["machine"]
-    plan = check_and_plan(file, sources, sets, recording, machine)
-    return _PLAN.dump_python(plan, mode="json")
-
-
-def argument_of_check(
-    file: Path,
-    sources: Sequence[SourceDocument],
-    sets: Sequence[str],
-    recording: Path | None = None,
-    machine: str = "",
-) -> dict[str, Any]:
-    """Return the argument of `check_for_root`, as JSON."""
-    documents = _SOURCES.dump_python(list(sources), mode="json")
-    return {
-        "file": str(file),
-        "sources": documents,
-        "sets": list(sets),
-        "recording": recording and str(recording),
-        "machine": machine,
-    }
+def check_for_root(request: Any) -> Any:
+    """Return `check_and_plan` of a request, both as JSON: the root calls it in a fork."""
+    return PLAN.dump_python(check_and_plan(REQUEST.validate_python(request)), mode="json")
 
 
 def with_recorder(deployment: Deployment, file: Path, machine: str = "") -> Deployment:
@@ -174,11 +158,6 @@ def with_recorder(deployment: Deployment, file: Path, machine: str = "") -> Depl
         recording = recording.model_copy(update={"machine": machine, "placement": "process"})
     components = {_RECORDING: recording, **deployment.components}
     return deployment.model_copy(update={"components": components})
-
-
-def plan_of(result: Any) -> RunPlan:
-    """Return the plan that `check_for_root` has made."""
-    return _PLAN.validate_python(result)
 
 
 def check_sources(file: Path, sources: Sequence[SourceDocument], sets: Sequence[str]) -> Deployment:

@@ -9,7 +9,7 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from cairn.deployment.exclusive_topics import ports_of_plugin
+from cairn.deployment.exclusive_topics import ports_in
 from cairn.deployment.model import Deployment
 from cairn.deployment.plugins import PluginError, load_plugin
 from cairn.schemas.interfaces import find_message
@@ -85,9 +85,8 @@ class MessageClasses:
         """Return the message class of a type name; None if it is not known."""
         known = find_message(name)
         if known is None and self._deployment is not None:
-            for member in self._deployment.members():
-                for port in ports_of_plugin(member.spec.plugin):
-                    for message in classes_in(port.interface):
-                        self._of_plugins.setdefault(type_name(message), message)
+            for _, _, port in ports_in(self._deployment):
+                for message in classes_in(port.interface):
+                    self._of_plugins.setdefault(type_name(message), message)
             self._deployment = None
         return known or self._of_plugins.get(name)

@@ -200,22 +200,19 @@ class Rerun:
     def _constructed(self) -> Runtime:
         info = self._info
         plugin = load_plugin(info.plugin)
-        robot = info.robot
-        self._ports = {
-            full_name(robot, info.topics.get(port, port)): port for port in ports_of(plugin)
-        }
-        self._service_ports = {
-            full_name(robot, info.topics.get(port, port)): port for port in services_of(plugin)
-        }
+
+        def on_bus(port: str) -> str:
+            return full_name(info.robot, info.topics.get(port, port))
+
+        self._ports = {on_bus(port): port for port in ports_of(plugin)}
+        self._service_ports = {on_bus(port): port for port in services_of(plugin)}
         for action in actions_of(plugin).values():
-            name = full_name(robot, info.topics.get(action.name, action.name))
+            name = on_bus(action.name)
             for part, topic in action.topics().items():
                 self._ports[f"{name}/{part}"] = topic.name
             for part, service in action.services().items():
                 self._service_ports[f"{name}/{part}"] = service.name
-        self._ports.setdefault(
-            full_name(robot, info.topics.get(CLOCK_TOPIC, CLOCK_TOPIC)), CLOCK_TOPIC
-        )
+        self._ports.setdefault(on_bus(CLOCK_TOPIC), CLOCK_TOPIC)
         children = {name: ChildSpec(plugin="none") for name in info.children}
         launch = LaunchRequest(
             name=info.name,
@@ -228,7 +225,7 @@ class Rerun:
             ),
             incarnation=info.incarnation,
             context=RunContext(
-                robot=robot,
+                robot=info.robot,
                 seed=info.seed,
                 simulated_time=info.simulated_time,
                 lockstep=info.lockstep,
@@ -294,11 +291,7 @@ class Rerun:
 
     def saw_server(self, port: str) -> bool:
         """Return whether the component saw a server for its client."""
-        seen = self._call.subscribed.get(port)
-        if seen:
-            return seen.popleft()
-        self._note(f"asks more often whether there is a server for {port}")
-        return True
+        return self._saw(port, "there is a server for")
 
     def compare_sent(self, service: str, port: str, what: str, sent: Sent) -> None:
         """Compare what was sent by a service with the recording: an answer, a refusal, a call."""
@@ -352,11 +345,13 @@ class Rerun:
 
     def has_subscribers(self, topic: str) -> bool:
         """Return what the component saw."""
-        port = self._ports[topic]
+        return self._saw(self._ports[topic], "anything subscribes to")
+
+    def _saw(self, port: str, asked: str) -> bool:
         seen = self._call.subscribed.get(port)
         if seen:
             return seen.popleft()
-        self._note(f"asks more often whether anything subscribes to {port}")
+        self._note(f"asks more often whether {asked} {port}")
         return True
 
     def open_input(self, subscription: "_RerunSubscription") -> None:

@@ -3,7 +3,7 @@
 import zlib
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal
 
 import numpy as np
 
@@ -27,11 +27,7 @@ from cairn.runtime.service_ports import Client, Server
 from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.action_msgs.msg import GoalStatusArray
 from cairn.schemas.action_msgs.srv import CancelGoal
-from cairn.schemas.message import Action, Service, type_name
-
-Goal = TypeVar("Goal")
-Result = TypeVar("Result")
-Feedback = TypeVar("Feedback")
+from cairn.schemas.message import Action, Feedback, Goal, Result, Service, type_name
 
 
 class ActionServer(Port, Generic[Goal, Result, Feedback]):

@@ -4,7 +4,10 @@ from typing import Any, Self
 
 from cairn.bus.message_limits import LONGEST_MAX_BYTES
 from cairn.errors import CairnError
+from cairn.runtime.call_log import CallLog
+from cairn.runtime.call_records import RecordKind
 from cairn.runtime.component import ComponentContext
+from cairn.schemas.cairn_msgs import PortStatus
 from cairn.schemas.message import type_name
 
 
@@ -21,6 +24,7 @@ class Port:
     """Class of its messages, or of its service or action."""
     _full_name = ""
     _context: ComponentContext
+    _call_log: CallLog | None
 
     def declare(self, name: str, interface: type[Any]) -> Self:
         """Set the name, and the class of the messages, of the service or of the action."""
@@ -30,6 +34,7 @@ class Port:
 
     def _bind(self, context: ComponentContext, full_name: str) -> None:
         self._context = context
+        self._call_log = context.call_log
         self._full_name = full_name
 
     def _bound_name(self) -> str:
@@ -40,6 +45,22 @@ class Port:
                 "that a deployment, an executor or a test has started can be used"
             )
         return self._full_name
+
+    def _log_presence(self, present: bool) -> None:
+        """Log that the component has asked whether anything is at the other end."""
+        if self._call_log is not None:
+            kind = RecordKind.HAS_SUBSCRIBERS if present else RecordKind.NO_SUBSCRIBERS
+            self._call_log.add(kind, self.name)
+
+    def _status(self, direction: int, messages: int, **others: int) -> PortStatus:
+        """Return a status with these counters."""
+        return PortStatus(
+            port=self.name,
+            topic=self._full_name,
+            direction=direction,
+            messages=messages,
+            **others,
+        )
 
 
 def check_max_bytes(kind: str, max_bytes: int | None) -> None:

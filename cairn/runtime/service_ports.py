@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal
 
 from cairn.bus.bus import Call, OnFailure, ServiceClient, ServiceError, ServiceServer
 from cairn.errors import CairnError
@@ -12,11 +12,8 @@ from cairn.runtime.component import ComponentContext
 from cairn.runtime.port import Port, check_max_bytes, type_of
 from cairn.runtime.service_events import ServiceEvents
 from cairn.schemas.cairn_msgs import PortStatus
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage, Request, Response, type_name
 from cairn.schemas.service_msgs.msg import ServiceEventInfo
-
-Request = TypeVar("Request")
-Response = TypeVar("Response")
 
 
 class Server(Port, Generic[Request, Response]):
@@ -61,7 +58,6 @@ class Server(Port, Generic[Request, Response]):
         self.events = ServiceEvents(service, self.interface, context.node, context.unlogged_clock)
         self._where = where
         self._answer = answer
-        self._call_log = context.call_log
         self._invalid_response = invalid_response
         self._after = after
         self._wake = partial(context.scheduler.deliver, self._on_wake_up)
@@ -88,14 +84,7 @@ class Server(Port, Generic[Request, Response]):
     def status(self) -> PortStatus:
         """Return the counters."""
         received, invalid, refused = self._counts()
-        return PortStatus(
-            port=self.name,
-            topic=self._full_name,
-            direction=PortStatus.SERVER,
-            messages=received,
-            invalid=invalid,
-            refused=refused,
-        )
+        return self._status(PortStatus.SERVER, received, invalid=invalid, refused=refused)
 
     def _counts(self) -> tuple[int, int, int]:
         now, before = self._counted
@@ -170,9 +159,7 @@ class Client(Port, Generic[Request, Response]):
         self._bound_name()
         client = self._client
         available = client is not None and client.is_available
-        if self._call_log is not None:
-            kind = RecordKind.HAS_SUBSCRIBERS if available else RecordKind.NO_SUBSCRIBERS
-            self._call_log.add(kind, self.name)
+        self._log_presence(available)
         return available
 
     def call(
@@ -219,7 +206,6 @@ class Client(Port, Generic[Request, Response]):
         """Bind the port to a service (full name)."""
         self._bind(context, service)
         self.events = ServiceEvents(service, self.interface, context.node, context.unlogged_clock)
-        self._call_log = context.call_log
 
     def open(self) -> None:
         """Call from now on."""
@@ -239,12 +225,7 @@ class Client(Port, Generic[Request, Response]):
 
     def status(self) -> PortStatus:
         """Return the counters."""
-        return PortStatus(
-            port=self.name,
-            topic=self._full_name,
-            direction=PortStatus.CLIENT,
-            messages=self._sent,
-        )
+        return self._status(PortStatus.CLIENT, self._sent)
 
     def _on_observed_response(
         self, call: tuple[bytes, int], handle: Callable[[Any], None], response: Any

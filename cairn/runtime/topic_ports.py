@@ -104,7 +104,6 @@ class In(Port, Generic[T]):
         self._calls = [(f"{name} (port {self.name})", call) for name, call in calls]
         self._writer = writer
         self._clock_problem = clock_problem if has_stamp(self.interface) else None
-        self._call_log = context.call_log
         self._wake = partial(context.scheduler.deliver, self._on_wake_up)
 
     def open(self) -> None:
@@ -137,11 +136,9 @@ class In(Port, Generic[T]):
     def status(self) -> PortStatus:
         """Return the counters."""
         counts = self._counts()
-        return PortStatus(
-            port=self.name,
-            topic=self._full_name,
-            direction=PortStatus.IN,
-            messages=counts.received,
+        return self._status(
+            PortStatus.IN,
+            counts.received,
             dropped=counts.dropped,
             invalid=counts.invalid,
             refused=counts.refused + self._refused,
@@ -235,9 +232,7 @@ class Out(Port, Generic[T]):
         if not self._context.may_publish:
             return False
         subscribed = publisher.has_subscribers
-        if self._call_log is not None:
-            kind = RecordKind.HAS_SUBSCRIBERS if subscribed else RecordKind.NO_SUBSCRIBERS
-            self._call_log.add(kind, self.name)
+        self._log_presence(subscribed)
         return subscribed
 
     def publish(self, message: T) -> None:
@@ -268,7 +263,6 @@ class Out(Port, Generic[T]):
         """Bind the port to a topic (full name); with `writer` it proves to be that one."""
         self._bind(context, topic)
         self._writer = writer
-        self._call_log = context.call_log
 
     def open(self) -> None:
         """Publish from now on."""
@@ -289,12 +283,7 @@ class Out(Port, Generic[T]):
 
     def status(self) -> PortStatus:
         """Return the counters."""
-        return PortStatus(
-            port=self.name,
-            topic=self._full_name,
-            direction=PortStatus.OUT,
-            messages=self._sent(),
-        )
+        return self._status(PortStatus.OUT, self._sent())
 
     def _sent(self) -> int:
         now, before = self._counted

@@ -169,7 +169,7 @@ class Authority:
             write_secret(folder.roster, signed)
             write_machines_key(folder, secrets.token_bytes(MACHINES_KEY_BYTES))
             for entry, certificate, key in made:
-                write_identity(folder, entry.name, certificate, certificates.key_pem(key))
+                write_identity(folder, entry.name, certificate, key)
         return cls(folder)
 
     @property
@@ -205,7 +205,7 @@ class Authority:
                 )
             entry, certificate, key = _issue((self.ca, self._key), roster.robot, member, days)
             self._write(roster, (*roster.entries, entry))
-            write_identity(self.folder, entry.name, certificate, certificates.key_pem(key))
+            write_identity(self.folder, entry.name, certificate, key)
         return entry
 
     def renew(self, name: str, days: int = VALID_DAYS, grace_s: float = GRACE_S) -> Entry:
@@ -223,7 +223,7 @@ class Authority:
                     "there, or enroll it again (`cairn security token`)"
                 )
             certificate, entry = self._replace(roster, current, key.public_key(), days, grace_s)
-            write_identity(self.folder, name, certificate, certificates.key_pem(key))
+            write_identity(self.folder, name, certificate, key)
         return entry
 
     def revoke(self, name: str) -> int:
@@ -270,7 +270,7 @@ class Authority:
             discard_tokens(self.folder, name)
             certificate, _ = self._replace(roster, entry, public_key, days, 0.0)
             remove_identity(self.folder, name)
-            return certificate, self.roster_file()
+            return certificates.certificate_pem(certificate), self.roster_file()
 
     def renew_for(
         self, holder: Entry, public_key: ec.EllipticCurvePublicKey, days: int, grace_s: float
@@ -293,7 +293,7 @@ class Authority:
                 )
             current = self._current(roster, holder.name)
             certificate, _ = self._replace(roster, current, public_key, days, grace_s)
-            return certificate, self.roster_file()
+            return certificates.certificate_pem(certificate), self.roster_file()
 
     def service_certificate(self, addresses: Sequence[str], days: int) -> tuple[bytes, bytes]:
         """Return certificate and key (PEM) of the authority's service; the roster lacks it."""
@@ -320,8 +320,8 @@ class Authority:
         public_key: ec.EllipticCurvePublicKey,
         days: int,
         grace_s: float,
-    ) -> tuple[bytes, Entry]:
-        """Issue a new certificate (PEM) of an identity; earlier ones end after `grace_s`."""
+    ) -> tuple[x509.Certificate, Entry]:
+        """Issue a new certificate of an identity; earlier ones end after `grace_s`."""
         member = AuthorityMember(entry.name, entry.role, entry.addresses)
         made, new = _certify((self.ca, self._key), roster.robot, member, public_key, days)
         end = int(time.time() + grace_s)
@@ -332,7 +332,7 @@ class Authority:
             for one in roster.entries
         ]
         self._write(roster, (*entries, new))
-        return certificates.certificate_pem(made), new
+        return made, new
 
     def _write(self, roster: Roster, entries: tuple[Entry, ...]) -> None:
         """Sign and write the next version, without certificates that no longer matter."""
@@ -360,10 +360,10 @@ _Signer = tuple[x509.Certificate, ec.EllipticCurvePrivateKey]
 
 def _issue(
     authority: _Signer, robot: str, member: AuthorityMember, days: int
-) -> tuple[Entry, bytes, ec.EllipticCurvePrivateKey]:
+) -> tuple[Entry, x509.Certificate, ec.EllipticCurvePrivateKey]:
     key = certificates.new_key()
     made, entry = _certify(authority, robot, member, key.public_key(), days)
-    return entry, certificates.certificate_pem(made), key
+    return entry, made, key
 
 
 def _certify(

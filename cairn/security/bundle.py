@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from cairn.errors import CairnError
 from cairn.security import certificates
@@ -29,6 +29,7 @@ from cairn.security.identity import (
 )
 from cairn.security.roster import (
     ROSTER_BYTES,
+    StrictModel,
     accept_roster_locked,
     parse_roster,
     read_ca,
@@ -42,9 +43,7 @@ _BUNDLE_BYTES: Final = 2 * ROSTER_BYTES + 4 * PEM_BYTES
 Pem = Annotated[str, Field(max_length=PEM_BYTES)]
 
 
-class _Bundle(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
+class _Bundle(StrictModel):
     cairn_identity: Literal[1] = 1
     robot: Name
     name: Name
@@ -127,12 +126,7 @@ def import_identity(path: Path) -> Identity:
             write_secret(folder.ca, certificates.certificate_pem(ca))
         if is_newer:
             accept_roster_locked(folder, roster_data, str(path))
-        write_identity(
-            folder,
-            bundle.name,
-            certificates.certificate_pem(certificate),
-            certificates.key_pem(key),
-        )
+        write_identity(folder, bundle.name, certificate, key)
         if bundle.authority is not None:
             write_url(folder, bundle.authority)
         if bundle.machines_key is not None:

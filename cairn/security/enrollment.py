@@ -161,9 +161,7 @@ def _keep(
         if not folder.ca.exists():
             write_secret(folder.ca, ca_pem)
         accept_roster_locked(folder, roster_data, f"roster from {url}")
-        write_identity(
-            folder, name, certificates.certificate_pem(certificate), certificates.key_pem(key)
-        )
+        write_identity(folder, name, certificate, key)
         if issued.machines_key is not None:
             write_machines_key(folder, bytes.fromhex(issued.machines_key))
         write_url(folder, url)

@@ -109,12 +109,15 @@ def check_pair(
         )
 
 
-def write_identity(folder: RobotFolder, name: str, certificate: bytes, key: bytes) -> None:
-    """Replace certificate and key (PEM) of an identity; the caller holds the folder's lock.
+def write_identity(
+    folder: RobotFolder, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey
+) -> None:
+    """Replace certificate and key of an identity; the caller holds the folder's lock.
 
     If the process is killed meanwhile, `own_identity` completes the replacement.
     """
-    write_secret(_next(folder, name), certificate + key)
+    content = certificates.certificate_pem(certificate) + certificates.key_pem(key)
+    write_secret(_next(folder, name), content)
     finish_writing(folder, name)
 
 

@@ -23,7 +23,7 @@ from typing import Annotated, Any, Final, TypeVar
 
 import uvicorn
 from cryptography import x509
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
@@ -41,7 +41,7 @@ from cairn.security.authority import (
 from cairn.security.enrollment import write_url
 from cairn.security.folder import Name, write_secret
 from cairn.security.identity import entry_of
-from cairn.security.roster import Entry
+from cairn.security.roster import Entry, StrictModel
 from cairn.security.tokens import Digest, TokenRefused
 from cairn.system.http_server import Http, HttpServer
 
@@ -68,20 +68,16 @@ Report = Callable[[str], None]
 _ModelT = TypeVar("_ModelT", bound=BaseModel)
 
 
-class EnrollRequest(BaseModel):
+class EnrollRequest(StrictModel):
     """What a computer sends that has a token."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     name: Name
     secret: Digest
     request: Text
 
 
-class RenewRequest(BaseModel):
+class RenewRequest(StrictModel):
     """What a computer sends that has a certificate in force."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     request: Text
 

@@ -9,18 +9,6 @@ from cairn.bus.endpoints import DOMAIN_VARIABLE, MAX_DOMAIN, parse_domain
 from cairn.deployment.shipped import deployment_file
 from cairn.terminal import completion
 
-__all__ = [
-    "DEFAULT_CONNECT",
-    "Connect",
-    "Domain",
-    "File",
-    "Json",
-    "Machine",
-    "Overlay",
-    "RobotName",
-    "Set",
-]
-
 Connect = Annotated[
     str,
     typer.Option(

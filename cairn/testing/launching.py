@@ -113,7 +113,8 @@ class Run:
         For a moment there may be two: a process is forked under the name of its parent.
         """
         deadline = time.monotonic() + LIMIT_S
-        while len(found := self._pids_titled(f"cairn: {component}")) != 1:
+        title = f"cairn: {component}"
+        while len(found := [one.pid for one in self.processes() if title_of(one) == title]) != 1:
             assert time.monotonic() < deadline, f"{component} has the processes {found}; {self}"
             time.sleep(0.05)
         return found[0]
@@ -183,9 +184,6 @@ class Run:
                 ):
                     found.append(process)
         return found
-
-    def _pids_titled(self, title: str) -> list[int]:
-        return [process.pid for process in self.processes() if title_of(process) == title]
 
     def _read(self) -> None:
         assert self.process.stdout is not None

@@ -28,9 +28,7 @@ from typing import Any, Generic, Self, TypeVar, cast
 
 from cairn.bus.actions import ActionCaller, SentGoal, make_at_once
 from cairn.bus.bus import Node, Publisher, ServiceError, Subscription, full_name
-from cairn.bus.lockstep_bus import (
-    LockstepBus,
-)
+from cairn.bus.lockstep_bus import LockstepBus
 from cairn.bus.qos import RELIABLE, Qos
 from cairn.deployment.load import load_deployment
 from cairn.deployment.model import Deployment
@@ -42,15 +40,10 @@ from cairn.runtime.lifecycle import STATE_AFTER, LifecycleState
 from cairn.runtime.ports import ports_of
 from cairn.runtime.process_exit import ExitReport
 from cairn.runtime.runtime import Runtime
-from cairn.schemas.message import Action, Service
+from cairn.schemas.message import Action, Feedback, Goal, Request, Response, Result, Service
 from cairn.system.clock import SECOND
 
 C = TypeVar("C", bound=Component)
-Request = TypeVar("Request")
-Response = TypeVar("Response")
-Goal = TypeVar("Goal")
-Result = TypeVar("Result")
-Feedback = TypeVar("Feedback")
 M = TypeVar("M")
 
 EVERYTHING = Qos("reliable", "transient_local", 1_000_000)

@@ -70,7 +70,7 @@ class RunningDeployment:
         self._bus = ZenohBus(open_peer([run.endpoint]), names.domain)
         self._node = self._bus.node("/conformance", _raise)
         self._publishers: dict[str, Any] = {}
-        self._now: Callable[[int], int] = _system
+        self._clock: Reading[Clock] | None = None  # where the time is simulated
         self._changed = threading.Condition()
         self._statuses: dict[str, ComponentStatus] = {}
         try:
@@ -89,7 +89,9 @@ class RunningDeployment:
         self.await_state("root", "active", limit_s)
         clock = full_name(self.name, "clock")
         if clock in self.topics(Clock):
-            self._now = _SimulatedNow(self.read("clock", Clock))
+            reading = self.read("clock", Clock)
+            reading.await_count(1)
+            self._clock = reading
 
     def wait_for_peers(self) -> None:
         """Wait until the deployment's processes and this one have discovered each other."""
@@ -121,7 +123,7 @@ class RunningDeployment:
         full = full_name(self.name, topic)
         kinds = {end.qos.durability for end in self._endpoints() if end.topic == full}
         qos = RETAINED if "transient_local" in kinds else MANY
-        reading = Reading(self._node, full, message, qos, lambda at: self._now(at), keep)
+        reading = Reading(self._node, full, message, qos, self._now, keep)
         self.wait_for_peers()
         return reading
 
@@ -323,6 +325,10 @@ class RunningDeployment:
     def _key(self, topic: str, message: type[Any]) -> str:
         full = full_name(self.name, topic)
         return keys.message_key(self._bus.domain, full, message)
+
+    def _now(self, at_ns: int) -> int:
+        """Return the deployment's time at a system time: where simulated, the last on `clock`."""
+        return at_ns if self._clock is None else to_ns(self._clock.arrivals[-1].message.clock)
 
     def _endpoints(self) -> list[keys.EndpointEntity]:
         """Return the publishers of the deployment."""
@@ -573,21 +579,6 @@ class Reading(Closing, Generic[M]):
                     kept = self._keep(message)
                     self.arrivals.append(Arrival(kept, at_ns, self._clock(at_ns)))
             self._changed.notify_all()
-
-
-class _SimulatedNow:
-    """The deployment's time where it is simulated: the last one on topic `clock`."""
-
-    def __init__(self, reading: Reading[Clock]) -> None:
-        self._reading = reading
-        reading.await_count(1)
-
-    def __call__(self, _: int) -> int:
-        return to_ns(self._reading.arrivals[-1].message.clock)
-
-
-def _system(at_ns: int) -> int:
-    return at_ns
 
 
 def _raise(problem: str) -> None:

@@ -17,9 +17,9 @@ from typing import Any, TypeVar
 import pytest
 
 from cairn.schemas.builtin_interfaces import to_ns
+from cairn.system.clock import SECOND
 from cairn.testing.robot import Arrival, Reading
 
-_SECOND = 1_000_000_000
 _NAP_S = 0.005
 _TRIES = 3
 BUSY_SHARE = 0.1
@@ -51,7 +51,7 @@ def check_increasing(stamps: Sequence[int]) -> None:
     """Check that each stamp is later than the one before."""
     for number, (before, after) in enumerate(pairwise(stamps), start=1):
         assert after > before, (
-            f"the stamp of message {number} is {(before - after) / _SECOND:g} s before that of the "
+            f"the stamp of message {number} is {(before - after) / SECOND:g} s before that of the "
             f"previous one ({after} after {before} ns): stamps must increase"
         )
 
@@ -76,7 +76,7 @@ def check_present(
     No stamp may be more than `early_s` [s] in the future.
     """
     ages = [
-        (arrival.clock_ns - stamp) / _SECOND
+        (arrival.clock_ns - stamp) / SECOND
         for arrival, stamp in zip(arrivals, stamps_of(arrivals), strict=True)
     ]
     assert min(ages) >= -early_s, (
@@ -95,7 +95,7 @@ def check_present(
 
 def _spacings_s(stamps: Sequence[int]) -> list[float]:
     assert len(stamps) >= 2, "there are no two messages to compare"
-    return [(after - before) / _SECOND for before, after in pairwise(stamps)]
+    return [(after - before) / SECOND for before, after in pairwise(stamps)]
 
 
 class Pauses:

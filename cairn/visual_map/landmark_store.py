@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cairn.planar.poses import Pose
+from cairn.system.closing import Closing
 from cairn.visual_map.evidence_history import EvidenceHistory, EvidenceSummary, Row
 from cairn.visual_map.landmarks import (
     FARTHEST_M,
@@ -80,7 +81,7 @@ class StoredChange:
     reason: str
 
 
-class LandmarkStore:
+class LandmarkStore(Closing):
     """The landmarks of an open map file.
 
     Committed data are on the disk when `commit` returns: they survive SIGKILL and loss of power.
@@ -92,12 +93,6 @@ class LandmarkStore:
         self.path = path
         self._connection = connection
         self._evidence = EvidenceHistory(connection)
-
-    def __enter__(self) -> LandmarkStore:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the file; committed data are safe."""

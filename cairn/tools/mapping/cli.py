@@ -37,6 +37,11 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
+MapName = Annotated[
+    Path, typer.Argument(metavar="OUT", help="Name of the map's files, or of one of them.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace the map's files.")]
+
 
 class Base(StrEnum):
     """What odometry holds."""
@@ -54,9 +59,7 @@ def build(
             help="CARMEN log, ROS 1 bag, ROS 2 bag's folder, MCAP file or MRCLAM folder.",
         ),
     ],
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Name of the map's files, or of one of them.")
-    ],
+    out: MapName,
     extend: Annotated[
         Path | None,
         typer.Option(metavar="GRAPH", help="Graph of an earlier map that is extended."),
@@ -94,7 +97,7 @@ def build(
     reach: Annotated[
         float, typer.Option(min=0.5, help="Longer rays only show free space [m].")
     ] = 20.0,
-    force: Annotated[bool, typer.Option("--force", help="Replace the map's files.")] = False,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Build a map from a recording of odometry with scans, recognized objects, or both: SLAM.
@@ -152,10 +155,8 @@ def build(
 
 @app.command()
 def save(
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Name of the map's files, or of one of them.")
-    ],
-    force: Annotated[bool, typer.Option("--force", help="Replace the map's files.")] = False,
+    out: MapName,
+    force: Force = False,
     json: Json = False,
     connect: Connect = DEFAULT_CONNECT,
     domain: Domain = 0,

@@ -210,7 +210,7 @@ def test_urgent_request_is_received_while_no_other_is_read(network: Network) -> 
 
     bus, client = network.bus(), network.bus()
     server = ControlServer(bus.session, 0, NAME, post, lambda verb, _: verb, {}, {"urgent"})
-    urgent_thread = server._threads[1]
+    urgent_thread = server._readers[1].thread
     try:
         client.wait_for_peers(LIMIT_S)
         flood: Any = zenoh.handlers.RingChannel(1)

@@ -5,7 +5,13 @@ from pathlib import Path
 
 from cairn.deployment.load import read_sources
 from cairn.deployment.shipped import deployment_file
-from cairn.processes.run_plan import argument_of_check, check_and_plan, check_for_root, plan_of
+from cairn.processes.run_plan import (
+    PLAN,
+    REQUEST,
+    PlanRequest,
+    check_and_plan,
+    check_for_root,
+)
 
 
 def test_plan_is_the_same_after_its_way_as_json(tmp_path: Path) -> None:
@@ -17,10 +23,11 @@ def test_plan_is_the_same_after_its_way_as_json(tmp_path: Path) -> None:
         "bus.listen=[tcp/127.0.0.1:7447]",
         f"bus.users={{anna: {{role: view, password_file: {password}}}}}",
     ]
-    argument = argument_of_check(file, read_sources(file), sets)
+    request = PlanRequest(file, read_sources(file), sets)
+    argument = REQUEST.dump_python(request, mode="json")
 
     result = check_for_root(json.loads(json.dumps(argument)))
-    plan = plan_of(json.loads(json.dumps(result)))
+    plan = PLAN.validate_python(json.loads(json.dumps(result)))
 
-    assert plan == check_and_plan(file, read_sources(file), sets)
+    assert plan == check_and_plan(request)
     assert plan.gateway is not None
