@@ -138,10 +138,11 @@ def test_operators_of_the_roster_are_admitted_while_the_robot_runs(
     run.await_line("root: child active: beacon")
     assert alice.cairn(*get).code == 0
 
-    authority.add(AuthorityMember("bob", "administer"))
     authority.add(AuthorityMember("wall", "view"))
+    authority.add(AuthorityMember("bob", "administer"))
     wall, bob = (Operator(authority.folder, name, tmp_path / name, endpoint)
                  for name in ("wall", "bob"))  # fmt: skip
+    eventually(lambda: bob.cairn(*get).code == 0)
     authority.revoke("alice")
     eventually(lambda: alice.cairn(*get).code == 1)
     eventually(lambda: bob.cairn(*get).code == 0)  # the gateway is open again
