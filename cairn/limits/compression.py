@@ -1,4 +1,4 @@
-"""Decompress with limits: a few bytes of a compressed file may stand for gigabytes."""
+"""Compress; decompress with limits, because a few bytes of a file may stand for gigabytes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
-from lz4.frame import LZ4FrameDecompressor
+from lz4 import frame as lz4
 
 from cairn.limits.files import megabytes
 
@@ -21,9 +21,17 @@ RECORD_BYTES: Final = 128_000_000
 
 _DECOMPRESSORS: Final[Mapping[str, Callable[[], Any]]] = {
     "bz2": bz2.BZ2Decompressor,
-    "lz4": LZ4FrameDecompressor,
+    "lz4": lz4.LZ4FrameDecompressor,
     "zstd": zstd.ZstdDecompressor,
 }
+
+
+def pack(data: bytes, compression: str) -> bytes:
+    """Return bytes compressed by "zstd" or "lz4", or as they are for "none"."""
+    if compression == "none":
+        return data
+    compress = {"zstd": zstd.compress, "lz4": lz4.compress}[compression]
+    return bytes(compress(data))
 
 
 def unpack(packed: bytes, compression: str, size: int) -> bytes:

@@ -1,8 +1,8 @@
 """Reads one MCAP file with limits, also a file that is damaged, or cut off by `kill -9`.
 
-The library `mcap` reads what a file claims to hold: a length of 2^62, a chunk that expands to
-gigabytes. Here every length is checked against the file before anything is read, decompression is
-bounded, and only one chunk is in memory. What cannot be read is in `notes`, with its position.
+A damaged file may claim a length of 2^62, or hold a chunk that expands to gigabytes: every length
+is checked against the file before anything is read, decompression is bounded, and only one chunk is
+in memory. What cannot be read is in `notes`, with its position.
 
 Format: mcap.dev/spec.
 """
@@ -16,25 +16,34 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, Final, NamedTuple, TypeVar
+from typing import BinaryIO, Final, NamedTuple
 from zlib import crc32
-
-from mcap import records
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
 
 from cairn.errors import RecordingError
 from cairn.limits.compression import RECORD_BYTES, unpack
 from cairn.limits.files import megabytes, open_regular
+from cairn.recording.mcap_records import (
+    MAGIC,
+    MESSAGE,
+    MESSAGE_OPCODE,
+    RECORD,
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Fields,
+    Footer,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from cairn.system.closing import Closing
 from cairn.system.files import explain_os_error, explained
-
-MAGIC: Final = b"\x89MCAP0\r\n"
-"""The first and the last bytes of a file."""
 
 MOST_CHANNELS: Final = 20_000
 """Channels of a file: a publisher has one for each topic, and a new one after each restart."""
@@ -59,13 +68,9 @@ _RATIO: Final = 200  # grids and simulated images compress much better than thos
 Progress = Callable[[int, int], None]
 """Is called with the number of bytes that are done, and of all."""
 
-R = TypeVar("R")
-
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_FOOTER: Final = _RECORD.size + 20 + len(MAGIC)
+_FOOTER: Final = RECORD.size + 20 + len(MAGIC)
 _ATTACHMENT_HEAD: Final = 4096
-_INVALID: Final = (McapError, ValueError, struct.error, OverflowError)
+_INVALID: Final = (ValueError, struct.error, OverflowError)
 _TRANSIENT: Final = re.compile(r"durability: *['\"]?(?:1|transient_local)\b")
 
 
@@ -186,11 +191,11 @@ class _Definitions:
     path: Path
     all: list[RecordedChannel] = field(default_factory=list)
     ids: dict[int, int] = field(default_factory=dict)
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
     size: int = 0
 
     def add_schema(self, content: bytes) -> None:
-        schema: records.Schema = _parse(records.Schema.read, content)
+        schema = Schema.read(content)
         known = self.schemas.setdefault(schema.id, schema)
         if known is schema:
             self.count(len(content))
@@ -198,7 +203,7 @@ class _Definitions:
             raise ValueError(f"schema {schema.id} is defined twice, differently")
 
     def add_channel(self, content: bytes) -> None:
-        found: records.Channel = _parse(records.Channel.read, content)
+        found = Channel.read(content)
         schema = self.schemas.get(found.schema_id)
         if schema is None and found.schema_id:
             raise ValueError(f"channel {found.id} has schema {found.schema_id}, which is missing")
@@ -334,30 +339,29 @@ class McapFile(Closing):
         """Return the content of an attachment; raise `RecordingError` if it is damaged."""
         try:
             record = self._record(attachment.at)
-            if record.kind != Opcode.ATTACHMENT:
+            if record.kind != Attachment.OPCODE:
                 raise ValueError("there is another record")
             content = self._content(record)
-            found: records.Attachment = _parse(records.Attachment.read, content)
-            (checksum,) = struct.unpack("<I", content[-4:])
+            found = Attachment.read(content)
             if len(found.data) != attachment.size or found.name != attachment.name:
                 raise ValueError("it is another one than the index describes")
-            if checksum and crc32(content[:-4]) != checksum:
+            if found.crc and crc32(content[:-4]) != found.crc:
                 raise ValueError("its checksum differs")
         except _INVALID as error:
             raise RecordingError(
                 f"{self.path}: the attachment {attachment.name} at byte {attachment.at} cannot be "
                 f"read: {error}; take a fresh copy of the file"
             ) from error
-        return bytes(found.data)
+        return found.data
 
     # --- Records --------------------------------------------------------------------------------
 
     def _record(self, at: int) -> _Record:
         """Return the record at a byte of the file."""
-        begin = at + _RECORD.size
+        begin = at + RECORD.size
         if begin > self.size:
             raise _CutOffError(f"at byte {at:,}: the file ends within a record")
-        kind, size = _RECORD.unpack(self._read(at, _RECORD.size))
+        kind, size = RECORD.unpack(self._read(at, RECORD.size))
         if not kind:
             raise _CutOffError(f"at byte {at:,}: there is no record")
         if size > self.size - begin:
@@ -412,18 +416,18 @@ class McapFile(Closing):
         run: _Record | None = None
         try:
             for record in self._records(len(MAGIC), self.size):
-                if record.kind in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+                if record.kind in (MESSAGE_OPCODE, Schema.OPCODE, Channel.OPCODE):
                     if run is None:
-                        run = _Record(Opcode.MESSAGE, record.at, record.at, record.at)
+                        run = _Record(MESSAGE_OPCODE, record.at, record.at, record.at)
                     run = run._replace(end=record.end)
                     if run.end - run.at < _BLOCK_BYTES:
                         continue
                 if run is not None:
                     yield from self._block(run)
                     run = None
-                if record.kind == Opcode.CHUNK:
+                if record.kind == Chunk.OPCODE:
                     yield from self._block(record)
-                elif record.kind == Opcode.DATA_END:
+                elif record.kind == DataEnd.OPCODE:
                     self._check_end()
                     return
                 elif others is not None:
@@ -458,12 +462,12 @@ class McapFile(Closing):
         `unpacked` bytes came before it: what is too much with them is not decompressed.
         """
         record = self._record(block.at)
-        if record.kind != Opcode.CHUNK:
+        if record.kind != Chunk.OPCODE:
             size = block.end - block.at
             if not 0 < size <= _BLOCK_BYTES + RECORD_BYTES or block.end > self.size:
                 raise ValueError("there is no chunk")
             return self._read(block.at, size)
-        chunk: records.Chunk = _parse(records.Chunk.read, self._content(record))
+        chunk = Chunk.read(self._content(record))
         if block.size not in (-1, chunk.uncompressed_size):
             raise ValueError(f"it unpacks to {chunk.uncompressed_size:,} bytes, not {block.size:,}")
         self._check_unpacked(unpacked + chunk.uncompressed_size)
@@ -476,34 +480,34 @@ class McapFile(Closing):
         """Yield the messages in `data` of the block at byte `where`; add the definitions."""
         at, end = 0, len(data)
         ids = self._definitions.ids
-        unpack_record, unpack_message = _RECORD.unpack_from, _MESSAGE.unpack_from
+        unpack_record, unpack_message = RECORD.unpack_from, MESSAGE.unpack_from
         while at < end:
-            if at + _RECORD.size > end:
+            if at + RECORD.size > end:
                 raise ValueError("it ends within a record")
             kind, size = unpack_record(data, at)
-            begin = at + _RECORD.size
+            begin = at + RECORD.size
             at = begin + size
             if at > end:
                 raise ValueError(f"a record claims {size:,} bytes, {end - begin:,} follow")
-            if kind == Opcode.MESSAGE:
-                if size < _MESSAGE.size:
+            if kind == MESSAGE_OPCODE:
+                if size < MESSAGE.size:
                     raise ValueError(f"a message has {size} bytes, less than its head")
                 channel, sequence, log_ns, publish_ns = unpack_message(data, begin)
                 if channel in ids:
                     yield _MessageEntry(
-                        ids[channel], sequence, log_ns, publish_ns, begin + _MESSAGE.size, at
+                        ids[channel], sequence, log_ns, publish_ns, begin + MESSAGE.size, at
                     )
                 else:
                     self._note(f"messages belong to channel {channel}, which is not defined")
-            elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+            elif kind in (Schema.OPCODE, Channel.OPCODE):
                 add = (
                     self._definitions.add_schema
-                    if kind == Opcode.SCHEMA
+                    if kind == Schema.OPCODE
                     else self._definitions.add_channel
                 )
                 with self._noted(where):
                     add(data[begin:at])
-            elif kind == Opcode.CHUNK:
+            elif kind == Chunk.OPCODE:
                 raise ValueError("it holds a chunk")
 
     def _check_end(self) -> None:
@@ -550,22 +554,21 @@ class McapFile(Closing):
 
     def _describe(self, record: _Record) -> None:
         """Keep an attachment's description, or metadata."""
-        if record.kind == Opcode.ATTACHMENT:
+        if record.kind == Attachment.OPCODE:
             size = record.end - record.begin
             content = self._read(record.begin, min(size, _ATTACHMENT_HEAD))
-            stream = ReadDataStream(BytesIO(content))
-            log_ns, _ = stream.read8(), stream.read8()
-            name, media_type = stream.read_prefixed_string(), stream.read_prefixed_string()
-            self._attach(name, media_type, log_ns, stream.read8(), record.at)
-        elif record.kind == Opcode.METADATA:
+            self._attach(record.at, *Fields(content).take(Attachment.HEAD))
+        elif record.kind == Metadata.OPCODE:
             if record.end - record.begin > _METADATA_BYTES:
                 raise ValueError(f"metadata of more than {megabytes(_METADATA_BYTES)} MB")
             content = self._content(record)
-            found: records.Metadata = _parse(records.Metadata.read, content)
+            found = Metadata.read(content)
             self._definitions.count(max(_LEAST_BYTES, len(content)))
-            self.metadata[found.name] = found.metadata  # the last one of a name counts
+            self.metadata[found.name] = dict(found.metadata)  # the last one of a name counts
 
-    def _attach(self, name: str, media_type: str, log_ns: int, size: int, at: int) -> None:
+    def _attach(
+        self, at: int, log_ns: int, _created_ns: int, name: str, media_type: str, size: int
+    ) -> None:
         if len(self.attachments) >= _MOST_ATTACHMENTS:
             raise RecordingError(
                 f"{self.path}: has more than {_MOST_ATTACHMENTS:,} attachments, which is the limit"
@@ -578,44 +581,40 @@ class McapFile(Closing):
         if footer_at < len(MAGIC) or self._read(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
             return None  # the scan finds out where it is cut off
         record = self._record(footer_at)
-        if record.kind != Opcode.FOOTER:
+        if record.kind != Footer.OPCODE:
             raise ValueError("there is no footer")
-        footer: records.Footer = _parse(records.Footer.read, self._content(record))
-        begin = footer.summary_start
+        footer = Footer.read(self._content(record))
+        begin = footer.summary_at
         if not begin:
             return None
         if not len(MAGIC) <= begin <= footer_at or footer_at - begin > _SUMMARY_BYTES:
             raise ValueError(f"it claims to begin at byte {begin:,}")
-        summary = self._read(begin, footer_at + _RECORD.size + 16 - begin)
+        summary = self._read(begin, footer_at + RECORD.size + 16 - begin)
         if footer.summary_crc and crc32(summary) != footer.summary_crc:
             raise ValueError("its checksum differs")
         statistics, indexes = self._summarized(summary[: footer_at - begin])
         if (
             statistics is None
-            or len(indexes) != statistics.chunk_count
-            or len(self.channels) != statistics.channel_count
-            or len(self.attachments) != statistics.attachment_count
-            or sum(statistics.channel_message_counts.values()) != statistics.message_count
-            or (statistics.message_count and not indexes)
+            or len(indexes) != statistics.chunks
+            or len(self.channels) != statistics.channels
+            or len(self.attachments) != statistics.attachments
+            or sum(statistics.of_channels.values()) != statistics.messages
+            or (statistics.messages and not indexes)
         ):
             return None  # a writer may leave them out
         ids = self._definitions.ids
-        numbers = {*statistics.channel_message_counts}.union(
-            *(one.message_index_offsets for one in indexes)
-        )
+        numbers = {*statistics.of_channels}.union(*(one.message_indexes for one in indexes))
         if not numbers <= ids.keys():
             raise ValueError("it names channels that it does not define")
-        for number, count in statistics.channel_message_counts.items():
+        for number, count in statistics.of_channels.items():
             self._counts[ids[number]] += count
         blocks = [
             Block(
-                one.chunk_start_offset,
-                one.chunk_start_offset + one.chunk_length,
-                one.message_start_time,
-                one.message_end_time,
-                self._mask(
-                    sum(1 << ids[number] for number in one.message_index_offsets) or ALL_CHANNELS
-                ),
+                one.chunk_at,
+                one.chunk_at + one.chunk_length,
+                one.start_ns,
+                one.end_ns,
+                self._mask(sum(1 << ids[number] for number in one.message_indexes) or ALL_CHANNELS),
                 one.uncompressed_size,
             )
             for one in indexes
@@ -626,41 +625,39 @@ class McapFile(Closing):
         self._check_unpacked(sum(block.size for block in blocks))
         return blocks
 
-    def _summarized(
-        self, summary: bytes
-    ) -> tuple[records.Statistics | None, list[records.ChunkIndex]]:
+    def _summarized(self, summary: bytes) -> tuple[Statistics | None, list[ChunkIndex]]:
         """Read definitions, statistics, attachments, metadata and chunks from a summary."""
-        statistics: records.Statistics | None = None
-        indexes: list[records.ChunkIndex] = []
+        statistics: Statistics | None = None
+        indexes: list[ChunkIndex] = []
         described: set[int] = set()
         at = 0
         while at < len(summary):
-            if at + _RECORD.size > len(summary):
+            if at + RECORD.size > len(summary):
                 raise ValueError("it ends within a record")
-            kind, size = _RECORD.unpack_from(summary, at)
-            begin = at + _RECORD.size
+            kind, size = RECORD.unpack_from(summary, at)
+            begin = at + RECORD.size
             at = begin + size
             if at > len(summary):
                 raise ValueError(f"a record claims {size:,} bytes, {len(summary) - begin:,} follow")
             content = summary[begin:at]
-            if kind == Opcode.SCHEMA:
+            if kind == Schema.OPCODE:
                 self._definitions.add_schema(content)
-            elif kind == Opcode.CHANNEL:
+            elif kind == Channel.OPCODE:
                 self._definitions.add_channel(content)
-            elif kind == Opcode.STATISTICS:
-                statistics = _parse(records.Statistics.read, content)
-            elif kind == Opcode.CHUNK_INDEX:
-                indexes.append(_parse(records.ChunkIndex.read, content))
+            elif kind == Statistics.OPCODE:
+                statistics = Statistics.read(content)
+            elif kind == ChunkIndex.OPCODE:
+                indexes.append(ChunkIndex.read(content))
                 self._check_blocks(len(indexes))
-            elif kind == Opcode.ATTACHMENT_INDEX:
-                one: records.AttachmentIndex = _parse(records.AttachmentIndex.read, content)
-                self._attach(one.name, one.media_type, one.log_time, one.data_size, one.offset)
-            elif kind == Opcode.METADATA_INDEX:
-                index: records.MetadataIndex = _parse(records.MetadataIndex.read, content)
-                if index.offset in described:
-                    raise ValueError(f"it names the metadata at byte {index.offset:,} twice")
-                described.add(index.offset)
-                self._describe(self._record(index.offset))
+            elif kind == AttachmentIndex.OPCODE:
+                one = AttachmentIndex.read(content)
+                self._attach(one.at, one.log_ns, one.created_ns, one.name, one.media_type, one.size)
+            elif kind == MetadataIndex.OPCODE:
+                index = MetadataIndex.read(content)
+                if index.at in described:
+                    raise ValueError(f"it names the metadata at byte {index.at:,} twice")
+                described.add(index.at)
+                self._describe(self._record(index.at))
         return statistics, indexes
 
 
@@ -684,8 +681,3 @@ def _message(channel: RecordedChannel, entry: _MessageEntry, data: bytes) -> Rec
     return RecordedMessage(
         channel, entry.sequence, entry.log_ns, entry.publish_ns, data[entry.begin : entry.end]
     )
-
-
-def _parse(read: Callable[[ReadDataStream], R], content: bytes) -> R:
-    """Return the record in `content`, as the library reads it: it cannot read beyond."""
-    return read(ReadDataStream(BytesIO(content)))

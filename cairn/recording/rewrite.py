@@ -6,10 +6,9 @@ import hashlib
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
-from mcap.writer import CompressionType, Writer
-
 from cairn.errors import RecordingError
 from cairn.recording.mcap_file import Progress, RecordedChannel, RecordedMessage
+from cairn.recording.mcap_writer import McapWriter
 from cairn.recording.reader import McapRecording, RepeatedMessages
 from cairn.system.files import explained, replacing
 
@@ -40,7 +39,7 @@ def rewrite(
         replacing(out) as part,
         part.open("wb") as stream,
     ):
-        writer = _CopyWriter(Writer(stream, compression=CompressionType.ZSTD))
+        writer = _CopyWriter(McapWriter(stream.write, "cairn"))
         writer.begin(recording, attachments, metadata or {})
         latched = recording.latched_at(start_ns - 1, channels) if start_ns else []
         for message in latched:
@@ -54,7 +53,7 @@ def rewrite(
 class _CopyWriter:
     """Writes messages with their channels as they were recorded."""
 
-    def __init__(self, writer: Writer) -> None:
+    def __init__(self, writer: McapWriter) -> None:
         self._writer = writer
         self._channels: dict[RecordedChannel, int] = {}
         self._schemas: dict[tuple[str, str, bytes], int] = {}
@@ -69,17 +68,16 @@ class _CopyWriter:
         attachments: Mapping[str, bytes] | None,
         metadata: Mapping[str, Mapping[str, str]],
     ) -> None:
-        """Write the header, attachments and metadata; those of equal content once."""
-        self._writer.start("ros2", "cairn")
+        """Write attachments and metadata; those of equal content once."""
         written: set[tuple[str, bytes]] = set()
         for name, data in (attachments or {}).items():
-            self._writer.add_attachment(0, 0, name, "application/octet-stream", data)
+            self._writer.add_attachment(0, name, "application/octet-stream", data)
         for one in recording.attachments if attachments is None else ():
             data = recording.read_attachment(one)
             key = (one.name, hashlib.sha256(data).digest())
             if key not in written:
                 written.add(key)
-                self._writer.add_attachment(one.log_ns, one.log_ns, one.name, one.media_type, data)
+                self._writer.add_attachment(one.log_ns, one.name, one.media_type, data)
         for name, values in {**recording.metadata, **metadata}.items():
             self._writer.add_metadata(name, dict(values))
 
@@ -99,7 +97,7 @@ class _CopyWriter:
         if channel is None:
             channel = self._channels[message.channel] = self._register(message.channel)
         self._writer.add_message(
-            channel, message.log_ns, message.data, message.publish_ns, message.sequence
+            channel, message.sequence, message.log_ns, message.publish_ns, message.data
         )
         self._count += 1
 
@@ -113,8 +111,8 @@ class _CopyWriter:
         if channel.type or channel.schema:
             key = (channel.type, channel.schema_encoding, channel.schema)
             if key not in self._schemas:
-                self._schemas[key] = self._writer.register_schema(*key)
+                self._schemas[key] = self._writer.add_schema(*key)
             schema = self._schemas[key]
-        return self._writer.register_channel(
+        return self._writer.add_channel(
             channel.topic, channel.encoding, schema, dict(channel.metadata)
         )

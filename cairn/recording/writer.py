@@ -1,15 +1,14 @@
 """The MCAP file of a recording: its format, and how it stays readable whatever happens.
 
 The format is that of rosbag2 (profile `ros2`, CDR with `ros2msg` definitions), with one channel for
-each topic and publisher. The library `mcap` makes the bytes; this module hands them to the system
-in one piece for each chunk, so that a file whose writer was killed ends after a complete record,
-and so that a full disk loses nothing: what it did not take is written when it has space again.
+each topic and publisher. `McapWriter` makes the bytes; this module hands them to the system in one
+piece for each chunk, so that a file whose writer was killed ends after a complete record, and so
+that a full disk loses nothing: what it did not take is written when it has space again.
 """
 
 from __future__ import annotations
 
 import errno
-import io
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -19,10 +18,10 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from cairn.bus.qos import Qos
 from cairn.bus.type_hash import definition, type_hash
+from cairn.recording.mcap_writer import McapWriter
 from cairn.recording.tap import PublisherInfo, Sample
 
 Compression = Literal["zstd", "lz4", "none"]
@@ -41,13 +40,8 @@ reach it.
 MAX_CHANNELS: Final = 10_000
 """Channels of one file; its reader accepts twice as many."""
 
-_PROFILE, _LIBRARY = "ros2", f"cairn {version('cairn-robotics')}"
+_LIBRARY = f"cairn {version('cairn-robotics')}"
 _CHUNK_BYTES = 4 << 20
-_COMPRESSIONS: Mapping[Compression, CompressionType] = {
-    "zstd": CompressionType.ZSTD,
-    "lz4": CompressionType.LZ4,
-    "none": CompressionType.NONE,
-}
 _RELIABILITY = {"reliable": 1, "best_effort": 2}
 _DURABILITY = {"transient_local": 1, "volatile": 2}
 _UNLIMITED = {"sec": 2147483647, "nsec": 4294967295}
@@ -85,18 +79,15 @@ class RecordingFile:
         """Messages that the disk has not taken yet, by topic."""
         self._find_message = find_message
         self._output = _Output(path, keep_free)
-        self._writer: Any = Writer(  # half of its methods have no types
-            self._output,  # type: ignore[arg-type]  # it names no class for all that it accepts
-            chunk_size=_CHUNK_BYTES,
-            compression=_COMPRESSIONS[compression],
+        self._writer = McapWriter(
+            self._output.write, _LIBRARY, compression=compression, chunk_bytes=_CHUNK_BYTES
         )
         self._schemas: dict[tuple[str, str], int] = {}
         self._channels: dict[tuple[str, bytes, str], int] = {}
-        self._writer.start(_PROFILE, _LIBRARY)
         self._writer.add_metadata(FORMAT_RECORD, {"format": FORMAT_VERSION, **metadata})
         for name, data in attachments.items():
             kind = "application/json" if name.endswith(".json") else "application/octet-stream"
-            self._writer.add_attachment(started_ns, started_ns, name, kind, data)
+            self._writer.add_attachment(started_ns, name, kind, data)
 
     @property
     def size(self) -> int:
@@ -120,10 +111,10 @@ class RecordingFile:
             channel = self._channels[key] = self._add_channel(sample, publisher)
         self._writer.add_message(
             channel,
-            log_ns,
-            sample.payload,
-            max(0, sample.sent_ns),  # a foreign publisher may send any
             sample.sequence & 0xFFFF_FFFF,
+            log_ns,
+            max(0, sample.sent_ns),  # a foreign publisher may send any
+            sample.payload,
         )
         self.messages += 1
         self.unsaved[sample.topic] += 1
@@ -141,7 +132,7 @@ class RecordingFile:
         Raises `OSError` if the disk does not take it; the file then ends where it ended before, and
         the next call tries again.
         """
-        self._writer.flush()
+        self._writer.end_chunk()
         self._output.save()
         self.unsaved.clear()
 
@@ -163,7 +154,7 @@ class RecordingFile:
             message = self._find_message(sample.type_name)
             known = message is not None and type_hash(message) == sample.type_hash
             text = definition(message) if known and message is not None else ""
-            schema = int(self._writer.register_schema(sample.type_name, "ros2msg", text.encode()))
+            schema = self._writer.add_schema(sample.type_name, "ros2msg", text.encode())
             self._schemas[sample.type_name, sample.type_hash] = schema
         latched = publisher is not None and publisher.qos.latched
         metadata = {
@@ -173,11 +164,11 @@ class RecordingFile:
             "offered_qos_profiles": _qos_profiles(publisher.qos) if publisher else "",
             "latched": "true" if latched else "false",
         }
-        return int(self._writer.register_channel(sample.topic, "cdr", schema, metadata))
+        return self._writer.add_channel(sample.topic, "cdr", schema, metadata)
 
 
-class _Output(io.BufferedIOBase):
-    """What the MCAP library writes to: keeps it in memory until `save` hands it to the system."""
+class _Output:
+    """What the writer writes to: keeps it in memory until `save` hands it to the system."""
 
     def __init__(self, path: Path, keep_free: int) -> None:
         self._keep_free = keep_free
@@ -185,16 +176,8 @@ class _Output(io.BufferedIOBase):
         self._saved = 0
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
 
-    def write(self, data: Any) -> int:
-        before = len(self._pending)
+    def write(self, data: bytes) -> None:
         self._pending += data
-        return len(self._pending) - before
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Return the position, which is always the end."""
-        if (offset, whence) != (0, io.SEEK_CUR):
-            raise io.UnsupportedOperation("a recording is written from its beginning to its end")
-        return self.size
 
     @property
     def size(self) -> int:
@@ -220,9 +203,9 @@ class _Output(io.BufferedIOBase):
         self._pending.clear()
 
     def close(self) -> None:
-        if not self.closed:
+        if self._descriptor >= 0:
             os.close(self._descriptor)
-        super().close()
+            self._descriptor = -1
 
 
 def _qos_profiles(qos: Qos) -> str:

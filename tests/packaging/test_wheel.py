@@ -83,7 +83,7 @@ BASE_DEPLOYMENT = """
       listener: {plugin: "listener:Listener", restart: transient, significant: true}
       scanner: {plugin: hokuyo_scanner, parameters: {port: PORT}}
     """
-BASE_LIMIT_MB = 170  # of which numpy and zenoh are 91, and zstandard, which mcap needs, is 24
+BASE_LIMIT_MB = 150  # of which numpy and zenoh are 91
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 
 
