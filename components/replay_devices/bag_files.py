@@ -31,7 +31,8 @@ from cairn.limits.compression import RECORD_BYTES, unpack, unpack_message
 from cairn.limits.files import open_regular
 from cairn.limits.sqlite import SchemaError, bound_connection, table_columns
 from cairn.limits.yaml import read_yaml
-from cairn.recording.mcap_file import MAGIC, McapFile, RecordedChannel
+from cairn.recording.mcap_file import McapFile, RecordedChannel
+from cairn.recording.mcap_records import MAGIC
 from cairn.recording.reader import RepeatedMessages, mcap_files
 
 _DEFINITION_1_2, _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(1, 8)
