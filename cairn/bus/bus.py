@@ -58,37 +58,48 @@ class Publisher(Protocol):
         """Stop publishing and withdraw the publisher from the graph."""
 
 
-class Subscription(Protocol):
-    """Receives messages of one type from one topic; keeps the newest `qos.depth` of them."""
+class Receiver(Protocol):
+    """What receives messages of a topic and what receives calls of a service have in common."""
 
     @property
     def received(self) -> int:
-        """Number of messages taken so far."""
+        """Number of messages or calls taken so far."""
+
+    @property
+    def invalid(self) -> int:
+        """Number of messages or requests that could not be decoded to a valid message.
+
+        Of messages, also of those that were too long.
+        """
+
+    @property
+    def refused(self) -> int:
+        """Number of messages of publishers that are not entitled to an exclusive topic.
+
+        Of calls: of those that were too long, or came while too many waited.
+        """
+
+    def take(self) -> Any | None:
+        """Remove and return the oldest pending message or call; None if there is none.
+
+        Raises `InvalidMessage` for one that does not decode, which is counted and discarded; the
+        client of such a call has its answer then.
+        """
+
+    def close(self) -> None:
+        """Receive nothing more: discard the pending messages, refuse the pending calls."""
+
+
+class Subscription(Receiver, Protocol):
+    """Receives messages of one type from one topic; keeps the newest `qos.depth` of them."""
 
     @property
     def dropped(self) -> int:
         """Number of messages sent after the first one received here, and never taken."""
 
     @property
-    def invalid(self) -> int:
-        """Number of messages that were too long, or could not be decoded to a valid message."""
-
-    @property
-    def refused(self) -> int:
-        """Number of messages of publishers that are not entitled to an exclusive topic."""
-
-    @property
     def taken(self) -> MessageId | None:
         """Which message was taken last; None before, and if its publisher does not number them."""
-
-    def take(self) -> Any | None:
-        """Remove and return the oldest pending message; None if there is none.
-
-        Raises `InvalidMessage` for a message that does not decode, which is counted and discarded.
-        """
-
-    def close(self) -> None:
-        """Stop receiving and discard the pending messages."""
 
 
 class ServiceError(CairnError):
@@ -116,29 +127,14 @@ class Call(Protocol):
         """Answer with an error, which the client's program gets as `ServiceError`."""
 
 
-class ServiceServer(Protocol):
+class ServiceServer(Receiver, Protocol):
     """Receives the calls of one service, in order."""
-
-    @property
-    def received(self) -> int:
-        """Number of calls taken so far."""
-
-    @property
-    def invalid(self) -> int:
-        """Number of calls whose request could not be decoded to a valid message."""
-
-    @property
-    def refused(self) -> int:
-        """Number of calls refused because they were too long, or too many waited."""
 
     def take(self) -> Call | None:
         """Remove and return the oldest pending call; None if there is none.
 
         Raises `InvalidMessage` if its request is not valid, after having answered it.
         """
-
-    def close(self) -> None:
-        """Stop serving; the pending calls are refused."""
 
 
 class ServiceClient(Protocol):

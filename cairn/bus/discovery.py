@@ -444,8 +444,8 @@ class QueryableWatcher:
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._changed = threading.Event()
         self._querier = session.declare_querier(key)
-        callback = zenoh.handlers.Callback(self._on_matching_event, indirect=False)
-        self._listener = self._querier.declare_matching_listener(cast("Any", callback))
+        callback: Any = zenoh.handlers.Callback(lambda _: self._changed.set(), indirect=False)
+        self._listener = self._querier.declare_matching_listener(callback)
 
     def __enter__(self) -> "QueryableWatcher":
         return self
@@ -467,9 +467,6 @@ class QueryableWatcher:
     def _is_present(self) -> bool:
         # zenoh's stub says bool, but it is an object, which is always true
         return bool(cast("Any", self._querier.matching_status).matching)
-
-    def _on_matching_event(self, _: Any) -> None:
-        self._changed.set()
 
 
 @dataclass(frozen=True)

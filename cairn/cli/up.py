@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -168,7 +168,7 @@ def up(
         if not lockstep:
             listening = [str(socket_path(one) or one) for one in endpoints(deployment)]
             facts = {"listens at:": ", ".join([*listening, *deployment.bus.listen])} | facts
-        with _live_view(title, facts) if live else PlainView(output.line) as view:
+        with _live_view(title, facts) if live else nullcontext(PlainView(output.line)) as view:
             if console:
                 stack.enter_context(_console(deployment, logs, facts if live else None, output))
             if lockstep:

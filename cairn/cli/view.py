@@ -64,12 +64,6 @@ class PlainView:
     def refresh(self) -> None:
         """Do nothing: every line is printed at once."""
 
-    def __enter__(self) -> "PlainView":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Do nothing: every line is printed at once."""
-
 
 def _no_wake() -> None:
     """Do nothing: messages wait until the next refresh."""

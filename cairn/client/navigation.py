@@ -8,6 +8,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import Any, Final
 
 from cairn.bus import keys
@@ -344,17 +345,13 @@ class NavigationGoal(Closing):
             if status is None:
                 break
             last = status
-        self._last = NavigationStatus(
-            header=last.header,
-            mission_id=last.mission_id,
+        self._last = replace(
+            last,
             goal_id=uuid_of(self._identity),
             state=_STATES.get(outcome, NavigationStatus.FAILED),
-            goal=last.goal,
-            goals=last.goals,
-            elapsed=last.elapsed,
-            recoveries=last.recoveries,
+            distance_left=0.0,
+            time_left=0.0,
             reason=result.error_msg or last.reason,
-            reason_code=last.reason_code,
         )
 
     def _continue(self, running: RunningGoal[Any, Any, Any]) -> None:

@@ -15,8 +15,8 @@ from enum import Enum, auto
 from typing import Generic, TypeVar
 
 from cairn.planar.poses import Pose, apart, between, compose, inverse, relative
+from cairn.system.clock import SECOND
 
-_NS_PER_S = 1_000_000_000
 # A clock, or a stamp of a scan, older than the newest by no more than this [ns] is only out of
 # order: drivers that stamp from several threads, or in batches, mix up a period or two of their 20
 # Hz or more.
@@ -96,7 +96,7 @@ class OdometryHistory(Generic[Stamp]):
         limits: WheelLimits | None = None,
         *,
         resets_after: int = 1,
-        per_second: float = _NS_PER_S,
+        per_second: float = SECOND,
     ) -> None:
         """Keep the poses of the last `horizon`, in the unit of the stamps.
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
 from cairn.planar.poses import Pose, compose, distance, relative
 from cairn.planar.scans import sweep_s
+from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.sensor_msgs import LaserScan
-
-_NS_PER_S = 1_000_000_000
+from cairn.system.clock import SECOND
 
 EXACT_S = 0.1
 """A pose is extrapolated for so long [s] as if it were measured.
@@ -50,7 +50,7 @@ def sweep_of(scan: LaserScan, odometry_at: Callable[[int], Pose | None]) -> Swee
         None if odometry does not reach back to the first beam.
 
     """
-    start_ns = _stamp_of(scan)
+    start_ns = to_ns(scan.header.stamp)
     end_ns = end_of(scan)
     start, end = odometry_at(start_ns), odometry_at(end_ns)
     return None if start is None or end is None else Sweep(start, end, end_ns)
@@ -58,12 +58,7 @@ def sweep_of(scan: LaserScan, odometry_at: Callable[[int], Pose | None]) -> Swee
 
 def end_of(scan: LaserScan) -> int:
     """Return the time of the last beam [ns]."""
-    return _stamp_of(scan) + round(sweep_s(scan) * _NS_PER_S)
-
-
-def _stamp_of(scan: LaserScan) -> int:
-    stamp = scan.header.stamp
-    return stamp.sec * _NS_PER_S + stamp.nanosec
+    return to_ns(scan.header.stamp) + round(sweep_s(scan) * SECOND)
 
 
 class WaitingScans:
@@ -101,10 +96,10 @@ class WaitingScans:
         self._scans.clear()
 
     def _waits(self, end: int, newest: int | None, now: int) -> bool:
-        nearly = self._nearly_s * _NS_PER_S
+        nearly = self._nearly_s * SECOND
         if newest is None or newest >= end - nearly:
             return False
-        return -nearly <= now - end <= _LONGEST_WAIT_S * _NS_PER_S
+        return -nearly <= now - end <= _LONGEST_WAIT_S * SECOND
 
 
 class PoseTracker:
@@ -129,7 +124,7 @@ class PoseTracker:
         """
         self._extrapolation_s = extrapolation_s
         self._history = OdometryHistory[int](
-            round(horizon_s * _NS_PER_S), WheelLimits(fastest, fastest_turn)
+            round(horizon_s * SECOND), WheelLimits(fastest, fastest_turn)
         )
         self._odometry: Pose = (0.0, 0.0, 0.0)
         self._pose: tuple[int, Pose] | None = None
@@ -156,7 +151,7 @@ class PoseTracker:
         So long the robot may have moved otherwise than `odometry_at` and `pose_at` assume.
         """
         newest = self._history.newest
-        return 0.0 if newest is None else max(0.0, (now - newest) / _NS_PER_S - EXACT_S)
+        return 0.0 if newest is None else max(0.0, (now - newest) / SECOND - EXACT_S)
 
     @property
     def last_pose(self) -> Pose | None:
@@ -176,7 +171,7 @@ class PoseTracker:
             return change
         if change is OdometryChange.RESET:
             assert newest is not None  # otherwise there is nothing to go back from
-            self.change = f"went back in time by {(newest - stamp) / _NS_PER_S:.1f} s"
+            self.change = f"went back in time by {(newest - stamp) / SECOND:.1f} s"
             self._pose = None
         elif change is OdometryChange.JUMPED:
             self.change = f"jumped by {distance(self._odometry, pose):.2f} m"
@@ -196,7 +191,7 @@ class PoseTracker:
         newest = self._history.newest
         if newest is None or stamp <= newest or self._extrapolation_s == 0.0:
             return self._history.at(stamp)
-        seconds = min(self._extrapolation_s, (stamp - newest) / _NS_PER_S)
+        seconds = min(self._extrapolation_s, (stamp - newest) / SECOND)
         return compose(self._odometry, (self.speed * seconds, 0.0, self.turn * seconds))
 
     def pose_at(self, stamp: int) -> Pose | None:

@@ -27,7 +27,7 @@ from cairn.bus.session import open_peer, peer_socket
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.deployment.plugins import load_plugin
 from cairn.errors import CairnError
-from cairn.processes.child import ChildHandle, ChildUnavailable, ZygoteLost, complete
+from cairn.processes.child import ChildHandle, ChildUnavailable, complete
 from cairn.processes.child_channel import (
     ChildChannel,
     Heartbeat,
@@ -336,7 +336,7 @@ class ComponentHost:
             if self._zygote is None:
                 self._zygote = ZygoteClient(
                     Path(launch.context.zygote),
-                    self._log_lost_zygote,
+                    lambda lost: self.runtime.log.critical("%s", lost),
                     lambda: self._starts_canceled,
                 )
         handle = ProcessHandle(launch)
@@ -508,9 +508,6 @@ class ComponentHost:
         self.exit_report = self.exit_report or report  # the first is the cause of the others
         self.ended.set()
         self.on_exit()
-
-    def _log_lost_zygote(self, lost: ZygoteLost) -> None:
-        self.runtime.log.critical("%s", lost)
 
 
 class PauseAwareClock:

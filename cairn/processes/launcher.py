@@ -16,9 +16,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -148,36 +148,30 @@ def start_zygote(preload: Sequence[str], runtime_dir: Path) -> ZygoteProcess:
     mark = uuid4().hex
     socket_path = check_length(runtime_dir / f"zygote-{mark[:8]}.sock")
     log_file = runtime_dir / "zygote.log"
-    with (
-        _explained(runtime_dir),
-        socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
-        log_file.open("ab") as log,
-    ):
-        listener.bind(os.fspath(socket_path))
-        listener.listen(64)
-        arguments = map(json.dumps, (os.getpid(), listener.fileno(), list(preload)))
-        bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path)]
-        process = subprocess.Popen(
-            [sys.executable, *bootstrap, "cairn.processes.zygote:main", *arguments],
-            stdin=subprocess.PIPE,  # the lifeline: it closes when this process ends
-            stdout=log,
-            stderr=log,
-            pass_fds=[listener.fileno()],
-            start_new_session=True,  # the terminal's Ctrl-C reaches the root only
-            env={**_SINGLE_THREADED, **_MALLOC, **os.environ, **_KEEP_MARK, MARK: mark},
-        )
-    return ZygoteProcess(process, socket_path, log_file, mark)
-
-
-@contextmanager
-def _explained(runtime_dir: Path) -> Iterator[None]:
     try:
-        yield
+        with (
+            socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener,
+            log_file.open("ab") as log,
+        ):
+            listener.bind(os.fspath(socket_path))
+            listener.listen(64)
+            arguments = map(json.dumps, (os.getpid(), listener.fileno(), list(preload)))
+            bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path)]
+            process = subprocess.Popen(
+                [sys.executable, *bootstrap, "cairn.processes.zygote:main", *arguments],
+                stdin=subprocess.PIPE,  # the lifeline: it closes when this process ends
+                stdout=log,
+                stderr=log,
+                pass_fds=[listener.fileno()],
+                start_new_session=True,  # the terminal's Ctrl-C reaches the root only
+                env={**_SINGLE_THREADED, **_MALLOC, **os.environ, **_KEEP_MARK, MARK: mark},
+            )
     except OSError as error:
         raise CairnError(
             f"{runtime_dir}: the zygote cannot be started: {explain_os_error(error)}, or set "
             f"{VARIABLE} to another folder"
         ) from error
+    return ZygoteProcess(process, socket_path, log_file, mark)
 
 
 class ChildProcess:

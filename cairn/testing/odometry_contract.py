@@ -183,7 +183,7 @@ def check_frames(odom: Odometry, frame: str, child: str) -> None:
 def check_pose(odom: Odometry) -> None:
     """Check that the orientation is a unit quaternion about z, and that z is 0."""
     rotation = odom.pose.pose.orientation
-    length = _length(rotation)
+    length = math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
     assert abs(length - 1.0) <= _UNIT, (
         f"the orientation's quaternion has length {length:g}, not 1: it is not a rotation"
     )
@@ -266,10 +266,6 @@ def _heading(odom: Odometry) -> float:
 
 def _yaw(rotation: Quaternion) -> float:
     return 2.0 * math.atan2(rotation.z, rotation.w)
-
-
-def _length(rotation: Quaternion) -> float:
-    return math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
 
 
 def _wrapped(angle: float) -> float:

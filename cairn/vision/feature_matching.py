@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numba
 import numpy as np
@@ -38,6 +39,9 @@ It is large because such a pose ignores foreshortening, and scale and angle of a
 _TURN = math.radians(35.0)
 _OCTAVES = 1.0
 _HYPOTHESES = 400  # per view: more than enough to hold a right one
+
+compiled = partial(numba.njit, error_model="numpy", cache=True, nogil=True)
+"""Compiles a function for a signature, when its module is imported for the first time."""
 
 
 class DescriptorIndex:
@@ -172,12 +176,7 @@ def _k_means(descriptors: NDArray[np.uint8], lists: int) -> NDArray[np.uint8]:
     return np.rint(centers).astype(np.uint8)
 
 
-@numba.njit(
-    "void(u1[:,::1], i4[:,::1], i4[::1], u1[:,::1], i4[:,::1], i4[:,::1])",
-    error_model="numpy",
-    cache=True,
-    nogil=True,
-)
+@compiled("void(u1[:,::1], i4[:,::1], i4[::1], u1[:,::1], i4[:,::1], i4[:,::1])")
 def _scan(
     queries: NDArray[np.uint8],
     probes: NDArray[np.int32],
@@ -207,7 +206,7 @@ def _scan(
                 found[query, rank] = row
 
 
-@numba.njit("b1(f8[:,::1], i8, i8, f8)", error_model="numpy", cache=True, nogil=True)
+@compiled("b1(f8[:,::1], i8, i8, f8)")
 def _agree(table: NDArray[np.float64], one: int, other: int, near: float) -> bool:
     octaves = table[other, 6] - table[one, 6]
     if octaves > _OCTAVES or octaves < -_OCTAVES:
@@ -224,7 +223,7 @@ def _agree(table: NDArray[np.float64], one: int, other: int, near: float) -> boo
     return bool(dx * dx + dy * dy <= near * near * (cosine * cosine + sine * sine))
 
 
-@numba.njit("void(f8[:,::1], i8, f8, b1[::1])", error_model="numpy", cache=True, nogil=True)
+@compiled("void(f8[:,::1], i8, f8, b1[::1])")
 def _members(
     table: NDArray[np.float64], match: int, near: float, members: NDArray[np.bool_]
 ) -> None:
@@ -232,12 +231,7 @@ def _members(
         members[row] = _agree(table, match, row, near)
 
 
-@numba.njit(
-    "void(i8[::1], f8[:,::1], f8[::1], i8[::1], i8[::1])",
-    error_model="numpy",
-    cache=True,
-    nogil=True,
-)
+@compiled("void(i8[::1], f8[:,::1], f8[::1], i8[::1], i8[::1])")
 def _enumerate(
     starts: NDArray[np.int64],
     table: NDArray[np.float64],

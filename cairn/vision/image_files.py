@@ -101,7 +101,7 @@ def pair_files(left: Iterable[Path], right: Iterable[Path]) -> FilePairs:
     """
     sides = list(left), list(right)
     try:
-        ours, theirs = (_by_key(side, _without_side) for side in sides)
+        ours, theirs = (_by_key(side, lambda path: _sideless(path.stem)) for side in sides)
     except CairnError:
         ours, theirs = (_by_key(side, _with_folders) for side in sides)
     pairs = [(path, theirs[key]) for key, path in ours.items() if key in theirs]
@@ -131,10 +131,6 @@ def _by_key(files: Iterable[Path], key_of: Callable[[Path], str]) -> dict[str, P
                 "the other camera's file; give one of them, or rename them"
             )
     return found
-
-
-def _without_side(path: Path) -> str:
-    return _sideless(path.stem)
 
 
 def _with_folders(path: Path) -> str:

@@ -248,18 +248,15 @@ def _explains(stronger: VerifiedMatch, weaker: VerifiedMatch) -> bool:
 
     An object may be visible inside of another that it is a part of, or that it is attached to.
     """
-    common = _common_area(stronger.corners, weaker.corners)
-    areas = cv2.contourArea(_quad(stronger.corners)), cv2.contourArea(_quad(weaker.corners))
+    quads = _quad(stronger.corners), _quad(weaker.corners)
+    common = float(cv2.intersectConvexConvex(*quads)[0])
+    areas = [cv2.contourArea(quad) for quad in quads]
     if common > _SAME_OBJECT * (sum(areas) - common):
         return True
     both = len(np.intersect1d(stronger.image_rows, weaker.image_rows))
     if both < _SAME_OBJECT * len(weaker.image_rows):
         return False
     return areas[1] > areas[0] or weaker.share < _NESTED * stronger.share
-
-
-def _common_area(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    return float(cv2.intersectConvexConvex(_quad(one), _quad(other))[0])
 
 
 def _quad(corners: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.vision.feature_matching import compiled
 from cairn.vision.features import Features
 from cairn.vision.object_model import ModelView
 
@@ -218,12 +218,9 @@ def _are_spread(view: ModelView, rows: NDArray[np.intp]) -> bool:
     return False
 
 
-@numba.njit(
+@compiled(
     "void(f8[:,::1], f8[::1], f8[::1], f8[::1], u1[:,::1],"
-    " f8[:,::1], f8[::1], f8[::1], u1[:,::1], i8[::1], i4[::1])",
-    error_model="numpy",
-    cache=True,
-    nogil=True,
+    " f8[:,::1], f8[::1], f8[::1], u1[:,::1], i8[::1], i4[::1])"
 )
 def _assign(
     projected: NDArray[np.float64],

@@ -12,9 +12,9 @@ import sqlite3
 import tempfile
 import time
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -189,9 +189,9 @@ def create(
     with explained_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch(exist_ok=False)  # SQLite does not say why a file cannot be made
-        with _removed_on_error(path):
+        with _on_error(partial(path.unlink, missing_ok=True)):
             connection = _connection(path)
-            with _closed_on_error(connection):
+            with _on_error(connection.close):
                 connection.execute("BEGIN IMMEDIATE")
                 _add_formats(connection, since=0)
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
@@ -210,7 +210,7 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
     _check_exists(path)
     with explained_errors(path):
         connection = _readable_connection(path) if read_only else _connection(path)
-        with _closed_on_error(connection):
+        with _on_error(connection.close):
             bound_connection(connection, longest=_LONGEST_VALUE, steps=_STEPS)
             version = _checked_format(path, connection)
             _check_content(path, connection)
@@ -382,7 +382,7 @@ def _connection(path: Path, read_only: bool = False) -> sqlite3.Connection:
 def _readable_connection(path: Path) -> sqlite3.Connection:
     """Open a file for reading, also on a full disk after a process that wrote it was killed."""
     connection = _connection(path, read_only=True)
-    with _closed_on_error(connection):
+    with _on_error(connection.close):
         try:
             connection.execute("PRAGMA schema_version")
             return connection
@@ -392,26 +392,17 @@ def _readable_connection(path: Path) -> sqlite3.Connection:
     connection.close()
     # SQLite cannot make the lock file beside the log. In exclusive mode it needs none.
     connection = sqlite3.connect(path, isolation_level=None, timeout=LOCK_WAIT_S)
-    with _closed_on_error(connection):
+    with _on_error(connection.close):
         connection.execute("PRAGMA locking_mode = EXCLUSIVE")
         return _in_memory(connection)
 
 
 @contextmanager
-def _removed_on_error(path: Path) -> Iterator[None]:
+def _on_error(undo: Callable[[], object]) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        path.unlink(missing_ok=True)
-        raise
-
-
-@contextmanager
-def _closed_on_error(connection: sqlite3.Connection) -> Iterator[None]:
-    try:
-        yield
-    except BaseException:
-        connection.close()
+        undo()
         raise
 
 
