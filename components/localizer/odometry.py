@@ -146,9 +146,9 @@ class CommandedTrack:
     def _integrate(self, stamp: float) -> tuple[OdometryStep, tuple[float, float], int]:
         # Before the first command the base is assumed to stand.
         now = stamp if self.integrated_to == -math.inf else self.integrated_to
-        begun = list(takewhile(lambda command: command[0] <= stamp, self._pending))
-        speeds = [self._speed, *((forward, turn) for _, forward, turn in begun)]
-        ends = [*(starts for starts, _, _ in begun), stamp]
+        started = list(takewhile(lambda command: command[0] <= stamp, self._pending))
+        speeds = [self._speed, *((forward, turn) for _, forward, turn in started)]
+        ends = [*(starts for starts, _, _ in started), stamp]
         ahead = turned = moving = 0.0
         for (forward, turn), end in zip(speeds, ends, strict=True):
             if end > now:
@@ -160,7 +160,7 @@ class CommandedTrack:
         performed = OdometryStep(
             self.forward_gain * ahead, 0.0, self.turn_gain * turned, moving, measured=False
         )
-        return performed, speeds[-1], len(begun)
+        return performed, speeds[-1], len(started)
 
 
 class MeasuredTrack:
