@@ -34,7 +34,7 @@ quick: $(VENV)/tests
 	$(PARALLEL) -n 2 \
 	    -m "not processes and not images and not realtime and not slow and not accuracy"
 
-## The tests that judge a change: five to seven minutes on two cores. One worker more than cores: many
+## The tests that judge a change: five to nine minutes on two cores. One worker more than cores: many
 ## tests wait for processes that they have started. Those that are judged by the clock run apart:
 ## mostly they wait, so that two at a time disturb no other.
 test: $(VENV)/tests
@@ -42,7 +42,7 @@ test: $(VENV)/tests
 	$(PARALLEL) -n 2 -m "realtime and not accuracy" $(REALTIME)
 
 ## What `make test` checks once, with more seeds, recordings, types and drivers, and what takes long:
-## a quarter of an hour.
+## about 20 minutes.
 accuracy: $(VENV)/tests
 	$(PARALLEL) -n 3 -m "accuracy and not realtime"
 	$(PARALLEL) -n 2 -m "accuracy and realtime" $(REALTIME)
@@ -105,9 +105,9 @@ $(VENV)/ready: pyproject.toml lab/pyproject.toml requirements/dev.txt requiremen
 	$(LOCKED) requirements/dev.txt
 	$(LOCAL) . --editable lab
 	@echo "compiling the kernels, so that no robot waits for it, nor each test worker"
-	@$(BIN)/python -c "from cairn.system.compilation import compile_deferred, defer_compilation; \
-	    from cairn.deployment.plugins import installed_plugins; \
-	    defer_compilation(); installed_plugins(); assert compile_deferred()"
+	@$(BIN)/python -c "import sys; from cairn.deployment.plugins import installed_plugins; \
+	    from cairn.system.compilation import compile_deferred, defer_compilation; \
+	    defer_compilation(); installed_plugins(); sys.exit(not compile_deferred())"
 	@touch $@
 
 # The plugins that the tests run, some of them broken on purpose.

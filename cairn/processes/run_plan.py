@@ -90,7 +90,10 @@ class PlanRequest:
 
 
 PLAN = TypeAdapter(RunPlan)
+"""Converts a plan to JSON and back."""
+
 REQUEST = TypeAdapter(PlanRequest)
+"""Converts a request to JSON and back."""
 
 
 def plan_run(deployment: Deployment, machine: str = "") -> RunPlan:

@@ -22,6 +22,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, cast
 
@@ -146,7 +147,8 @@ def main() -> None:
     before_compilation(_compile_in_helper)
     import_failures = preload(modules)
     if os.getpid() != zygote:
-        os._exit(0 if compile_deferred() else 1)  # the helper: all kernels are in the cache
+        compiled = compile_deferred(partial(set_parent_death_signal, signal.SIGKILL))
+        os._exit(0 if compiled else 1)  # the helper: all kernels are in the cache
     gc.collect()
     gc.freeze()
     listening = socket.socket(fileno=listener)

@@ -4,10 +4,12 @@
 because neither knows the other.
 """
 
-import contextlib
 import os
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+_MOST_COMPILERS = 4  # each needs about 200 MiB
 
 _calls: list[Callable[[], None]] = []
 _on_compiled: list[Callable[[str], None]] = []
@@ -69,32 +71,39 @@ def add_deferred(module: str, compile_kernel: Callable[[], None]) -> None:
     _deferred.setdefault(module, []).append(compile_kernel)
 
 
-def compile_deferred() -> bool:
+def compile_deferred(begin: Callable[[], None] = lambda: None) -> bool:
     """Fill the cache with all kernels that were deferred; return whether that succeeded.
 
-    Each core has a process, which takes one module after the other: kernels of one module often
-    call each other, and would be compiled by each process that compiles a caller.
+    Each core has a process, which calls `begin` and then takes one module after the other: kernels
+    of one module often call each other, and would be compiled by each process that compiles a
+    caller. An error is printed to standard error, by the process that has it.
     """
     modules = list(_deferred.values())
     reader, writer = os.pipe()
     os.write(writer, bytes(range(len(modules))))
     os.close(writer)
-    workers = [_fork_compiler(modules, reader) for _ in os.sched_getaffinity(0)]
+    count = min(len(os.sched_getaffinity(0)), _MOST_COMPILERS)
+    workers = [_fork_compiler(modules, reader, begin) for _ in range(count)]
     os.close(reader)
     statuses = [os.waitpid(worker, 0)[1] for worker in workers]
     return not any(statuses)
 
 
-def _fork_compiler(modules: list[list[Callable[[], None]]], indices: int) -> int:
+def _fork_compiler(
+    modules: list[list[Callable[[], None]]], indices: int, begin: Callable[[], None]
+) -> int:
     """Start a process that compiles the modules whose indices it reads; return its process id."""
-    worker = os.fork()
+    parent, worker = os.getpid(), os.fork()
     if worker:
         return worker
-    with contextlib.suppress(
-        BaseException
-    ):  # the parent compiles again what failed, and reports it
+    try:
+        begin()
+        if os.getppid() != parent:  # it ended before `begin` could have this process end with it
+            os._exit(1)
         while index := os.read(indices, 1):
             for compile_kernel in modules[index[0]]:
                 compile_kernel()
         os._exit(0)
-    os._exit(1)
+    except BaseException:
+        traceback.print_exc()
+        os._exit(1)

@@ -40,7 +40,7 @@ _TURN = math.radians(35.0)
 _OCTAVES = 1.0
 _HYPOTHESES = 400  # per view: more than enough to hold a right one
 
-compiled = partial(numba.njit, error_model="numpy", cache=True, nogil=True)
+kernel = partial(numba.njit, error_model="numpy", cache=True, nogil=True)
 """Compiles a function for a signature, when its module is imported for the first time."""
 
 
@@ -176,7 +176,7 @@ def _k_means(descriptors: NDArray[np.uint8], lists: int) -> NDArray[np.uint8]:
     return np.rint(centers).astype(np.uint8)
 
 
-@compiled("void(u1[:,::1], i4[:,::1], i4[::1], u1[:,::1], i4[:,::1], i4[:,::1])")
+@kernel("void(u1[:,::1], i4[:,::1], i4[::1], u1[:,::1], i4[:,::1], i4[:,::1])")
 def _scan(
     queries: NDArray[np.uint8],
     probes: NDArray[np.int32],
@@ -206,7 +206,7 @@ def _scan(
                 found[query, rank] = row
 
 
-@compiled("b1(f8[:,::1], i8, i8, f8)")
+@kernel("b1(f8[:,::1], i8, i8, f8)")
 def _agree(table: NDArray[np.float64], one: int, other: int, near: float) -> bool:
     octaves = table[other, 6] - table[one, 6]
     if octaves > _OCTAVES or octaves < -_OCTAVES:
@@ -223,7 +223,7 @@ def _agree(table: NDArray[np.float64], one: int, other: int, near: float) -> boo
     return bool(dx * dx + dy * dy <= near * near * (cosine * cosine + sine * sine))
 
 
-@compiled("void(f8[:,::1], i8, f8, b1[::1])")
+@kernel("void(f8[:,::1], i8, f8, b1[::1])")
 def _members(
     table: NDArray[np.float64], match: int, near: float, members: NDArray[np.bool_]
 ) -> None:
@@ -231,7 +231,7 @@ def _members(
         members[row] = _agree(table, match, row, near)
 
 
-@compiled("void(i8[::1], f8[:,::1], f8[::1], i8[::1], i8[::1])")
+@kernel("void(i8[::1], f8[:,::1], f8[::1], i8[::1], i8[::1])")
 def _enumerate(
     starts: NDArray[np.int64],
     table: NDArray[np.float64],

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.vision.feature_matching import compiled
+from cairn.vision.feature_matching import kernel
 from cairn.vision.features import Features
 from cairn.vision.object_model import ModelView
 
@@ -218,7 +218,7 @@ def _are_spread(view: ModelView, rows: NDArray[np.intp]) -> bool:
     return False
 
 
-@compiled(
+@kernel(
     "void(f8[:,::1], f8[::1], f8[::1], f8[::1], u1[:,::1],"
     " f8[:,::1], f8[::1], f8[::1], u1[:,::1], i8[::1], i4[::1])"
 )

@@ -88,10 +88,22 @@ def test_fork_of_a_dead_owner_does_not_keep_its_processes_alive(owner: Owner) ->
     fork.await_end()
 
 
-def test_root_killed_during_the_imports_leaves_no_process(tree: Tree, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "slow",
+    [
+        "open(GATE).read()",
+        "from cairn.system.compilation import add_deferred, prepare_compilation\n"
+        "prepare_compilation()\n"
+        "add_deferred('kernels', lambda: open(GATE).read())",
+    ],
+    ids=["import", "compilation"],
+)
+def test_root_killed_during_the_imports_leaves_no_process(
+    tree: Tree, tmp_path: Path, slow: str
+) -> None:
     gate = tmp_path / "gate"
     os.mkfifo(gate)
-    (tmp_path / "imports_slowly.py").write_text(f"open({str(gate)!r}).read()\n")
+    (tmp_path / "imports_slowly.py").write_text(f"GATE = {str(gate)!r}\n{slow}\n")
     program = (
         f"import sys; sys.path[:] = {[str(tmp_path), *sys.path]!r}\n"
         "from pathlib import Path\n"

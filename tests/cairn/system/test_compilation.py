@@ -10,7 +10,10 @@ from cairn.system import compilation
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_each_deferred_kernel_is_compiled_once_in_another_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: bool
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    fails: bool,
 ) -> None:
     monkeypatch.setattr(compilation, "_deferred", {})
     names = [f"module_{number}.kernel_{kernel}" for number in range(9) for kernel in range(3)]
@@ -27,4 +30,5 @@ def test_each_deferred_kernel_is_compiled_once_in_another_process(
         compilation.add_deferred(name.partition(".")[0], compiler(name))
 
     assert compilation.compile_deferred() is not fails
+    assert ("RuntimeError: no memory" in capfd.readouterr().err) == fails
     assert sorted(path.name for path in tmp_path.iterdir()) == names
