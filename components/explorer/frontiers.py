@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -192,8 +193,8 @@ class _MapArea:
         turn = _direction_to(self.unknown, row, column, _FACED_M / frame.resolution)
         pose = self._pose(row, column, turn)
         view = self._view(row, column) or pose
-        cells_at = zip(rows.tolist(), columns.tolist(), strict=True)
-        points = np.array([frame.point(row, column) for row, column in cells_at])
+        grid: Any = rows, columns  # arrays, with which `point` computes as with numbers
+        points = np.column_stack(frame.point(*grid))
         return Frontier(pose, view, float(path_m[best]), width_m, points)
 
     def _view(self, row: int, column: int) -> Pose | None:

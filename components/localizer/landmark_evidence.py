@@ -358,7 +358,7 @@ def converge(
 ) -> PoseEstimate | None:
     """Let new samples converge by annealing within one image; return None if they do not.
 
-    Each of eight rounds weighs by the log-likelihood at a growing temper, resamples, and adds
+    Each of `_ROUNDS` rounds weighs by the log-likelihood at a growing temper, resamples, and adds
     noise that shrinks (8 cm, 5 degrees at first). Samples that end wider than 0.25 m give no
     evidence: the mean of two positions is not one of them.
     """

@@ -90,7 +90,7 @@ class PoseSupport:
 
 
 class RecentObservations:
-    """Observations during the last 30 s of motion, at most four of each object.
+    """Observations during the last `_HORIZON_S` of motion, at most `_PER_OBJECT` of each object.
 
     Poses are dead-reckoned, in a frame of their own. The variance of an observation grows with the
     motion since then: a little more than in the motion model, so that old observations do not

@@ -81,7 +81,7 @@ def usual_fit(usual: float, fit: float) -> float:
 
 
 class RecentScans:
-    """End points of the `keep` newest scans taken apart, 0.3 m or 0.35 rad."""
+    """End points of the `keep` newest scans taken `_APART_M` or `_TURNED_RAD` apart."""
 
     def __init__(self, keep: int = _KEPT) -> None:
         self.keep = keep
