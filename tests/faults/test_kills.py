@@ -41,9 +41,10 @@ def assert_all_stop_in_reverse_order(run: Run, number: signal.Signals) -> None:
 
     assert run.await_end() == 0
     run.await_nothing_left()
+    # Each line begins with its time; lines of two processes may be printed the other way round.
     stopped = [
         stop[1]
-        for line in run.lines[sent:]
+        for line in sorted(run.lines[sent:])
         if (stop := re.search("child stopped: (.*): shut down$", line))
     ]
     assert stopped == ["talker", "base", "reader", "mobile", "beacon"]
