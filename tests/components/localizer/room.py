@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.planar.compiled import compiled
 from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid, OccupancyCells
 from cairn.planar.poses import Pose, compose, wrap
 
@@ -53,17 +54,37 @@ def beam_ends(
 ) -> NDArray[np.float64]:
     """End points (m, 2) [m, base frame] of the beams that hit an occupied cell within reach [m]."""
     ranges = np.arange(0.0, reach, 0.01)
-    x = pose[0] + np.cos(pose[2] + angles)[:, None] * ranges
-    y = pose[1] + np.sin(pose[2] + angles)[:, None] * ranges
-    rows, columns = grid.values.shape
-    row = np.clip((y / RESOLUTION).astype(int), 0, rows - 1)
-    column = np.clip((x / RESOLUTION).astype(int), 0, columns - 1)
-    inside = grid.values[row, column] == OCCUPIED
-    hit = inside.any(axis=1)
-    far = ranges[inside.argmax(axis=1)] + noise * random.standard_normal(angles.size)
+    first = _first_occupied(
+        grid.values, pose[0], pose[1], np.cos(pose[2] + angles), np.sin(pose[2] + angles), ranges
+    )
+    hit = first < ranges.size
+    far = ranges[first % ranges.size] + noise * random.standard_normal(angles.size)
     ends = np.column_stack((far * np.cos(angles), far * np.sin(angles)))
     points: NDArray[np.float64] = ends[hit]
     return points
+
+
+@compiled("i8[:](i1[:, ::1], f8, f8, f8[:], f8[:], f8[:])")
+def _first_occupied(
+    cells: NDArray[np.int8],
+    x: float,
+    y: float,
+    cosines: NDArray[np.float64],
+    sines: NDArray[np.float64],
+    ranges: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Index of the first range of each beam that lies in an occupied cell; their number if none."""
+    rows, columns = cells.shape
+    first = np.full(cosines.size, ranges.size)
+    for beam in range(cosines.size):
+        for step in range(ranges.size):
+            row = int((y + sines[beam] * ranges[step]) / RESOLUTION)
+            column = int((x + cosines[beam] * ranges[step]) / RESOLUTION)
+            row, column = min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
+            if cells[row, column] == OCCUPIED:
+                first[beam] = step
+                break
+    return first
 
 
 @dataclass(frozen=True)
