@@ -25,6 +25,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
     ignored = shutil.ignore_patterns("__pycache__")
     shutil.copytree(EXAMPLE, project, ignore=ignored, dirs_exist_ok=True)
     environment.install(*build_wheels(environment.folder / "wheels", ROOT, project))
+    environment.copy_kernels()
     shutil.rmtree(project / "lantern_driver")  # only what was installed counts
     return environment
 
