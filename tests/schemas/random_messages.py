@@ -28,15 +28,15 @@ _LETTERS = f"{_ASCII}äöüß€日本語😀"
 _FLOATS = (0.0, -0.0, 1.5, -2.25, float("nan"), float("inf"), -float("inf"), 2.0**-149, 1e300)
 
 
-def is_message(name: str) -> bool:
-    """Return whether a name is that of a message, not of a service or action."""
-    return f"{name}_Request" not in HASHES and f"{name}_Goal" not in HASHES
-
-
 @cache
 def message_names() -> tuple[str, ...]:
     """Return the names of all messages, also those of services and actions."""
-    return tuple(filter(is_message, HASHES))
+    return tuple(
+        name
+        for name in HASHES
+        if f"{name}_Request" not in HASHES  # of a service
+        and f"{name}_Goal" not in HASHES  # of an action
+    )
 
 
 class RandomMessages:

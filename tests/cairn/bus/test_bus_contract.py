@@ -118,20 +118,21 @@ def test_late_subscriber_receives_latched_messages(
 def test_late_subscriber_of_a_volatile_topic_receives_only_new_messages(
     pair: Pair, writes: Qos, reads: Qos
 ) -> None:
-    problems: list[str] = []  # a reader that wants latched messages is told that it gets none
     early = Reader(node(pair.readers, "/robot/early"), TOPIC, String, RELIABLE)
-    writer = pair.writers.node("/robot/talker", problems.append).advertise(TOPIC, String, writes)
+    writer = node(pair.writers, "/robot/talker").advertise(TOPIC, String, writes)
     pair.wait_for_peers()
     writer.publish(String(data="before"))
     assert early.next() == String(data="before")
 
+    problems: list[str] = []
     late = Reader(pair.readers.node("/robot/late", problems.append), TOPIC, String, reads)
     pair.wait_for_peers()
     writer.publish(String(data="after"))
 
     assert late.next() == String(data="after")
     assert late.subscription.dropped == 0
-    assert all("QoS mismatch" in problem for problem in problems)
+    # Over Zenoh it is told, sooner or later, that it gets none from before its start.
+    assert reads == LATCHED or problems == []
 
 
 def test_latched_messages_end_with_their_publisher(pair: Pair) -> None:
