@@ -10,7 +10,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import asdict
 from functools import partial
 from io import FileIO
@@ -31,6 +31,7 @@ _RESULT = TypeAdapter(RerunResult)
 _SHOWN_LOG: Final = 2000  # characters
 _GRACE_S: Final = 30.0
 """Beyond its time limit, the process may take so long for its start and end [s]."""
+_WAIT_S: Final = 0.2
 _LONGEST_CALL: Final = 300  # bytes
 _FATAL, _TIMEOUT, _STACK = "Fatal Python error", "Timeout (0:", "(most recent call first):\n"
 """What `faulthandler` writes when the process crashes or takes too long."""
@@ -53,7 +54,14 @@ def rerun_in_processes(
 
     with ThreadPoolExecutor(max(1, min(os.cpu_count() or 1, len(starts)))) as pool:
         try:
-            return list(pool.map(rerun, starts))
+            futures = [pool.submit(rerun, start) for start in starts]
+            left = set(futures)
+            while left:
+                # Python misses a Ctrl-C that comes just as a wait begins, until the wait ends.
+                done, left = wait(left, _WAIT_S, FIRST_EXCEPTION)
+                for future in done:
+                    future.result()
+            return [future.result() for future in futures]
         except BaseException:  # such as Ctrl-C, which must not wait for the time limit
             pool.shutdown(wait=False, cancel_futures=True)
             running.kill()

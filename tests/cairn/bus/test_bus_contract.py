@@ -131,7 +131,7 @@ def test_late_subscriber_of_a_volatile_topic_receives_only_new_messages(
 
     assert late.next() == String(data="after")
     assert late.subscription.dropped == 0
-    # Over Zenoh it is told, sooner or later, that it gets none from before its start.
+    # Over Zenoh a mismatch is reported, sooner or later: it gets none from before its start.
     assert reads == LATCHED or problems == []
 
 
