@@ -50,6 +50,10 @@ _PLACES_S = 2.0
 PlanarPose = tuple[float, float, float]
 
 
+class DeploymentEnded(CairnError):
+    """A deployment whose supervisor was awaited has ended."""
+
+
 def find_place(zones: Sequence[Zone], name: str) -> PlanarPose:
     """Return x, y [m] and heading [rad], 0 if it does not matter, of a named place.
 
@@ -142,10 +146,6 @@ class MissionClient:
             raise CairnError(f"{self._supervisor.rpartition('/')[2]}: {which} under way")
         return canceled[-1].goal_id.uuid.tobytes().hex()
 
-    def is_alive(self) -> bool:
-        """Return whether the deployment still runs."""
-        return self._connection.is_alive()
-
     def listen(self) -> AbstractContextManager[queue.Queue[Any]]:
         """Subscribe to the navigation status."""
         topic = f"{self._robot}/navigation_status"
@@ -161,7 +161,10 @@ class MissionClient:
             return None
 
     def await_active(self) -> None:
-        """Wait until the supervisor answers; `CairnError` if it does not within the limit."""
+        """Wait until the supervisor answers; `CairnError` if it does not within the limit.
+
+        `DeploymentEnded` if the deployment ends meanwhile.
+        """
         _, robot, component = self._supervisor.split("/")
         self._notify(
             f"{component} does not answer; if it hangs it is killed and restarted: "
@@ -172,7 +175,9 @@ class MissionClient:
         key = keys.message_key(connection.domain, topic, ComponentStatus)
         deadline = time.monotonic() + PATIENCE_S
         with connection.listen(key) as samples:
-            while (left_s := deadline - time.monotonic()) > 0 and connection.is_alive():
+            while (left_s := deadline - time.monotonic()) > 0:
+                if not connection.is_alive():
+                    raise DeploymentEnded(f"{component} does not answer: the deployment has ended")
                 try:
                     sample = samples.get(timeout=min(left_s, 1.0))
                     status = self._codec.decode(ComponentStatus, sample.payload.to_bytes())
@@ -180,8 +185,6 @@ class MissionClient:
                     continue
                 if status.component == component and status.state == _ACTIVE:
                     return
-        if not connection.is_alive():
-            raise CairnError(f"{component} does not answer: the deployment has ended")
         raise CairnError(
             f"{component} has not answered for {PATIENCE_S:g} s, and the robot may drive on: press "
             "Ctrl-C twice where `cairn up` runs, which ends everything at once (`cairn restart`, "
@@ -358,9 +361,7 @@ class NavigationGoal(Closing):
         """Wait until the supervisor, which has ended, is restarted, and await the result again."""
         try:
             self._missions.await_active()
-        except CairnError:
-            if self._missions.is_alive():
-                raise
+        except DeploymentEnded:
             raise CairnError("the deployment has ended, and with it the goal") from None
         running.resume()
 
