@@ -21,7 +21,7 @@ PARALLEL = $(BIN)/pytest --dist loadgroup --no-loadscope-reorder
 # The files with tests that are judged by the clock, the longest first.
 REALTIME = $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)
 
-.PHONY: demo quick test accuracy attack browser test-hardware test-service check docs bench lock clean
+.PHONY: demo quick test accuracy attack browser test-hardware test-service check style docs bench lock clean
 
 ## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
 demo: $(VENV)/ready
@@ -67,13 +67,14 @@ test-service: $(VENV)/tests
 	$(BIN)/python -m tests.hardware --booted
 
 ## Style, types, import contracts, documentation, and all tests.
-check: $(VENV)/tests
+check: $(VENV)/tests style docs
+	$(MAKE) test
+
+style: $(VENV)/tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(MAKE) docs
-	$(MAKE) test
+	$(BIN)/mypy
 
 ## The documentation site, in build/site: a broken link fails the build.
 docs: $(VENV)/docs
