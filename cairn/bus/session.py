@@ -336,12 +336,13 @@ def _tag(head: str, secret: str) -> str:
     return blake2b(text, key=secret.encode()[:64], digest_size=_TAG_DIGITS // 2).hexdigest()
 
 
-def is_connected(session: zenoh.Session) -> bool:
-    """Return whether the session has a link to a router, or gets one in `CONNECT_TIMEOUT_S`.
+def is_connected(session: zenoh.Session, endpoint: str) -> bool:
+    """Return whether the session has a link to the router at an endpoint, or can get one again.
 
-    Zenoh restores a lost link by itself if the router still runs.
+    Zenoh restores a lost link by itself. A router that is stopped or too busy for that within
+    `CONNECT_TIMEOUT_S` still has its endpoint open; that of one that has ended is closed.
     """
-    return _has_router(session, CONNECT_TIMEOUT_S)
+    return _has_router(session, CONNECT_TIMEOUT_S) or _is_open(endpoint)
 
 
 def _has_router(session: zenoh.Session, timeout_s: float) -> bool:
@@ -370,7 +371,8 @@ def _no_router(connect: Sequence[str], credentials: Credentials) -> str:
                 "group, or give another endpoint by --connect or CAIRN_CONNECT"
             )
     no_router = f"no router answers at {', '.join(connect)}"
-    if open_port := next(filter(_port_is_open, connect), None):
+    ports = [endpoint for endpoint in connect if socket_path(endpoint) is None]
+    if open_port := next(filter(_is_open, ports), None):
         return (
             f"{no_router}, but a program listens there: it rejected {credentials.presented()}, "
             f"or is not a Cairn router. {_REFUSED}`cairn doctor FILE` on the robot lists its "
@@ -384,16 +386,19 @@ def _no_router(connect: Sequence[str], credentials: Credentials) -> str:
     )
 
 
-def _port_is_open(endpoint: str) -> bool:
-    """Return whether a program accepts TCP connections at an endpoint."""
-    address = tcp_address(endpoint)
-    if address is None:
-        return False
+def _is_open(endpoint: str) -> bool:
+    """Return whether a program accepts connections at an endpoint."""
+    path, address = socket_path(endpoint), tcp_address(endpoint)
     try:
-        sockets.create_connection(address, _PORT_TIMEOUT_S).close()
+        if path is not None:
+            with sockets.socket(sockets.AF_UNIX) as socket:
+                socket.settimeout(_PORT_TIMEOUT_S)
+                socket.connect(str(path))
+        elif address is not None:
+            sockets.create_connection(address, _PORT_TIMEOUT_S).close()
     except OSError:
         return False
-    return True
+    return path is not None or address is not None
 
 
 def _may_open(socket: Path) -> bool:

@@ -96,8 +96,13 @@ class Connection:
 
     session: zenoh.Session
     domain: int
-    is_local: bool = False
-    """Whether its router is on this computer: at a Unix socket or a loopback address."""
+    endpoint: str
+    """That of the deployment's router."""
+
+    @property
+    def is_local(self) -> bool:
+        """Whether its router is on this computer: at a Unix socket or a loopback address."""
+        return socket_path(self.endpoint) is not None or is_loopback(self.endpoint)
 
     @classmethod
     def open(cls, endpoint: str = "", domain: int | None = None) -> Connection:
@@ -113,22 +118,21 @@ class Connection:
         endpoint = endpoint_for(endpoint, domain)
         local = socket_path(endpoint) is not None  # such a router refuses who presents a password
         credentials = NO_CREDENTIALS if local else Credentials.from_environment()
-        is_local = local or is_loopback(endpoint)
-        return cls(open_client([endpoint], credentials), domain, is_local)
+        return cls(open_client([endpoint], credentials), domain, endpoint)
 
     def close(self) -> None:
         """Close the session."""
         close_session(self.session, _CLOSE_LIMIT_S)
 
     def is_alive(self) -> bool:
-        """Return whether the deployment's router still answers.
+        """Return whether the deployment's router still runs, if only stopped or busy.
 
         It does not ask zenoh (1.10) whether the session is closed: that waits for the session's
         lock without releasing the GIL, while a thread that delivers a reply to `read_graph` has the
         lock and waits for the GIL.
         """
         try:
-            return is_connected(self.session)
+            return is_connected(self.session, self.endpoint)
         except zenoh.ZError:  # the session is closed
             return False
 

@@ -185,7 +185,7 @@ def test_wrong_and_missing_passwords_are_refused(
 def test_every_role_reads_topics_latched_messages_the_graph_and_parameters(
     robot: Robot, user: zenoh.Session
 ) -> None:
-    client = Connection(user, 0)
+    client = Connection(user, 0, robot.endpoint)
     map_key = keys.message_key(0, "/robot/map", PoseStamped)
     with client.listen(map_key, latched=True) as samples:
         assert samples.get(timeout=LIMIT_S).payload.to_bytes() == MESSAGE
@@ -406,7 +406,7 @@ def test_client_is_known_by_its_certificate(certified: Robot, keys_folder: Path)
     with joined(certified, known_by("guest")) as guest:  # signed, but without a role
         with pytest.raises(ControlError, match="no reply to parameters"):
             request(guest, "parameters")
-        assert Connection(guest, 0).nodes() == []
+        assert Connection(guest, 0, certified.endpoint).nodes() == []
     for credentials in (known_by("rogue"), Credentials(ca=str(keys_folder / "ca.pem"))):
         with pytest.raises(CairnError, match="no router answers"):
             open_client([certified.endpoint], credentials)

@@ -1,6 +1,7 @@
 """A session restores its lost link to the router as long as the router exists; ids of sessions."""
 
 import os
+import socket as sockets
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
@@ -10,6 +11,7 @@ import pytest
 import zenoh
 
 from cairn import CairnError
+from cairn.bus.endpoints import socket_path
 from cairn.bus.message_limits import MessageLimits
 from cairn.bus.session import is_connected, open_client, open_peer, open_router, process_of
 from cairn.bus.zenoh_bus import ZenohBus
@@ -28,7 +30,7 @@ def test_router_that_comes_back_in_time_counts_as_connected(
     endpoint = new_endpoint()
     router = router_at(endpoint)
     with open_client([endpoint]) as session:
-        assert is_connected(session)
+        assert is_connected(session, endpoint)
         router.close()
         assert eventually(lambda: not list(session.info.routers_zid()))
 
@@ -36,14 +38,16 @@ def test_router_that_comes_back_in_time_counts_as_connected(
         comes_back = threading.Timer(0.3, lambda: returned.append(router_at(endpoint)))
         comes_back.start()
         try:
-            assert is_connected(session)
+            assert is_connected(session, endpoint)
         finally:
             comes_back.join()
             for one in returned:
                 one.close()
 
 
-def test_router_that_stays_away_counts_as_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_router_that_stays_away_counts_as_disconnected_unless_its_process_is_stopped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("cairn.bus.session.CONNECT_TIMEOUT_S", 0.3)
     endpoint = new_endpoint()
     router = router_at(endpoint)
@@ -51,7 +55,15 @@ def test_router_that_stays_away_counts_as_disconnected(monkeypatch: pytest.Monke
         router.close()
 
         assert eventually(lambda: not list(session.info.routers_zid()))
-        assert not is_connected(session)
+        assert not is_connected(session, endpoint)
+
+        path = socket_path(endpoint)
+        assert path is not None
+        path.unlink(missing_ok=True)
+        with sockets.socket(sockets.AF_UNIX) as stopped:  # accepts connections, and never answers
+            stopped.bind(str(path))
+            stopped.listen()
+            assert is_connected(session, endpoint)
 
 
 def test_peers_that_find_each_other_keep_one_link(network: Network) -> None:

@@ -426,7 +426,7 @@ def test_more_goals_than_allowed_are_refused_wherever_they_are_given(
     with pytest.raises(InvalidMessage, match=words_in_order("goals = 1001", "at most 1000")):
         NavigateGoal(goals=packed_poses(np.array(too_many)))
     with pytest.raises(CairnError, match=words_in_order("1,001 goals", "at most 1,000")):
-        MissionClient(Connection(cast("Any", None), 0), "/robot/x", print).goal(too_many)
+        MissionClient(Connection(cast("Any", None), 0, ""), "/robot/x", print).goal(too_many)
     listed = [list(goal) for goal in too_many]
     with pytest.raises(CairnError, match=words_in_order("mission", "at most 1000")):
         make_harness(f"components.mobile_supervisor.parameters.mission={listed}")
