@@ -43,8 +43,8 @@ _ELEMENT = re.compile(
     r"(?P<several>\[(?P<bounded><=)?(?P<count>[0-9]{0,9})\])?",
     re.ASCII,
 )
-_FIELD_NAME = re.compile("[a-z](_?[a-z0-9]+)*", re.ASCII)
-_CONSTANT_NAME = re.compile("[A-Z](_?[A-Z0-9]+)*", re.ASCII)
+_FIELD_NAME = re.compile("[a-z][a-z0-9]*(_[a-z0-9]+)*", re.ASCII)
+_CONSTANT_NAME = re.compile("[A-Z][A-Z0-9]*(_[A-Z0-9]+)*", re.ASCII)
 _INTERFACE = re.compile(
     f"({_PACKAGE})/(?:({'|'.join(KINDS)})/)?([A-Z][A-Za-z0-9]*(?:_[A-Z][A-Za-z]*)*)", re.ASCII
 )

@@ -34,7 +34,7 @@ from cairn.schemas.message import Action
 _IGNORED: Final = {"COLCON_IGNORE", "AMENT_IGNORE"}
 _PACKAGE_NAME = re.compile("[a-z][a-z0-9_]*", re.ASCII)
 _INTERFACE_NAME = re.compile("[A-Z][A-Za-z0-9]*", re.ASCII)
-_NAME_IN_MANIFEST = re.compile(r"<name>\s*([^<]*?)\s*</name>")
+_NAME_IN_MANIFEST = re.compile("<name>([^<]*)</name>")
 _LONGEST_MANIFEST: Final = 1 << 20
 
 _TITLES = {"msg": "Messages", "srv": "Services", "action": "Actions"}
@@ -169,7 +169,7 @@ def _package_name(folder: Path) -> str:
     manifest = folder / "package.xml"
     if manifest.is_file():
         match = _NAME_IN_MANIFEST.search(read_bounded(manifest, _LONGEST_MANIFEST).decode())
-        name = match[1] if match else name
+        name = match[1].strip() if match else name
     if not _PACKAGE_NAME.fullmatch(name) or iskeyword(name):
         raise DefinitionError(
             f"{folder}: {name[:100]!r} is not the name of a ROS 2 package, such as my_msgs"

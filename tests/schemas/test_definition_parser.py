@@ -199,6 +199,8 @@ def test_default_value(text: str, expected: object) -> None:
         ("int32 a__b", ("not the name of a field",)),
         ("int32 a_", ("not the name of a field",)),
         ("int32 _a", ("not the name of a field",)),
+        ("int32 h" + 60 * "9" + "!", ("not the name of a field",)),
+        ("int32 H" + 60 * "9" + "!=1", ("not the name of a field",)),
         ("int32 a 2147483648", ("2147483648 is not a int32", "2147483647")),
         ("uint8 a -1", ("-1 is not a uint8",)),
         ("bool a maybe", ("'maybe' is not a bool",)),
