@@ -7,8 +7,12 @@ written, and a damaged tree of pages may show more rows than could ever be read.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import Final
+
+from cairn.system.files import remove_side_files, replacing
 
 _STEPS_AT_ONCE: Final = 20_000
 _MOST_SCHEMA: Final = 100
@@ -69,3 +73,23 @@ def table_columns(
                 raise SchemaError(f"the column {column[:100]!r} of its table {name} is computed")
         found[name] = {column: kind_of for column, kind_of, _ in columns}
     return found
+
+
+@contextmanager
+def replaced_by_copy(source: sqlite3.Connection, path: Path) -> Iterator[sqlite3.Connection]:
+    """Yield a copy of a database, which becomes the file `path` if nothing fails.
+
+    What was there before is removed first: its room on the disk may be needed.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    remove_side_files(path)
+    with replacing(path) as part, closing(sqlite3.connect(part, isolation_level=None)) as copy:
+        source.backup(copy)
+        # The log beside a file in WAL mode would not be renamed with it. Exclusively locked, the
+        # file needs no shared memory to leave that mode.
+        copy.execute("PRAGMA locking_mode = EXCLUSIVE")
+        ((mode,),) = copy.execute("PRAGMA journal_mode = DELETE").fetchall()
+        if mode != "delete":
+            raise sqlite3.OperationalError(f"its journal mode is {mode}")
+        yield copy

@@ -49,10 +49,12 @@ def replace_file(path: Path, data: bytes, *, durable: bool = True) -> None:
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Yield a temporary path in the folder of `path`; on success its file replaces `path`.
 
-    Guarantees and errors are those of `replace_file`.
+    Guarantees and errors are those of `replace_file`. Only one file is replaced: a database must be
+    closed, without a log beside it.
     """
     part = path.with_name(path.name + ".part")
     part.unlink(missing_ok=True)  # left by a process that was killed
+    remove_side_files(part)
     try:
         yield part
         if durable:
@@ -62,7 +64,19 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)
+        remove_side_files(part)
         raise
+
+
+def side_files(path: Path) -> list[Path]:
+    """Return the paths of the files that SQLite keeps beside an open one."""
+    return [path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal")]
+
+
+def remove_side_files(path: Path) -> None:
+    """Remove the files that SQLite keeps beside one, and leaves there on a full disk."""
+    for file in side_files(path):
+        file.unlink(missing_ok=True)
 
 
 TAKES_NO_DATA: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})

@@ -20,8 +20,8 @@ from typing import Any, Final
 
 from cairn.errors import CairnError
 from cairn.limits.files import too_large
-from cairn.limits.sqlite import bound_connection
-from cairn.system.files import TAKES_NO_DATA, explain_os_error, replacing
+from cairn.limits.sqlite import bound_connection, replaced_by_copy
+from cairn.system.files import TAKES_NO_DATA, explain_os_error, side_files
 from cairn.visual_map.shared_record import MOST_ROBOTS
 
 APPLICATION: Final = 0x4361_726E
@@ -230,17 +230,13 @@ def connect(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
 
 def copy_map(original: Path, copy: Path) -> None:
     """Copy a map, also from a read-only place, to `copy`, completely or not at all."""
-    with closing(connect(original, read_only=True)) as source, explained_errors(copy):
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        for stale in (copy, *side_files(copy)):
-            stale.unlink(missing_ok=True)
-        with (
-            replacing(copy) as part,
-            closing(sqlite3.connect(part, isolation_level=None)) as target,
-        ):
-            source.backup(target)
-            target.execute("UPDATE origin SET digest = ?", (_digest(source),))
-            _reserve_evidence(target)
+    with (
+        closing(connect(original, read_only=True)) as source,
+        explained_errors(copy),
+        replaced_by_copy(source, copy) as target,
+    ):
+        target.execute("UPDATE origin SET digest = ?", (_digest(source),))
+        _reserve_evidence(target)
 
 
 def _reserve_evidence(connection: sqlite3.Connection) -> None:
@@ -286,11 +282,6 @@ def connect_unchecked(path: Path) -> Iterator[sqlite3.Connection]:
 def at_rest(path: Path) -> bool:
     """Return whether no program has the file open for writing."""
     return not any(file.exists() for file in side_files(path))
-
-
-def side_files(path: Path) -> list[Path]:
-    """Return the paths of the files that SQLite keeps beside an open one."""
-    return [path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal")]
 
 
 @contextmanager

@@ -31,12 +31,11 @@ from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.zones import read_zones
-from cairn.system.files import explain_os_error
+from cairn.system.files import explain_os_error, remove_side_files
 from cairn.terminal.output import line, print_json
 from cairn.terminal.output import show as show_rows
 from cairn.visual_map.landmark_store import open_landmarks
 from cairn.visual_map.new_map import write_map
-from cairn.visual_map.sqlite_file import side_files
 
 DEFAULT_MAP = Path("visual_map.cairn")
 VisualMapFile = Annotated[
@@ -261,8 +260,7 @@ def prepare(out: Path) -> None:
     """Make the folder of a map; remove what an earlier map of that name has left beside it."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        for file in side_files(out):
-            file.unlink(missing_ok=True)
+        remove_side_files(out)
     except OSError as error:
         raise CairnError(f"{out} cannot be written: {explain_os_error(error)}") from error
 

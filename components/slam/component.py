@@ -34,7 +34,6 @@ from cairn.components.slam.graph_file import (
     GraphFile,
     kept_path,
     read_graph,
-    remove_beside,
     set_aside,
 )
 from cairn.components.slam.landmarks import write_landmarks
@@ -57,6 +56,7 @@ from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
+from cairn.system.files import remove_side_files
 from cairn.visual_map.observations import observations_of
 
 # The graph is saved this often [s]: what a kill loses.
@@ -304,7 +304,7 @@ class Slam(Component):
                 return mapper
             self._file.close()  # the earlier process had not saved anything yet
             path.unlink(missing_ok=True)
-            remove_beside(path)
+            remove_side_files(path)
         farthest = min(config.reach, float(scan.range_max))
         if config.extend is not None:
             mapper = read_graph(config.extend)

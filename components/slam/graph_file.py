@@ -28,8 +28,8 @@ from cairn.limits.files import too_large
 from cairn.limits.sqlite import SchemaError, bound_connection, table_columns
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
-from cairn.system.files import explain_os_error, replacing
-from cairn.visual_map.sqlite_file import at_rest, side_files
+from cairn.system.files import explain_os_error, remove_side_files, replacing, side_files
+from cairn.visual_map.sqlite_file import at_rest
 
 Array = NDArray[np.float64]
 
@@ -210,14 +210,13 @@ class GraphFile:
 
 def write_graph(path: Path, mapper: Mapper, source: str) -> None:
     """Write a whole graph to a new file, or replace one; raises `CairnError` if that fails."""
-    with explained_errors(path), replacing(path) as part:
-        remove_beside(part)  # of a process that was killed
-        try:
-            with closing(GraphFile.create(part, mapper.farthest, source, called=path)) as file:
-                file.save(mapper)
-                file.seal()
-        finally:
-            remove_beside(part)
+    with (
+        explained_errors(path),
+        replacing(path) as part,
+        closing(GraphFile.create(part, mapper.farthest, source, called=path)) as file,
+    ):
+        file.save(mapper)
+        file.seal()
 
 
 def read_graph(path: Path, model: MotionModel = MEASURED) -> Mapper:
@@ -241,10 +240,10 @@ def set_aside(path: Path) -> Path | None:
     """
     with explained_errors(path):
         if not path.exists():
-            remove_beside(path)
+            remove_side_files(path)
             return None
         kept = kept_path(path)
-        remove_beside(kept)
+        remove_side_files(kept)
         path.replace(kept)
         # What a process that was killed has saved last is in the file beside it.
         for old, new in zip(side_files(path), side_files(kept), strict=True):
@@ -599,12 +598,6 @@ def check_exists(path: Path) -> None:
     if not path.is_file():
         fault = "is not a file" if path.exists() else "no such file"
         raise CairnError(f"{path}: {fault}; give a graph that `cairn map build` has written")
-
-
-def remove_beside(path: Path) -> None:
-    """Remove the files that SQLite keeps beside one, and leaves there on a full disk."""
-    for file in side_files(path):
-        file.unlink(missing_ok=True)
 
 
 def _not_a_graph(path: Path) -> CairnError:

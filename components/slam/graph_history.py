@@ -35,17 +35,15 @@ from cairn.components.slam.graph_file import (
     read_constraints,
     read_edges,
     read_state,
-    remove_beside,
 )
 from cairn.components.slam.keyframes import Keyframe
 from cairn.components.slam.pose_graph import Edge, PoseGraph
 from cairn.errors import CairnError
-from cairn.limits.sqlite import bound_connection
+from cairn.limits.sqlite import bound_connection, replaced_by_copy
 from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
-from cairn.system.files import replacing
 
 # Free pages that are returned to the disk when the file is opened: with fewer, or a smaller share
 # of the file, writing the whole file again is not worth it.
@@ -331,15 +329,10 @@ def copy_graph(original: Path, copy: Path) -> None:
     with (
         explained_errors(copy),
         closing(open_connection(original, read_only=True)) as source,
+        replaced_by_copy(source, copy) as target,
     ):
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.unlink(missing_ok=True)
-        remove_beside(copy)
-        with replacing(copy) as part, closing(sqlite3.connect(part)) as target:
-            source.backup(target)
-            with target:
-                target.execute("UPDATE graph SET origin = ?", (origin,))
-                target.execute(f"DROP TABLE IF EXISTS {DIFFERENCES}")
+        target.execute("UPDATE graph SET origin = ?", (origin,))
+        target.execute(f"DROP TABLE IF EXISTS {DIFFERENCES}")
 
 
 def graph_digest(path: Path) -> str:
