@@ -109,12 +109,19 @@ def read_zones(file: Path) -> tuple[Zone, ...]:
         raise CairnError(f"{file}: {error}") from error
 
 
+class DamagedZones(CairnError):
+    """The content of a zones file is not JSON."""
+
+
 def zones_in(data: bytes) -> tuple[Zone, ...]:
-    """Return the zones in the content of a file; raises `CairnError`."""
+    """Return the zones in the content of a file.
+
+    Raises `DamagedZones`, or `CairnError` if a feature is invalid.
+    """
     try:
         content = parse_json(data, ZONE_FILE_BYTES)
     except ValueError as error:
-        raise CairnError(f"not a zones file: {error}; correct it, or remove the file") from error
+        raise DamagedZones(f"not a zones file: {error}; correct it, or remove the file") from error
     try:
         features = _Collection.model_validate(content).features
     except ValidationError as error:

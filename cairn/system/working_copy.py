@@ -1,9 +1,11 @@
-"""Decides whether the working copy of a map is used again, or made again from the original."""
+"""Decides whether a file that a robot keeps is used again, made again or set aside."""
 
 from __future__ import annotations
 
 from logging import Logger
 from pathlib import Path
+
+from cairn.system.files import explain_os_error, side_files
 
 
 def is_reusable(copy: Path, log: Logger, *, same: bool, ahead: bool) -> bool:
@@ -17,3 +19,30 @@ def is_reusable(copy: Path, log: Logger, *, same: bool, ahead: bool) -> bool:
     why = "it has data of a later time" if same else "it is a copy of another map"
     log.info("replacing the working copy %s: %s", copy, why)
     return False
+
+
+def path_aside(file: Path) -> Path:
+    """Return where `set_aside` keeps a file: NAME.damaged.cairn for NAME.cairn."""
+    return file.with_name(f"{file.stem}.damaged{file.suffix}")
+
+
+def set_aside(damaged: Path, log: Logger, why: object, *more: Path) -> None:
+    """Rename a damaged file, and `more` that belong to it, so that new ones can be made.
+
+    Files that were set aside before are replaced. Logs a warning, also if the disk refuses it.
+    """
+    kept = path_aside(damaged)
+    reason = str(why).rstrip(".")
+    pairs = [(one, path_aside(one)) for one in (damaged, *more)]
+    pairs += zip(side_files(damaged), side_files(kept), strict=True)
+    try:
+        for old, new in pairs:
+            if old.exists():
+                old.replace(new)
+            else:
+                new.unlink(missing_ok=True)
+    except OSError as error:
+        why_kept = explain_os_error(error)
+        log.warning("%s cannot be used: %s; not renamed: %s", damaged, reason, why_kept)
+    else:
+        log.warning("%s cannot be used: %s; it is kept as %s", damaged, reason, kept)

@@ -172,6 +172,10 @@ class MapFileError(CairnError):
     """A map file is missing, foreign, damaged or cannot be written."""
 
 
+class DamagedMap(MapFileError):
+    """The content of a map file is damaged, or not that of a map."""
+
+
 class MapNotWritable(MapFileError):
     """The disk of a map file takes no data now: full, over quota, at a size limit, read-only."""
 
@@ -292,11 +296,14 @@ def explained_errors(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         refused = _writing_error(path.parent) if _is_of_the_disk(error) else None
         why = _remedy(error) if refused is None else explain_os_error(refused)
-        full = getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL
-        kind = MapFileError if refused is None and not full else MapNotWritable
+        kind = MapFileError
+        if refused is not None or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
+            kind = MapNotWritable
+        elif why == _DAMAGED:
+            kind = DamagedMap
         raise kind(f"{path}: {error}. {why}.") from error
     except ValueError as error:  # an invalid row, or bytes that are not text
-        raise MapFileError(f"{path}: {error}. {_DAMAGED}.") from error
+        raise DamagedMap(f"{path}: {error}. {_DAMAGED}.") from error
     except OSError as error:
         kind = MapNotWritable if error.errno in TAKES_NO_DATA else MapFileError
         raise kind(f"{error.filename or path}: {explain_os_error(error)}.") from error
@@ -348,9 +355,9 @@ def _check_exists(path: Path) -> None:
                 raise too_large(path, path.stat().st_size, MAP_BYTES)
             return
         if path.is_dir():
-            raise MapFileError(f"{path} is a folder. Give a map file, such as one in it.")
+            raise DamagedMap(f"{path} is a folder. Give a map file, such as one in it.")
         if path.exists():
-            raise MapFileError(f"{path} is not a regular file. Give a map file.")
+            raise DamagedMap(f"{path} is not a regular file. Give a map file.")
     raise MapFileError(
         f"{path}: no such map file. Make one with `cairn map import` or `cairn object teach`, "
         "or correct the path."
@@ -402,20 +409,20 @@ def _checked_format(path: Path, connection: sqlite3.Connection) -> int:
     connection.execute("BEGIN")  # so that no other program upgrades it meanwhile
     application = connection.execute("PRAGMA application_id").fetchone()[0]
     if application != APPLICATION:
-        raise MapFileError(
+        raise DamagedMap(
             f"{path} is not a visual map of Cairn. Give a file that `cairn map import` or `cairn "
             "object teach` wrote."
         )
     version = _format(connection)
     if not 1 <= version <= _FORMAT:
-        raise MapFileError(
+        raise DamagedMap(
             f"{path} has format {version}, this Cairn reads formats up to {_FORMAT}. Import the "
             "map again, or run the Cairn that wrote it."
         )
     fault = _fault_of_schema(_schema(connection), version)
     connection.execute("COMMIT")
     if fault:
-        raise MapFileError(f"{path} is not a visual map of format {version}: {fault}. {_DAMAGED}.")
+        raise DamagedMap(f"{path} is not a visual map of format {version}: {fault}. {_DAMAGED}.")
     return version
 
 
@@ -457,7 +464,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
     """Raise `MapFileError` if a map is damaged, or has more or longer values than Cairn writes."""
     damage = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if damage != "ok":
-        raise MapFileError(f"{path}: {' '.join(damage.split())}. {_DAMAGED}.")
+        raise DamagedMap(f"{path}: {' '.join(damage.split())}. {_DAMAGED}.")
     tables = {name for kind, name in _schema(connection) if kind == "table"}
     for table, (most, texts) in _BOUNDS.items():
         if table not in tables:
@@ -465,7 +472,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
         columns = {name for of, name, _ in _columns(connection) if of == table}
         count = connection.execute(f"SELECT count(*) FROM {table}").fetchone()[0]
         if count > most:
-            raise MapFileError(
+            raise DamagedMap(
                 f"{path}: its table {table} has {count:,} rows, more than the {most:,} that are "
                 f"allowed. {_DAMAGED}."
             )
@@ -476,7 +483,7 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
                 f"SELECT max(length({column})), total(length({column})) FROM {table}"
             ).fetchone()
             if (held or 0) > longest or (column == "viewpoints" and total > _MOST_VIEWPOINTS):
-                raise MapFileError(
+                raise DamagedMap(
                     f"{path}: the column {column} of its table {table} has a text of {held:,} "
                     f"characters, and {total:,.0f} together, more than is allowed. {_DAMAGED}."
                 )

@@ -163,7 +163,9 @@ class MapBuilder(Component):
                 self._cell_exchange = cell_exchange(
                     self.robot, grid_digest(grid), Tiles((rows, columns))
                 )
-        self._zones = None if config.zones_file is None else ZoneKeeper(config.zones_file)
+        self._zones = None
+        if config.zones_file is not None:
+            self._zones = ZoneKeeper(config.zones_file, self.log)
         self._scans = PosedScans(
             config.mount.pose, config.scans_per_s, config.least_health, config.most_spread
         )
@@ -201,6 +203,8 @@ class MapBuilder(Component):
 
     def on_activate(self) -> None:
         """Open the maps and publish them, if the clock has started."""
+        if self._zones is not None:
+            self.report_problem("damaged zones", self._zones.problem)
         if self.clock.now() > 0:
             self._open_both()
 

@@ -23,7 +23,7 @@ from cairn.planar.map_file import read_map, write_map
 from cairn.planar.poses import Pose
 from cairn.planar.scans import Rays
 from cairn.system.files import explain_os_error, replace_file
-from cairn.system.working_copy import is_reusable
+from cairn.system.working_copy import is_reusable, set_aside
 
 _LOG = logging.getLogger("cairn.map_builder")
 
@@ -294,10 +294,10 @@ def _read_copy(
     except FileNotFoundError:
         return None
     except (OSError, CairnError) as error:
-        _LOG.warning("replacing the working copy %s: %s", copy, error)
+        set_aside(copy, _LOG, error, copy.with_suffix(".pgm"), sidecar)
         return None
     except ValueError:
-        _LOG.warning("replacing the working copy %s: %s is not valid", copy, sidecar)
+        set_aside(copy, _LOG, f"{sidecar} is not valid", copy.with_suffix(".pgm"), sidecar)
         return None
     ahead = now_ns is not None and origin.stamp_ns > now_ns
     if not is_reusable(copy, _LOG, same=origin.source == source, ahead=ahead):

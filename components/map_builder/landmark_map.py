@@ -12,7 +12,7 @@ from cairn import SECOND, CairnError
 from cairn.components.map_builder.landmark_sharing import LandmarkSharing, SharedLandmark
 from cairn.components.map_builder.landmark_verdicts import Rule, judge
 from cairn.components.map_builder.undo import LandmarkJournal
-from cairn.system.working_copy import is_reusable
+from cairn.system.working_copy import is_reusable, set_aside
 from cairn.visual_map.evidence_history import EvidenceSummaries, Row
 from cairn.visual_map.landmark_store import (
     LandmarkStore,
@@ -32,7 +32,13 @@ from cairn.visual_map.landmarks import (
 )
 from cairn.visual_map.object_models import check_name, read_model_name
 from cairn.visual_map.shared_record import Contribution
-from cairn.visual_map.sqlite_file import MapFileError, MapNotWritable, copy_map, digest_of
+from cairn.visual_map.sqlite_file import (
+    DamagedMap,
+    MapFileError,
+    MapNotWritable,
+    copy_map,
+    digest_of,
+)
 
 _LOG = logging.getLogger("cairn.map_builder")
 
@@ -479,9 +485,15 @@ class _Unsaved:
 def _is_reusable(map_file: Path, working_copy: Path, now_ns: int | None) -> bool:
     if not working_copy.exists():
         return False
-    with open_landmarks(working_copy, read_only=True) as previous:
-        same = previous.digest() == digest_of(map_file)
-        ahead = now_ns is not None and previous.last_stamp_ns() > now_ns
+    original = digest_of(map_file)
+    try:
+        with open_landmarks(working_copy, read_only=True) as previous:
+            last_ns = _Opened.of(previous).last_stamp_ns
+            same = previous.digest() == original
+    except DamagedMap as error:
+        set_aside(working_copy, _LOG, error)
+        return False
+    ahead = now_ns is not None and last_ns > now_ns
     return is_reusable(working_copy, _LOG, same=same, ahead=ahead)
 
 

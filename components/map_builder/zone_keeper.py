@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from logging import Logger
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ from cairn import CairnError
 from cairn.limits.files import read_bounded
 from cairn.planar.zones import (
     ZONE_FILE_BYTES,
+    DamagedZones,
     feature_of,
     file_content,
     zone_of,
@@ -18,6 +20,7 @@ from cairn.planar.zones import (
 )
 from cairn.schemas.cairn_nav_msgs import Zone
 from cairn.system.files import explain_os_error, replace_file
+from cairn.system.working_copy import path_aside, set_aside
 
 CHANGES: Final = ("set_zones", "add_zone", "remove_zone")
 """The requests that change zones."""
@@ -30,19 +33,38 @@ class ZoneKeeper:
     changed by requests only: zones that were edited in it meanwhile are never overwritten.
     """
 
-    def __init__(self, file: Path) -> None:
-        """Read the zones; a file that does not exist has none. Raises `CairnError`."""
+    def __init__(self, file: Path, log: Logger) -> None:
+        """Read the zones; a file that does not exist has none, one that is not JSON is set aside.
+
+        Raises `CairnError`, also if a zone is invalid.
+        """
         if not file.parent.is_dir():
             raise CairnError(f"{file.parent}: no such folder to keep the zones in (zones_file)")
         self.file = file
         self.version = 1
         self.is_saved = True
         """Whether the file has the zones that are in force."""
+        self.zones: tuple[Zone, ...] = ()
         self._content = _content(file)
         try:
-            self.zones: tuple[Zone, ...] = zones_in(self._content) if self._content else ()
+            if self._content is not None:
+                self.zones = zones_in(self._content)
+        except DamagedZones as error:
+            set_aside(file, log, error)
+            self._content = _content(file)
         except CairnError as error:
             raise CairnError(f"{file}: {error}") from error
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong as long as there is a file that was set aside; else None."""
+        kept = path_aside(self.file)
+        if not kept.exists():
+            return None
+        return (
+            f"the zones in {kept}, which was damaged, are not in force: correct it and rename it "
+            f"to {self.file.name}, or remove it"
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return the zones as GeoJSON features, their version, and the file."""
@@ -98,10 +120,11 @@ def _index(names: list[str], name: Any) -> int:
     return names.index(name)
 
 
-def _content(file: Path) -> bytes:
+def _content(file: Path) -> bytes | None:
+    """Return the content of a file, None if there is none."""
     try:
         return read_bounded(file, ZONE_FILE_BYTES)
     except FileNotFoundError:
-        return b""
+        return None
     except OSError as error:
         raise CairnError(f"{file}: cannot be read: {explain_os_error(error)}") from error

@@ -38,7 +38,7 @@ from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.map_msgs import OccupancyGridUpdate
 from cairn.schemas.nav_msgs import OccupancyGrid, Odometry
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn.system.working_copy import is_reusable
+from cairn.system.working_copy import is_reusable, set_aside
 
 
 class GraphKeeper(Component):
@@ -202,7 +202,7 @@ class GraphKeeper(Component):
         try:
             log = read_log(copy)
         except CairnError as error:
-            self.log.warning("replacing the working copy %s: %s", copy, error)
+            set_aside(copy, self.log, error)
             return False
         same = log.origin == graph_digest(self.config.graph_file)
         ahead = self.time_may_repeat and log.last_stamp_ns > self.clock.now()

@@ -235,18 +235,18 @@ def test_full_disk_leaves_the_last_copy_intact(
             ("copy.pgm", b"P5\n180 140\n255\nshort", r"copy\.pgm: is truncated or damaged"),
             ("copy.pgm", None, r"copy\.pgm: no such image"),
             ("copy.yaml", b"", r"copy\.yaml: not a map_server YAML file"),
-            ("map.pgm", b"", "it is a copy of another map"),
+            ("map.pgm", b"", None),
         ],
         2,
     ),
 )
-def test_unusable_copy_is_reported_and_replaced(
+def test_unusable_copy_is_reported_set_aside_and_replaced(
     grid_file: Path,
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
     file: str,
     content: bytes | None,
-    why: str,
+    why: str | None,
 ) -> None:
     caplog.set_level("INFO")
     copy = tmp_path / "copy.yaml"
@@ -261,6 +261,7 @@ def test_unusable_copy_is_reported_and_replaced(
         (tmp_path / file).unlink()
     else:
         (tmp_path / file).write_bytes(content)
+    damaged = ".damaged.".join(file.rsplit(".", 1))
 
     again = ComponentHarness(
         MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN + 20.0
@@ -268,8 +269,13 @@ def test_unusable_copy_is_reported_and_replaced(
 
     (published,) = again.take("map")
     assert np.array_equal(grid_of(published).values, read_map(grid_file).values)
-    (line,) = [line for line in caplog.messages if "working copy" in line]
-    assert re.search(rf"replacing the working copy .*copy\.yaml: .*{why}", line)
+    (line,) = [line for line in caplog.messages if "copy.yaml" in line]
+    if why is None:
+        assert re.search(r"replacing the working copy .*: it is a copy of another map", line)
+    else:
+        kept = r"it is kept as .*copy\.damaged\.yaml"
+        assert re.search(rf"copy\.yaml cannot be used: .*{why}.*; {kept}", line)
+        assert content is None or (tmp_path / damaged).read_bytes() == content
 
 
 def test_missing_map_fails_configuration(tmp_path: Path) -> None:

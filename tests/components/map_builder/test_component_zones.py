@@ -14,6 +14,7 @@ from cairn.schemas.cairn_nav_msgs import Zones
 from cairn.testing.lockstep import ComponentHarness
 from tests.components.localizer.room import room
 from tests.disk import room_for
+from tests.wording import assert_words
 from tests.zone_features import area, place
 
 KITCHEN = place("kitchen", 7.5, 5.0)
@@ -118,6 +119,29 @@ def test_damaged_file_is_an_error_of_the_start(file: Path) -> None:
     file.write_text('{"type": "FeatureCollection", "features": [{}]}')
     with pytest.raises(CairnError, match=f"{file}: feature 1"):
         builder(file)
+
+
+@pytest.mark.parametrize("length", [0, 1, 200])
+def test_truncated_file_is_set_aside_and_its_absence_stays_in_the_status(
+    file: Path, length: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    builder(file).request("add_zone", feature=STAIRS)
+    truncated = file.read_bytes()[:length]
+    file.write_bytes(truncated)
+    kept = file.with_suffix(".damaged.geojson")
+
+    for _ in range(2):  # also after a restart
+        it = builder(file)
+        assert published(it) == []
+        reason = it.runtime.status().reason
+        assert_words(reason, str(kept), "not in force", f"rename it to {file.name}")
+    assert kept.read_bytes() == truncated
+    assert_words(caplog.text, f"{file} cannot be used", f"it is kept as {kept}")
+
+    it.request("add_zone", feature=KITCHEN)
+    assert published(builder(file)) == ["kitchen"]
+    kept.unlink()
+    assert builder(file).runtime.status().reason == ""
 
 
 def test_file_in_a_folder_that_is_missing_is_an_error_of_the_start(file: Path) -> None:

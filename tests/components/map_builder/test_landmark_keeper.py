@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import textwrap
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from cairn.visual_map.sqlite_file import FORMATS, MapFileError, check_row, copy_
 from tests.cairn.visual_map.views import view
 from tests.components.map_builder.evidence import THERE, observation, surveyed
 from tests.patience import LIMIT_S
+from tests.wording import assert_words
 
 
 @pytest.fixture
@@ -93,6 +95,47 @@ def test_working_copy_is_reused_after_a_kill(map_file: Path, now_ns: int | None)
 
     assert {o.object_id: o.state for o in second.landmarks}[7] is LandmarkState.RELOCATING
     second.close()
+
+
+def truncate(copy: Path) -> None:
+    copy.write_bytes(copy.read_bytes()[: copy.stat().st_size // 3])
+
+
+def overwrite(copy: Path) -> None:
+    with copy.open("r+b") as file:
+        file.seek(2000)
+        file.write(b"\xff" * 20_000)
+
+
+def forge(copy: Path) -> None:
+    with closing(sqlite3.connect(copy)) as connection, connection:
+        connection.execute("UPDATE objects SET x = 3.5")
+
+
+def replace_by_fifo(copy: Path) -> None:
+    copy.unlink()
+    os.mkfifo(copy)
+
+
+@pytest.mark.parametrize("damage", [truncate, overwrite, forge, replace_by_fifo])
+def test_damaged_copy_is_set_aside_and_replaced(
+    map_file: Path, damage: Callable[[Path], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    copy, kept = map_file.with_name("copy.map"), map_file.with_name("copy.damaged.map")
+    before = keep(map_file, copy)
+    landmarks = before.landmarks
+    before.apply(100, [observation(0.1, 0, THERE)])
+    before.save()
+    before.close()
+    damage(copy)
+
+    after = keep(map_file, copy)
+
+    assert after.landmarks == landmarks
+    assert kept.exists()
+    assert_words(caplog.text, f"{copy} cannot be used: ", f"it is kept as {kept}")
+    after.close()
+    keep(map_file, copy).close()
 
 
 def test_object_taught_at_run_time_is_learned_with_its_name(

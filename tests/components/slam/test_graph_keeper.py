@@ -35,6 +35,7 @@ from tests.components.slam.changing_room import (
     write_room_graph,
 )
 from tests.disk import room_for
+from tests.wording import assert_words
 
 BEGIN = 1000.0
 PERMANENT = 60.0
@@ -204,16 +205,19 @@ def test_restarted_keeper_continues_its_copy(
     assert "replacing the working copy" in caplog.text
 
 
-def test_damaged_copy_is_reported_and_replaced(
+def test_damaged_copy_is_set_aside_and_replaced(
     original: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    original.with_name("report.graph").write_bytes(b"not a graph" * 1000)
+    copy, damaged = original.with_name("report.graph"), b"not a graph" * 1000
+    copy.write_bytes(damaged)
 
     robot = Robot(original)
     robot.drive(room((TABLE,)), 1)
 
     assert robot.keeper.request("status")["keyframes"] == len(ROUND)
-    assert "replacing the working copy" in caplog.text
+    kept = original.with_name("report.damaged.graph")
+    assert_words(caplog.text, f"{copy} cannot be used", "not a graph", f"it is kept as {kept}")
+    assert kept.read_bytes() == damaged
 
 
 def test_full_disk_delays_the_copy_and_fails_nothing(
