@@ -27,7 +27,10 @@ _USAGES: Final = {
     "authority": (ExtendedKeyUsageOID.SERVER_AUTH,),
 }
 _PURPOSE: Final = ec.ECDSA(hashes.SHA256())
-_UNREADABLE: Final = (ValueError, TypeError, UnsupportedAlgorithm)
+_UNREADABLE: Final = (
+    ValueError, TypeError, UnsupportedAlgorithm, x509.DuplicateExtension, x509.InvalidVersion,
+    x509.UnsupportedGeneralNameType,
+)  # fmt: skip
 
 
 def new_key() -> ec.EllipticCurvePrivateKey:
@@ -71,6 +74,10 @@ def read_certificate(data: bytes, source: str) -> x509.Certificate:
             raise ValueError("it is too large")
         certificate = x509.load_pem_x509_certificate(data)
         key = certificate.public_key()
+        # Each part is parsed when it is read: here, where an error names the file.
+        parts = ("subject", "issuer", "not_valid_before_utc", "not_valid_after_utc", "extensions")
+        for part in parts:
+            getattr(certificate, part)
     except _UNREADABLE as error:
         raise CairnError(f"{source}: it is not a certificate (PEM): {error}; restore it") from None
     if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):

@@ -545,15 +545,19 @@ def create_differences(connection: sqlite3.Connection) -> None:
 
 
 def open_connection(path: Path, *, read_only: bool = False) -> sqlite3.Connection:
-    """Connect to a graph file; raises `sqlite3.Error` if that fails."""
+    """Connect to a graph file; raises `sqlite3.Error` or `ValueError` if that fails."""
     if read_only:
         # A graph at rest may be in a folder where SQLite cannot make its lock files.
         uri = f"{path.resolve().as_uri()}?{'immutable=1' if at_rest(path) else 'mode=ro'}"
         return sqlite3.connect(uri, uri=True, timeout=_LOCK_WAIT_S)
     # A component's handlers run one at a time, but not always on the same thread.
     connection = sqlite3.connect(path, timeout=_LOCK_WAIT_S, check_same_thread=False)
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = NORMAL")
+    try:
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = NORMAL")
+    except BaseException:
+        connection.close()
+        raise
     return connection
 
 
@@ -632,6 +636,8 @@ def explained_errors(path: Path) -> Iterator[None]:
             raise _not_a_graph(path) from error
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         raise CairnError(f"{path}: {error}; {_REMEDIES.get(code, _ANY_REMEDY)}") from error
+    except UnicodeDecodeError as error:  # of a text in the schema
+        raise _damaged(path, str(error)) from error
     except OSError as error:
         raise CairnError(f"{path}: {explain_os_error(error)}") from error
 

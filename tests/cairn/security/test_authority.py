@@ -1,5 +1,6 @@
 """The authority issues, renews and revokes certificates; its files are for its user alone."""
 
+import base64
 import stat
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from cairn import CairnError
 from cairn.security import certificates
@@ -105,6 +107,22 @@ def test_interrupted_replacement_of_an_identity_is_completed(authority: Authorit
     before.certificate.write_bytes(old[0])
     with pytest.raises(CairnError, match="private key beside it is not of this certificate"):
         own_identity(folder, "brain")
+
+
+def test_damaged_certificate_is_refused_when_it_is_read(authority: Authority) -> None:
+    made = certificates.read_certificate(authority.ca_pem, "ca.pem")
+    der = made.public_bytes(Encoding.DER)
+    damages = {
+        "version": (b"\xa0\x03\x02\x01\x02", b"\xa0\x03\x02\x01\x07"),
+        "name": (b"\x06\x03\x55\x04\x03\x0c", b"\x06\x03\x55\x04\x03\x1e"),
+        "extension": (b"\x30\x06\x01\x01\xff\x02\x01\x00", b"\x30\x06\x01\x01\xff\x02\x07\x00"),
+    }
+    for part, (right, wrong) in damages.items():
+        assert right in der, part
+        damaged = base64.encodebytes(der.replace(right, wrong))
+        pem = b"-----BEGIN CERTIFICATE-----\n%b-----END CERTIFICATE-----\n" % damaged
+        with pytest.raises(CairnError, match=r"ca\.pem: it is not a certificate"):
+            certificates.read_certificate(pem, "ca.pem")
 
 
 def test_expired_identity_is_refused_with_the_remedy(tmp_path: Path) -> None:

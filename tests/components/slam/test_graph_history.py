@@ -35,6 +35,7 @@ from cairn.system.clock import SECOND
 from tests.components.localizer.room import room
 from tests.components.slam.box_room import drive, scan
 from tests.components.slam.changing_room import REACH, ROUND, TABLE, scan_at, write_room_graph
+from tests.wording import words_in_order
 
 FEW = ROUND[::4]
 
@@ -289,3 +290,14 @@ def test_free_pages_return_to_the_disk(original: Path, tmp_path: Path) -> None:
     GraphHistory(path).close()
 
     assert path.stat().st_size < full / 4
+
+
+def test_schema_that_is_not_text_is_reported(original: Path, tmp_path: Path) -> None:
+    path = tmp_path / "room.graph"
+    content = original.read_bytes()
+    assert b"tableposesposes" in content
+    path.write_bytes(content.replace(b"tableposesposes", b"tablepos\xffspos\xffs"))
+
+    for use in (GraphHistory, read_log, read_graph, lambda path: copy_graph(path, path)):
+        with pytest.raises(CairnError, match=words_in_order(f"{path}: ", "damaged")):
+            use(path)
