@@ -12,7 +12,7 @@ from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
 from cairn.system.compilation import before_compilation
 from cairn.system.extras import missing_library
-from cairn.system.files import private_files
+from cairn.system.files import allow_many_files, private_files
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
@@ -125,6 +125,7 @@ def main() -> None:
     logging.captureWarnings(True)
     before_compilation(_announce_compilation, _KernelCount())
     try:
+        allow_many_files()
         with private_files():
             _check_folder()
             build()()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,8 +16,31 @@ from typing import Final
 
 from cairn.errors import CairnError
 
+MANY_FILES: Final = 1024
+"""A process of Cairn may open so many files, if the system allows it."""
+
+_LEAST_FILES: Final = 256
+"""Zenoh ends the process if it cannot open its own; `cairn up` of a robot opens about 60."""
+
 _UMASK: Final = 0o027
 """Others may not read what Cairn writes: where a robot is, where it goes, and maps of buildings."""
+
+
+def allow_many_files() -> None:
+    """Let this process, and those it starts, open `MANY_FILES`.
+
+    Raises `CairnError` if the system allows fewer than Cairn needs.
+    """
+    soft, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    unlimited = resource.RLIM_INFINITY
+    if soft != unlimited and soft < MANY_FILES:
+        soft = MANY_FILES if most == unlimited else min(MANY_FILES, most)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, most))
+    if soft != unlimited and soft < _LEAST_FILES:
+        raise CairnError(
+            f"a program may open {soft} files here, and Cairn needs {_LEAST_FILES}: raise the "
+            f"limit (`ulimit -n {MANY_FILES}`; of a systemd unit, LimitNOFILE)"
+        )
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from cairn.cli.doctor import Finding
 from cairn.deployment.shipped import FOLDER
 from cairn.errors import CairnError
 from cairn.system.extras import PACKAGE, missing_libraries, robot_extras
+from cairn.system.files import MANY_FILES
 from cairn.system.runtime_folder import VARIABLE, check_private, runtime_folder
 from cairn.system.user_folders import state_folder
 
@@ -41,7 +42,6 @@ _DRIVERS = {
 }
 _SLOW_CLOCKS = frozenset({"hpet", "acpi_pm", "jiffies"})
 _SELF_ADAPTING_DRIVERS = frozenset({"intel_pstate", "amd-pstate", "amd-pstate-epp"})
-_FEW_FILES = 1024
 _LITTLE_SPACE = 1 << 30  # bytes: enough for the report and logs of an hour
 _NO_SPACE = 50 << 20
 _LONG_PATH = 70  # characters: a socket's path may have 107, and its name needs the rest
@@ -161,8 +161,8 @@ def _governor(root: Path) -> Finding:
 def _open_files() -> Finding:
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     many = "unlimited" if soft == resource.RLIM_INFINITY else f"{soft:,}"
-    if soft != resource.RLIM_INFINITY and soft < _FEW_FILES:
-        return Finding(_TOPIC, "open files", "warn", f"at most {many}", f"ulimit -n {_FEW_FILES}")
+    if soft != resource.RLIM_INFINITY and soft < MANY_FILES:
+        return Finding(_TOPIC, "open files", "warn", f"at most {many}", f"ulimit -n {MANY_FILES}")
     return Finding(_TOPIC, "open files", "ok", f"at most {many}")
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from cairn.system.files import replace_file, replacing
 from tests.disk import room_for
+from tests.wording import assert_words
 
 
 def names(folder: Path) -> list[str]:
@@ -86,3 +87,24 @@ with replacing(Path(sys.argv[1])) as part:
 
     assert file.read_bytes() == b"new"
     assert names(tmp_path) == ["order.json"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "allowed"), [((64, 5000), "1024"), ((300, 300), "300"), ((24, 24), "")], ids=str
+)
+def test_process_may_open_many_files_or_says_why_not(limits: tuple[int, int], allowed: str) -> None:
+    program = f"""
+import resource
+from cairn.system.files import allow_many_files
+resource.setrlimit(resource.RLIMIT_NOFILE, {limits})
+allow_many_files()
+print(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+
+    assert run.stdout.strip() == allowed
+    assert run.returncode == (not allowed)
+    if not allowed:
+        assert_words(run.stderr, "may open 24 files", "ulimit -n 1024")
