@@ -299,6 +299,11 @@ class _WebSocket(WebSocketsSansIOProtocol):
         if self.close_sent:
             self._count()
 
+    async def send(self, message: Any) -> None:
+        await super().send(message)
+        # A refusal ends the handshake, too: uvicorn (0.54) logs each one as an error otherwise.
+        self.handshake_complete = self.handshake_complete or self.close_sent
+
     def send_keepalive_ping(self) -> None:
         super().send_keepalive_ping()
         self._frames = 0

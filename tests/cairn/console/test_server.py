@@ -73,12 +73,16 @@ def test_other_host_names_are_refused_against_dns_rebinding(console: Running, ho
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "file://"])
-def test_pages_of_other_sites_are_refused(console: Running, origin: str) -> None:
+def test_pages_of_other_sites_are_refused_and_no_error_is_logged(
+    console: Running, origin: str, caplog: pytest.LogCaptureFixture
+) -> None:
     with pytest.raises(InvalidStatus) as refused:
         console.browser(origin=origin)
 
     assert refused.value.response.status_code == 403
     assert b"--allow-origin" in (refused.value.response.body or b"")
+    assert get(console, "/")[0] == 200  # answered after all that the first request caused
+    assert not caplog.records
 
 
 def test_own_page_and_allowed_sites_may_connect(console: Running) -> None:
