@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -54,17 +55,29 @@ class MapFile(BaseModel):
     negate: Annotated[bool, BeforeValidator(_as_bool)] = False
     occupied_thresh: Number = Field(gt=0, le=1)
     free_thresh: Number = Field(ge=0, lt=1)
+    strict_thresholds: bool = Field(
+        False,
+        description="Whether free_thresh decides also about the gray that map_saver writes for "
+        "unknown cells. Only Cairn knows this key.",
+    )
     width: int | None = Field(None, gt=0, description="Width the image must have [pixels].")
     height: int | None = Field(None, gt=0, description="Height the image must have [pixels].")
 
 
-def read_map(file: Path) -> OccupancyCells:
+_SAVER_UNKNOWN = 205
+_SAVER_OTHERS = {0, 254, 255}
+"""The grays that map_saver and slam_toolbox write for unknown cells, and for all others."""
+
+
+def read_map(file: Path, notify: Callable[[str], object] = lambda _: None) -> OccupancyCells:
     """Read a map from a YAML file and the image that it names; row 0 is the image's bottom row.
 
     A pixel's lightness (mean of its colors) gives the probability p of an obstacle: dark is
     occupied, unless `negate`. The modes are:
 
-    - trinary: occupied above occupied_thresh, free below free_thresh, otherwise unknown;
+    - trinary: occupied above occupied_thresh, free below free_thresh, otherwise unknown. The gray
+      205 of a map_saver, whose own `free_thresh` of 0.25 would make it free, is unknown, too,
+      unless `strict_thresholds`; `notify` is told;
     - scale: p between the thresholds in percent, unknown where the image is transparent;
     - raw: the pixel's value is the cell's, above 100 unknown.
 
@@ -78,7 +91,16 @@ def read_map(file: Path) -> OccupancyCells:
         cells = look_up(_raw_cells(lightness), levels)
     else:
         occupied = lightness if description.negate else 1.0 - lightness
-        cells = look_up(_cells(occupied, description), levels)
+        values = _cells(occupied, description)
+        unknown = _saved_as_unknown(description, levels, lightness)
+        if np.any(values[unknown] == FREE):
+            values[unknown] = UNKNOWN
+            notify(
+                f"{file}: pixels of gray {_SAVER_UNKNOWN} are unknown, as its image is one of "
+                f"map_saver; by the letter, free_thresh = {description.free_thresh:g} makes them "
+                "free: for that, add strict_thresholds: true"
+            )
+        cells = look_up(values, levels)
         if description.mode == "scale" and opaque is not None:
             cells[~opaque] = UNKNOWN
     x, y, yaw = description.origin
@@ -183,6 +205,21 @@ def _pixels(
         colors = pixels.shape[2]
         pixels = np.add.reduce(pixels, axis=2, dtype=np.uint32 if white > 255 else np.uint16)
     return pixels, np.arange(colors * white + 1) / colors / white, opaque
+
+
+def _saved_as_unknown(
+    description: MapFile, levels: NDArray[Any], lightness: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return which sums of colors a program has written for unknown cells in mode `trinary`."""
+    grays = np.rint(255.0 * lightness)
+    found = np.zeros(lightness.shape, bool)
+    if description.mode == "trinary" and not (description.negate or description.strict_thresholds):
+        for row in levels:
+            found[row] = True
+    if not set(grays[found]) <= _SAVER_OTHERS | {_SAVER_UNKNOWN}:
+        found[:] = False  # a drawing, or a picture
+    unknown: NDArray[np.bool_] = found & (grays == _SAVER_UNKNOWN)
+    return unknown
 
 
 def _check_size(file: Path, path: Path, description: MapFile, pixels: NDArray[Any]) -> None:

@@ -157,7 +157,7 @@ class MapBuilder(Component):
         if config.share and config.map_file is not None:
             self._exchange = landmark_exchange(self.robot, digest_of(config.map_file))
         if config.grid_file is not None:
-            grid = read_map(config.grid_file)
+            grid = read_map(config.grid_file, self.log.warning)
             if config.share:
                 rows, columns = grid.values.shape
                 self._cell_exchange = cell_exchange(

@@ -12,6 +12,7 @@ from cairn import CairnError
 from cairn.planar.grid import FREE, OCCUPIED, UNKNOWN, Frame, Grid
 from cairn.planar.map_file import Mode, read_map, write_map
 from tests.disk import room_for
+from tests.wording import assert_words
 
 
 def described(folder: Path, **keys: object) -> Path:
@@ -42,6 +43,29 @@ def test_trinary_dark_is_occupied_light_free_gray_unknown_bottom_row_first(
 
     assert grid.values.tolist() == [[FREE, FREE, OCCUPIED], [OCCUPIED, UNKNOWN, FREE]]
     assert grid.frame == Frame(0.05, (1.0, -2.0, 0.0))
+
+
+def test_gray_of_map_saver_is_unknown_whatever_free_thresh_says(tmp_path: Path) -> None:
+    painted(tmp_path, [[0, 205, 254]])
+    notes: list[str] = []
+
+    grid = read_map(described(tmp_path, free_thresh=0.25), notes.append)
+
+    assert grid.values.tolist() == [[OCCUPIED, UNKNOWN, FREE]]
+    (note,) = notes
+    assert_words(note, "map.yaml", "205", "free_thresh = 0.25", "strict_thresholds: true")
+    strict = described(tmp_path, free_thresh=0.25, strict_thresholds=True)
+    assert read_map(strict).values.tolist() == [[OCCUPIED, FREE, FREE]]
+
+
+def test_gray_in_a_drawing_is_judged_by_the_thresholds(tmp_path: Path) -> None:
+    painted(tmp_path, [[0, 205, 254, 210]])
+    notes: list[str] = []
+
+    grid = read_map(described(tmp_path, free_thresh=0.25), notes.append)
+
+    assert grid.values.tolist() == [[OCCUPIED, FREE, FREE, FREE]]
+    assert notes == []
 
 
 def test_negate_makes_light_occupied(tmp_path: Path) -> None:
