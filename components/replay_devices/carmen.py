@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -27,14 +27,19 @@ from cairn.components.replay_devices.carmen_odometry import (
     with_poses_at_scans,
 )
 from cairn.components.replay_devices.record_times import (
+    NO_TIME,
     RepairedTimes,
     TimeQuality,
     repair_times,
     time_quality,
+    times_by_order,
+    times_by_way,
     with_repair,
     wrong_times,
 )
 from cairn.components.replay_devices.recording import (
+    BAD_SHARE,
+    FEW_BAD,
     OdometryStream,
     RecordedTopic,
     Recording,
@@ -92,8 +97,9 @@ class CarmenRecording(Recording):
         lasers = self._log.lasers[kinds[0]] if kinds else []
         self._kind = kinds[0] if kinds else ""
         wheels = rejoin_increments(self._log.odometry, lasers)
+        lasers, odometry = self._with_usable_times(lasers, wheels.lines)
         lasers = self._timely(lasers)
-        odometry = self._timely(wheels.lines)
+        odometry = self._timely(odometry)
         self._true_poses = _sorted(self._timely(self._log.true_poses))
         self._log.check_share(path)
         self._note_bad_records()
@@ -151,6 +157,51 @@ class CarmenRecording(Recording):
                 "corrected by the sign of its velocities"
             )
         self._odometry = self._from_wheels(restored.lines)
+
+    def _with_usable_times(
+        self, lasers: list[LaserLine], odometry: list[OdometryLine]
+    ) -> tuple[list[LaserLine], list[OdometryLine]]:
+        """Return the lines with the times of the messages, of the logger, or by their order."""
+        streams: dict[str, Sequence[LaserLine | OdometryLine]] = {}
+        streams |= {self._kind: lasers} if lasers else {}
+        streams |= {"ODOM": odometry} if odometry else {}
+        sent = _Clock.of(streams, lambda line: line.stamp)
+        if all(sent.has_few_wrong(kind) for kind in streams):
+            return lasers, odometry
+        logged = _Clock.of(streams, _logged)
+        clock = logged if logged.quality > sent.quality else sent
+        if clock is logged:
+            self._notes.append("the times of messages cannot be used: those of the logger are")
+        times = {}
+        for kind in clock.usable:
+            times[kind] = clock.stamps[kind]
+            wrong = len(clock.wrong[kind])
+            if not clock.has_few_wrong(kind):
+                times[kind] = clock.by_order(streams[kind], kind)
+                self._notes.append(
+                    f"the times of {wrong} {kind} are wrong: by the order of the file they lie "
+                    "between those of the others"
+                )
+        if not times:
+            first = next(iter(streams))
+            poses = [_pose_of(line) or (0.0, 0.0, 0.0) for line in streams[first]]
+            times[first] = times_by_way(np.array(poses))
+            self._notes.append(
+                f"no times can be used: those of {first} are made as if the robot drove at a usual "
+                "speed"
+            )
+        for kind in streams.keys() - times.keys():
+            (other,) = times
+            numbers = [line.line for line in streams[kind]]
+            times[kind] = times_by_order(numbers, *_known(streams[other], times[other]))
+            self._notes.append(
+                f"the times of {kind} cannot be used: by the order of the file they lie between "
+                f"those of {other}"
+            )
+        return (
+            _with_stamps(lasers, times.get(self._kind, [])),
+            _with_stamps(odometry, times.get("ODOM", [])),
+        )
 
     def _timely(self, lines: list[Line]) -> list[Line]:
         """Return the lines without those of which the time is wrong, which count as bad records."""
@@ -313,6 +364,70 @@ def posed_scans(path: Path) -> Iterator[tuple[Pose, LaserScan]]:
     return CarmenRecording(path).posed_scans()
 
 
+@dataclass(frozen=True)
+class _Clock:
+    """Times [ns] of the records of each kind, and the indices of those that are wrong."""
+
+    stamps: dict[str, list[int]]
+    wrong: dict[str, set[int]]
+
+    @classmethod
+    def of(
+        cls,
+        streams: Mapping[str, Sequence[LaserLine | OdometryLine]],
+        stamp_of: Callable[[LaserLine | OdometryLine], int],
+    ) -> _Clock:
+        stamps = {kind: [stamp_of(line) for line in lines] for kind, lines in streams.items()}
+        wrong = {kind: {one.index for one in wrong_times(of)} for kind, of in stamps.items()}
+        return cls(stamps, wrong)
+
+    @property
+    def usable(self) -> list[str]:
+        """The kinds of which at least half of the times are right, and differ."""
+        return [
+            kind
+            for kind, stamps in self.stamps.items()
+            if 2 * len(self.wrong[kind]) <= len(stamps) and 2 * len(set(stamps)) >= len(stamps)
+        ]
+
+    @property
+    def quality(self) -> tuple[int, int]:
+        """The better clock has the greater one: more usable kinds, then fewer wrong times."""
+        return len(self.usable), -sum(len(self.wrong[kind]) for kind in self.usable)
+
+    def has_few_wrong(self, kind: str) -> bool:
+        """Return whether no more records have wrong times than may be left out as bad."""
+        few = max(FEW_BAD, BAD_SHARE * len(self.stamps[kind]))
+        return kind in self.usable and len(self.wrong[kind]) <= few
+
+    def by_order(self, lines: Sequence[LaserLine | OdometryLine], kind: str) -> list[int]:
+        """Return the times, the wrong ones between those of the records around them."""
+        stamps, wrong = self.stamps[kind], self.wrong[kind]
+        placed = times_by_order([line.line for line in lines], *_known(lines, stamps))
+        return [placed[k] if k in wrong else stamps[k] for k in range(len(lines))]
+
+
+def _logged(line: LaserLine | OdometryLine) -> int:
+    """Return the time [ns] at which a line was logged."""
+    return NO_TIME if math.isnan(line.logger_s) else round(line.logger_s * 1e6) * 1000
+
+
+def _known(
+    lines: Sequence[LaserLine | OdometryLine], stamps: Sequence[int]
+) -> tuple[list[int], NDArray[np.int64]]:
+    """Return the numbers of the lines whose times are right, and those times [ns]."""
+    wrong = {one.index for one in wrong_times(stamps)}
+    right = [index for index in range(len(lines)) if index not in wrong]
+    return [lines[k].line for k in right], np.array([stamps[k] for k in right], np.int64)
+
+
+def _with_stamps(lines: list[Message], stamps: Sequence[int]) -> list[Message]:
+    return [
+        line if line.stamp == stamp else replace(line, stamp=stamp)
+        for line, stamp in zip(lines, stamps, strict=True)
+    ]
+
+
 def _sorted(lines: list[Line]) -> list[Line]:
     return sorted(lines, key=lambda line: line.stamp)
 
@@ -332,12 +447,7 @@ def _in_time(lines: list[Message], are_raw: bool) -> _Track[Message]:
     else:
         order = np.argsort(recorded, kind="stable")
         repaired = RepairedTimes(order, recorded[order])
-    ordered = [
-        line if line.stamp == stamp else replace(line, stamp=stamp)
-        for line, stamp in zip(
-            (unique[k] for k in repaired.order), repaired.stamps.tolist(), strict=True
-        )
-    ]
+    ordered = _with_stamps([unique[k] for k in repaired.order], repaired.stamps.tolist())
     quality = with_repair(time_quality(recorded), recorded, repaired)
     duplicates = len(lines) - len(unique)
     return _Track(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from cairn import SECOND
 from cairn.components.replay_devices.bounded_streams import text_lines
+from cairn.components.replay_devices.record_times import NO_TIME
 from cairn.components.replay_devices.recording import BAD_SHARE, FEW_BAD, damaged_line
 from cairn.errors import RecordingError
 from cairn.planar.poses import Pose
@@ -26,7 +28,7 @@ MESSAGES = ("PARAM", "SYNC", "ODOM", "FLASER", "RLASER", "TRUEPOS", "RAWLASER1",
 
 _MOST_LISTED = 1_000  # bad records of which the line is kept
 _STAMP = 3  # the fields that end each line
-_LATEST_S = 2**31
+_LATEST_S = 2**31  # programs that subtract too much write 4.29497e+09
 _LARGEST = 1e9  # of ranges, poses and velocities: no robot goes so far
 
 SHORTEST_M = 0.02
@@ -263,24 +265,32 @@ def _whole(words: list[str], index: int) -> int:
 
 def _stamp(words: list[str]) -> int:
     """Return the time at which a message was sent [ns], exactly as it is written."""
-    text = words[-_STAMP]
-    whole, _, fraction = text.partition(".")
-    if whole.isdecimal() and len(whole) <= 10 and (fraction.isdecimal() or not fraction):
-        stamp = int(whole) * SECOND + int(fraction[:9].ljust(9, "0"))
-    else:
-        (time,) = _numbers([text], "time")
-        stamp = round(time * 1e6) * 1000  # to microseconds, the precision of a double
-    if abs(stamp) >= _LATEST_S * SECOND:
-        raise _DamageError(f"time is {stamp / SECOND:g} s")
-    return stamp
+    return _time(words[-_STAMP])
 
 
 def _logger_s(words: list[str]) -> float:
-    """Return the time at which a record was logged [s], NaN if it is not a number."""
+    """Return the time at which a record was logged [s], NaN if there is none."""
+    stamp = _time(words[-1])
+    return math.nan if stamp == NO_TIME else stamp / SECOND
+
+
+def _time(text: str) -> int:
+    """Return a time [ns]; `NO_TIME` if it is none, or rounded to more than a second.
+
+    Programs that print a time with six digits write 1.01893e+09, which is the same for hours.
+    """
+    whole, _, fraction = text.partition(".")
+    if whole.isdecimal() and len(whole) <= 10 and (fraction.isdecimal() or not fraction):
+        stamp = int(whole) * SECOND + int(fraction[:9].ljust(9, "0"))
+        return stamp if stamp < _LATEST_S * SECOND else NO_TIME
     try:
-        return float(words[-1])
-    except ValueError:
-        return math.nan
+        time = Decimal(text)
+    except InvalidOperation:
+        return NO_TIME
+    digits_end = time.as_tuple().exponent
+    if not isinstance(digits_end, int) or digits_end > 0 or abs(time) >= _LATEST_S:
+        return NO_TIME
+    return round(float(time) * 1e6) * 1000  # to microseconds, the precision of a double
 
 
 def _ranges(words: list[str]) -> NDArray[np.float32]:

@@ -28,6 +28,7 @@ _BESIDE_NS = SECOND // 100
 _CURVED, _OFF_M, _OFF_RAD, _SHORT_NS = 1.1, 0.01, 0.02, SECOND // 2
 _FASTER, _FASTER_M_S, _FASTER_RAD_S = 1.5, 0.1, 0.2
 _MOVING_M_S = 0.02  # a slower robot may stand
+_UNSET_SHARE = 0.2  # of the lines whose times nobody set, so many are more than a second off
 _ENOUGH_LINES = 20  # odometry lines that decide whether a log counts backwards as forward
 
 
@@ -44,34 +45,33 @@ def rejoin_increments(
 ) -> RejoinedOdometry:
     """Return raw odometry from lines that restart at each scan's corrected pose.
 
-    GMapping writes such logs: a scan is followed by an ODOM line without a time of its own that
-    repeats the scan's corrected pose, and the next lines continue from there. Only the increments
-    are measured; they are added up. Lines of other logs, in which fewer than half of the scans are
-    followed by such a line, are returned unchanged.
+    GMapping writes such logs: a scan is followed by an ODOM line that repeats the scan's corrected
+    pose, and the next lines continue from there. Such a line measures nothing, and its time is not
+    set. Only the increments are measured; they are added up. Lines of other logs, in which fewer
+    than half of the scans are followed by such a line, are returned unchanged.
     """
-    scans = {line.line: line for line in lasers}
-    at = sorted([*(line.line for line in odometry), *scans])
-    by_line = {line.line: line for line in odometry}
+    records: list[OdometryLine | LaserLine] = [*odometry, *lasers]
+    after: dict[int, LaserLine] = {}  # the scan right before a line
+    scan: LaserLine | None = None
+    for one in sorted(records, key=lambda one: one.line):
+        if isinstance(one, LaserLine):
+            scan = one
+        elif scan is not None:
+            after[one.line], scan = scan, None
+    same = [line for line in odometry if line.line in after and line.pose == after[line.line].robot]
+    # In a raw log such a line has the time of a robot that stands.
+    unset = sum(abs(line.stamp - after[line.line].stamp) > SECOND for line in same)
+    if not same or 2 * len(same) < len(lasers) or unset < _UNSET_SHARE * len(same):
+        return RejoinedOdometry(list(odometry), 0)
+    anchors = {line.line for line in same}
     lines: list[OdometryLine] = []
     to_raw: Pose = (0.0, 0.0, 0.0)
-    scan: LaserLine | None = None
-    anchors = 0
-    for number in at:
-        if number in scans:
-            scan = scans[number]
-            continue
-        line = by_line[number]
-        if scan is not None and line.pose == scan.robot and line.stamp < scan.stamp - SECOND:
-            anchors += 1
-            if lines:
-                to_raw = compose(lines[-1].pose, inverse(line.pose))
-        else:
-            pose = compose(to_raw, line.pose) if anchors else line.pose
-            lines.append(replace(line, pose=pose))
-        scan = None
-    if 2 * anchors < len(scans):
-        return RejoinedOdometry(list(odometry), 0)  # their times are wrong
-    return RejoinedOdometry(lines, anchors)
+    for line in odometry:
+        if line.line not in anchors:
+            lines.append(replace(line, pose=compose(to_raw, line.pose)))
+        elif lines:
+            to_raw = compose(lines[-1].pose, inverse(line.pose))
+    return RejoinedOdometry(lines, len(anchors))
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,14 @@ _CLOCK_WINDOW = 101
 _GAP_NS, _GAP_PERIODS = SECOND, 5  # an interval above both is reported as a gap
 
 
+NO_TIME = -(2**62)
+"""The time [ns] of a record without one."""
+
+# Where a log has no times, a robot that drives and turns so fast [m/s, rad/s] sets them; but no
+# scan follows the one before sooner than after this time [s].
+_DRIVE_M_S, _TURN_RAD_S, _SCAN_S = 0.5, 0.5, 0.1
+
+
 @dataclass(frozen=True)
 class TimeQuality:
     """How good the times of a stream's records are, and what was done about it.
@@ -94,7 +102,9 @@ def wrong_times(stamps: Sequence[int]) -> list[WrongTime]:
     for index, stamp in enumerate(stamps):
         while place < len(chain) and chain[place] < index:
             place += 1
-        if stamp < 0:
+        if stamp == NO_TIME:
+            wrong[index] = "it has no time that can be used"
+        elif stamp < 0:
             wrong[index] = f"time is {stamp / SECOND:.3f} s"
         elif place < len(chain) and chain[place] == index:
             continue
@@ -119,6 +129,22 @@ def wrong_times(stamps: Sequence[int]) -> list[WrongTime]:
                     f"time is {stamp / SECOND:.3f} s, {max(ends) / SECOND:.0f} s from the others"
                 )
     return [WrongTime(index, wrong[index]) for index in sorted(wrong)]
+
+
+def times_by_order(lines: Sequence[int], known_lines: Sequence[int], known: Stamps) -> list[int]:
+    """Return times [ns] of records at `lines` of a file, between those `known` of others."""
+    origin = int(known[0])
+    since = np.interp(lines, known_lines, (known - origin).astype(np.float64))
+    return [origin + round(one) for one in since.tolist()]
+
+
+def times_by_way(poses: Array) -> list[int]:
+    """Return the times [ns] at which a robot at a usual speed has the poses (n, 3) [m, m, rad]."""
+    steps = np.diff(poses, axis=0)
+    driven = np.hypot(steps[:, 0], steps[:, 1]) / _DRIVE_M_S
+    turned = np.abs(wrap_all(steps[:, 2])) / _TURN_RAD_S
+    seconds = np.maximum(np.maximum(driven, turned), _SCAN_S)
+    return [0, *np.round(np.cumsum(seconds) * SECOND).astype(np.int64).tolist()]
 
 
 def _ordered_chain(stamps: Sequence[int]) -> list[int]:
