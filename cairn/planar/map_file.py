@@ -77,7 +77,7 @@ def read_map(file: Path, notify: Callable[[str], object] = lambda _: None) -> Oc
 
     - trinary: occupied above occupied_thresh, free below free_thresh, otherwise unknown. The gray
       205 of a map_saver, whose own `free_thresh` of 0.25 would make it free, is unknown, too,
-      unless `strict_thresholds`; `notify` is told;
+      unless `strict_thresholds`; `notify` gets a note;
     - scale: p between the thresholds in percent, unknown where the image is transparent;
     - raw: the pixel's value is the cell's, above 100 unknown.
 

@@ -275,7 +275,7 @@ def _logger_s(words: list[str]) -> float:
 
 
 def _time(text: str) -> int:
-    """Return a time [ns]; `NO_TIME` if it is none, or rounded to more than a second.
+    """Return a time [ns]; `NO_TIME` if the text is not one, or is rounded to more than a second.
 
     Programs that print a time with six digits write 1.01893e+09, which is the same for hours.
     """

@@ -28,7 +28,7 @@ _BESIDE_NS = SECOND // 100
 _CURVED, _OFF_M, _OFF_RAD, _SHORT_NS = 1.1, 0.01, 0.02, SECOND // 2
 _FASTER, _FASTER_M_S, _FASTER_RAD_S = 1.5, 0.1, 0.2
 _MOVING_M_S = 0.02  # a slower robot may stand
-_UNSET_SHARE = 0.2  # of the lines whose times nobody set, so many are more than a second off
+_UNSET_SHARE = 0.2  # of the lines whose times were not set, so many are more than a second off
 _ENOUGH_LINES = 20  # odometry lines that decide whether a log counts backwards as forward
 
 
