@@ -34,11 +34,12 @@ def pack(data: bytes, compression: str) -> bytes:
     return bytes(compress(data))
 
 
-def unpack(packed: bytes, compression: str, size: int) -> bytes:
+def unpack(packed: bytes, compression: str, size: int, *, cut_off: bool = False) -> bytes:
     """Return the `size` bytes that a chunk of a bag declares to hold.
 
-    Memory stays below `size`, whatever the chunk holds. Raises `ValueError` if these are not
-    exactly the bytes that come out, or the compression is not known.
+    Of a chunk that is `cut_off`, return the bytes that come out of what is there. Memory stays
+    below `size`, whatever the chunk holds. Raises `ValueError` if more or, of a whole chunk, fewer
+    bytes come out, or the compression is not known.
     """
     if size > RECORD_BYTES:
         raise ValueError(
@@ -50,14 +51,14 @@ def unpack(packed: bytes, compression: str, size: int) -> bytes:
     elif compression not in _DECOMPRESSORS:
         raise ValueError(f"its compression {compression[:20]!r} is not known")
     else:
-        data = _unpacked_frame(packed, _DECOMPRESSORS[compression](), size)
-    if len(data) != size:
+        data = _unpacked_frame(packed, _DECOMPRESSORS[compression](), size, cut_off=cut_off)
+    if len(data) > size or (len(data) < size and not cut_off):
         more = "more" if len(data) > size else f"{len(data):,}, not"
         raise ValueError(f"{more} than the {size:,} bytes that it declares come out of it")
     return data
 
 
-def _unpacked_frame(packed: bytes, decompressor: Any, size: int) -> bytes:
+def _unpacked_frame(packed: bytes, decompressor: Any, size: int, *, cut_off: bool = False) -> bytes:
     """Return what one frame holds, but at most `size` + 1 bytes."""
     pieces = []
     rest, left = packed, size + 1
@@ -65,6 +66,8 @@ def _unpacked_frame(packed: bytes, decompressor: Any, size: int) -> bytes:
         while left and not decompressor.eof:
             piece = decompressor.decompress(rest, left)
             if not piece and decompressor.needs_input:
+                if cut_off:
+                    break
                 raise ValueError("it is cut off")
             pieces.append(piece)
             rest, left = b"", left - len(piece)

@@ -84,9 +84,9 @@ def info(
     if as_json:
         print_json(contents)
         return
-    span = contents["span_s"]
     line(f"files: {', '.join(contents['files'])} ({megabytes(contents['bytes'])} MB)")
-    line(f"time: {contents['start']} to {contents['end']}, {span:.3f} s")
+    if contents["messages"]:
+        line(f"time: {contents['start']} to {contents['end']}, {contents['span_s']:.3f} s")
     topics = contents["topics"]
     rows = [{key: _shown(value) for key, value in one.items()} for one in topics[:_MOST_SHOWN]]
     show(rows, _COLUMNS, as_json=False, nothing="no topic was recorded")
@@ -114,15 +114,16 @@ def _shown(value: Any) -> Any:
 def contents_of(recording: McapRecording) -> dict[str, Any]:
     """Return files, span, topics, attachments, metadata and notes of a recording."""
     span = (recording.end_ns - recording.start_ns) / SECOND
+    messages = recording.counts.total()
     return {
         "files": [str(file) for file in recording.files],
         "bytes": recording.size,
-        "start": _iso(recording.start_ns),
-        "end": _iso(recording.end_ns),
-        "start_ns": recording.start_ns,
-        "end_ns": recording.end_ns,
+        "start": _iso(recording.start_ns) if messages else None,
+        "end": _iso(recording.end_ns) if messages else None,
+        "start_ns": recording.start_ns if messages else None,
+        "end_ns": recording.end_ns if messages else None,
         "span_s": span,
-        "messages": recording.counts.total(),
+        "messages": messages,
         "topics": [
             {
                 "topic": one.topic,

@@ -133,7 +133,7 @@ def _defined(name: str, schema: bytes) -> Definition:
         raise ValueError(f"its definition has {len(schema):,} bytes, above {_SCHEMA_BYTES:,}")
     # A line without a field costs its parser as much as a field, of which the number is limited.
     lines = (line.strip() for line in schema.decode().split("\n"))
-    text = "\n".join(line for line in lines if line and not line.startswith("#"))
+    text = "".join(f"{line}\n" for line in lines if line and not line.startswith("#"))
     types = get_types_from_msg(text, name)
     fields = [field for _, (_, of) in types.items() for field in of]
     if len(types) > _MOST_TYPES or len(fields) > _MOST_FIELDS:

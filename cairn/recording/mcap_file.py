@@ -181,7 +181,14 @@ class _Record(NamedTuple):
 
 
 class _CutOffError(ValueError):
-    """The file ends within a record, or has no record where one has to be."""
+    """The file ends within a record, or has no record where one has to be.
+
+    `at` is the byte of a record of which the file has only the beginning.
+    """
+
+    def __init__(self, text: str, at: int | None = None) -> None:
+        super().__init__(text)
+        self.at = at
 
 
 @dataclass
@@ -356,17 +363,17 @@ class McapFile(Closing):
 
     # --- Records --------------------------------------------------------------------------------
 
-    def _record(self, at: int) -> _Record:
-        """Return the record at a byte of the file."""
+    def _record(self, at: int, *, cut_off: bool = False) -> _Record:
+        """Return the record at a byte of the file, with `cut_off` also one that ends after it."""
         begin = at + RECORD.size
         if begin > self.size:
             raise _CutOffError(f"at byte {at:,}: the file ends within a record")
         kind, size = RECORD.unpack(self._read(at, RECORD.size))
         if not kind:
             raise _CutOffError(f"at byte {at:,}: there is no record")
-        if size > self.size - begin:
+        if size > self.size - begin and not cut_off:
             raise _CutOffError(
-                f"at byte {at:,}: a record claims {size:,} bytes, {self.size - begin:,} follow"
+                f"at byte {at:,}: a record claims {size:,} bytes, {self.size - begin:,} follow", at
             )
         return _Record(kind, at, begin, begin + size)
 
@@ -438,6 +445,9 @@ class McapFile(Closing):
             if run is not None:
                 yield from self._block(run)
             self._note(f"cut off {error}")
+            last = None if error.at is None else self._record(error.at, cut_off=True)
+            if last is not None and last.kind == Chunk.OPCODE:
+                yield from self._block(last._replace(end=self.size))
 
     def _block(self, record: _Record) -> Iterator[tuple[_Record, bytes, Iterator[_MessageEntry]]]:
         with self._noted(record.at):
@@ -461,17 +471,21 @@ class McapFile(Closing):
 
         `unpacked` bytes came before it: what is too much with them is not decompressed.
         """
-        record = self._record(block.at)
+        record = self._record(block.at, cut_off=True)
         if record.kind != Chunk.OPCODE:
             size = block.end - block.at
             if not 0 < size <= _BLOCK_BYTES + RECORD_BYTES or block.end > self.size:
                 raise ValueError("there is no chunk")
             return self._read(block.at, size)
-        chunk = Chunk.read(self._content(record))
+        is_cut_off = record.end > self.size
+        content = self._content(record._replace(end=min(record.end, self.size)))
+        chunk = Chunk.read_cut_off(content) if is_cut_off else Chunk.read(content)
         if block.size not in (-1, chunk.uncompressed_size):
             raise ValueError(f"it unpacks to {chunk.uncompressed_size:,} bytes, not {block.size:,}")
         self._check_unpacked(unpacked + chunk.uncompressed_size)
-        data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size)
+        data = unpack(chunk.data, chunk.compression, chunk.uncompressed_size, cut_off=is_cut_off)
+        if is_cut_off:
+            return _whole_records(data)
         if chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
             raise ValueError("its checksum differs")
         return data
@@ -675,6 +689,17 @@ class _Noted:
             self._file._note(f"damaged at byte {self._at:,}: {error or type(error).__name__}")
             return True
         return False
+
+
+def _whole_records(data: bytes) -> bytes:
+    """Return data without a record at the end of which only the beginning is there."""
+    at = end = 0
+    while end <= len(data):
+        at = end
+        if at + RECORD.size > len(data):
+            break
+        end = at + RECORD.size + RECORD.unpack_from(data, at)[1]
+    return data[:at]
 
 
 def _message(channel: RecordedChannel, entry: _MessageEntry, data: bytes) -> RecordedMessage:

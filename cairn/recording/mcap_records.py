@@ -43,6 +43,10 @@ class Fields:
         self._at = end
         return data
 
+    def rest(self) -> bytes:
+        """Return all bytes that are left."""
+        return self._content[self._at :]
+
     def _field(self, kind: str) -> Any:
         match kind:
             case "s":
@@ -143,12 +147,22 @@ class Channel(Record, opcode=4, layout="HHssm"):
 class Chunk(Record, opcode=6, layout="QQQIsD"):
     """Compressed records."""
 
+    HEAD: ClassVar = "QQQIsQ"
+    """The layout of all before the data, the last number being their size."""
+
     start_ns: int
     end_ns: int
     uncompressed_size: int
     uncompressed_crc: int
     compression: str
     data: bytes
+
+    @classmethod
+    def read_cut_off(cls, content: bytes) -> Self:
+        """Return the chunk that begins with this content, with the data that are there."""
+        fields = Fields(content)
+        start_ns, end_ns, size, crc, compression, _ = fields.take(cls.HEAD)
+        return cls(start_ns, end_ns, size, crc, compression, fields.rest())
 
 
 @dataclass(frozen=True)

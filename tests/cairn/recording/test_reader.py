@@ -6,6 +6,7 @@ import struct
 import tracemalloc
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
@@ -96,7 +97,7 @@ def test_files_of_one_recording_are_one_and_repeated_messages_come_once(tmp_path
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_a_recording_cut_off_at_any_byte_gives_all_whole_chunks(
+def test_a_recording_cut_off_at_any_byte_gives_all_whole_messages(
     tmp_path: Path, compression: CompressionType
 ) -> None:
     """As after `kill -9` of the recorder; the note has the byte."""
@@ -116,9 +117,32 @@ def test_a_recording_cut_off_at_any_byte_gives_all_whole_chunks(
             assert counts[-1] == recording.counts.total()
     assert counts == sorted(counts)
     assert counts[-1] == 7
+    if compression is CompressionType.NONE:
+        assert set(counts) == set(range(8))
     with McapRecording(file) as recording:
         assert recording.find_attachment("run.json") == b'{"seed": 7}'
         assert texts(recording.latched_at(BEGIN + SECOND)) == ["map", "state 0"]
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_what_a_chunk_that_was_cut_off_still_holds_is_read(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    random = np.random.default_rng(1)
+    names = [random.bytes(2500).hex() for _ in range(400)]
+    scans = [Sent("/scan", k, text(name)) for k, name in enumerate(names)]
+    file = write_recording(
+        tmp_path / "run.mcap", scans, compression=compression, chunk_size=4_000_000
+    )
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+    with McapRecording(file) as recording:
+        (note,) = recording.notes
+        assert "cut off" in note
+        found = texts(list(recording.messages()))
+        assert recording.counts.total() == len(found)
+    assert found == names[: len(found)]
+    assert 150 < len(found) < 205  # compressors emit whole blocks
 
 
 def test_a_recording_without_chunks_or_index_is_read(tmp_path: Path) -> None:
