@@ -222,7 +222,13 @@ class _Ros1:
             if record is None:
                 resumed = _next_chunk(data, at + 1) if not location else None
                 end = len(data) if resumed is None else resumed
-                self.bag.damage(f"{end - at} bytes from byte {at}{location} on are damaged")
+                last = None if location or resumed is not None else _cut_off_chunk(data, at)
+                if last is not None:
+                    self.bag.damage(f"the chunk at byte {at} is cut off")
+                    rest = self._unpacked(last, data, at, cut_off=True)
+                    yield from self.records(rest, 0, f" of the chunk at byte {at}")
+                else:
+                    self.bag.damage(f"{end - at} bytes from byte {at}{location} on are damaged")
                 if resumed is None:
                     return
                 at = resumed
@@ -247,12 +253,13 @@ class _Ros1:
                         yield topic, received, data[record.begin : record.end]
             at = record.end
 
-    def _unpacked(self, record: _BagRecord, data: Data, at: int) -> bytes:
+    def _unpacked(self, record: _BagRecord, data: Data, at: int, *, cut_off: bool = False) -> bytes:
         declared = record.fields.get("size", b"")
         compression = _text(record.fields.get("compression", b""))
         try:
             size = _UINT32.unpack(declared)[0]
-            unpacked = unpack(data[record.begin : record.end], compression, size)
+            packed = data[record.begin : record.end]
+            unpacked = unpack(packed, compression, size, cut_off=cut_off)
         except (ValueError, struct.error) as error:
             self.bag.damage(f"the chunk at byte {at}: {error}")
             return b""
@@ -302,6 +309,15 @@ def _record(data: Data, at: int, longest: int = _LONGEST_HEADER) -> _BagRecord |
     if end is None or not _whole_index(fields, end - header_end - 4):
         return None
     return _BagRecord(fields, header_end + 4, end)
+
+
+def _cut_off_chunk(data: Data, at: int) -> _BagRecord | None:
+    """Return the chunk at byte `at` of which a file has only the beginning; None without one."""
+    header_end = _sized_end(data, at, _CHUNK_HEADER)
+    fields = None if header_end is None else _fields(data[at + 4 : header_end])
+    if header_end is None or not fields or fields.get("op") != bytes([_CHUNK]):
+        return None
+    return _BagRecord(fields, min(header_end + 4, len(data)), len(data))
 
 
 def _whole_index(header: dict[str, bytes], length: int) -> bool:

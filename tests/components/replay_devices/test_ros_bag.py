@@ -242,6 +242,33 @@ def test_cut_off_ros1_bag_gives_its_whole_messages(tmp_path: Path) -> None:
     assert any("are damaged" in note for note in recording.notes())
 
 
+@pytest.mark.parametrize("compression", [None, Ros1Writer.CompressionFormat.LZ4])
+def test_what_a_chunk_that_was_cut_off_still_holds_is_read(
+    tmp_path: Path, compression: Ros1Writer.CompressionFormat | None
+) -> None:
+    path = tmp_path / "cut.bag"
+    random = np.random.default_rng(1)
+    writer = Ros1Writer(path)
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
+        writer.chunk_threshold = 1 << 30
+        connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=ROS1)
+        for k in range(400):
+            ranges = random.uniform(1.0, 2.0, 720).astype(np.float32)
+            message = scan(BEGIN + k, ROS1, angle_increment=2.0 / 719, ranges=ranges)
+            raw = ROS1.serialize_ros1(message, message.__msgtype__)
+            writer.write(connection, (BEGIN + k) * SECOND, raw.tobytes())
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+    recording = open_recording(path)
+
+    scans = recording.scans()
+    assert scans is not None
+    assert 150 < len(scans.stamps) < 210
+    assert_words(" ".join(recording.notes()), "the chunk at byte", "is cut off")
+
+
 def test_ros1_bag_without_readable_messages_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "wrong.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + bytes(2000))
