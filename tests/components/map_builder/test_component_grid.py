@@ -191,11 +191,11 @@ def test_missing_folder_gives_rate_limited_warnings_until_it_is_back(
 def test_unwritable_origin_file_does_not_stop_the_map_builder(
     grid_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (tmp_path / "copy.origin.json").mkdir()
     copy = tmp_path / "copy.yaml"
     it = ComponentHarness(
         MapBuilder, {"grid_file": str(grid_file), "grid_copy": str(copy)}, start_s=BEGIN
     )
+    (tmp_path / "copy.origin.json").mkdir()
     watch(it, room((*ROOM, NEW)), 15.0)
     it.request("deactivate")
 
