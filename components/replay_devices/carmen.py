@@ -162,45 +162,40 @@ class CarmenRecording(Recording):
         self, lasers: list[LaserLine], odometry: list[OdometryLine]
     ) -> tuple[list[LaserLine], list[OdometryLine]]:
         """Return the lines with the times of the messages, of the logger, or by their order."""
-        streams: dict[str, Sequence[LaserLine | OdometryLine]] = {}
-        streams |= {self._kind: lasers} if lasers else {}
-        streams |= {"ODOM": odometry} if odometry else {}
-        sent = _Clock.of(streams, lambda line: line.stamp)
-        if all(sent.has_few_wrong(kind) for kind in streams):
+        streams: dict[str, Sequence[LaserLine | OdometryLine]] = {self._kind: lasers}
+        streams = {kind: lines for kind, lines in (streams | {"ODOM": odometry}).items() if lines}
+        sent, logged = _Clock(streams, lambda line: line.stamp), _Clock(streams, _logged)
+        if not sent.lacking:
             return lasers, odometry
-        logged = _Clock.of(streams, _logged)
-        clock = logged if logged.quality > sent.quality else sent
+        clock = logged if logged.missing < sent.missing else sent
         if clock is logged:
             self._notes.append("the times of messages cannot be used: those of the logger are")
-        times = {}
-        for kind in clock.usable:
-            times[kind] = clock.stamps[kind]
-            wrong = len(clock.wrong[kind])
-            if not clock.has_few_wrong(kind):
-                times[kind] = clock.by_order(streams[kind], kind)
-                self._notes.append(
-                    f"the times of {wrong} {kind} are wrong: by the order of the file they lie "
-                    "between those of the others"
-                )
-        if not times:
-            first = next(iter(streams))
-            poses = [_pose_of(line) or (0.0, 0.0, 0.0) for line in streams[first]]
-            times[first] = times_by_way(np.array(poses))
+        known = sorted(
+            (line.line, clock.stamps[kind][index])
+            for kind, lines in streams.items()
+            for index, line in enumerate(lines)
+            if index not in clock.wrong[kind]
+        )
+        if not known:
+            first, lines = next(iter(streams.items()))
+            poses = np.array([_pose_of(line) or (0.0, 0.0, 0.0) for line in lines])
+            known = list(zip([line.line for line in lines], times_by_way(poses), strict=True))
             self._notes.append(
                 f"no times can be used: those of {first} are made as if the robot drove at a usual "
                 "speed"
             )
-        for kind in streams.keys() - times.keys():
-            (other,) = times
-            numbers = [line.line for line in streams[kind]]
-            times[kind] = times_by_order(numbers, *_known(streams[other], times[other]))
+        for kind in clock.lacking:
             self._notes.append(
-                f"the times of {kind} cannot be used: by the order of the file they lie between "
-                f"those of {other}"
+                f"the times of {len(clock.wrong[kind])} {kind} cannot be used: they follow from "
+                "the order of the file"
             )
+            numbers = [line.line for line in streams[kind]]
+            for index, stamp in enumerate(times_by_order(numbers, known)):
+                if index in clock.wrong[kind]:
+                    clock.stamps[kind][index] = stamp
         return (
-            _with_stamps(lasers, times.get(self._kind, [])),
-            _with_stamps(odometry, times.get("ODOM", [])),
+            _with_stamps(lasers, clock.stamps.get(self._kind, [])),
+            _with_stamps(odometry, clock.stamps.get("ODOM", [])),
         )
 
     def _timely(self, lines: list[Line]) -> list[Line]:
@@ -364,61 +359,34 @@ def posed_scans(path: Path) -> Iterator[tuple[Pose, LaserScan]]:
     return CarmenRecording(path).posed_scans()
 
 
-@dataclass(frozen=True)
 class _Clock:
-    """Times [ns] of the records of each kind, and the indices of those that are wrong."""
+    """Times [ns] of the records of each kind, and the indices of those that are wrong.
 
-    stamps: dict[str, list[int]]
-    wrong: dict[str, set[int]]
+    They all are if most are wrong or the same. A kind is `lacking` if more of its times are wrong
+    than records may be bad; `missing` is the number of their records.
+    """
 
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         streams: Mapping[str, Sequence[LaserLine | OdometryLine]],
         stamp_of: Callable[[LaserLine | OdometryLine], int],
-    ) -> _Clock:
-        stamps = {kind: [stamp_of(line) for line in lines] for kind, lines in streams.items()}
-        wrong = {kind: {one.index for one in wrong_times(of)} for kind, of in stamps.items()}
-        return cls(stamps, wrong)
-
-    @property
-    def usable(self) -> list[str]:
-        """The kinds of which at least half of the times are right, and differ."""
-        return [
-            kind
-            for kind, stamps in self.stamps.items()
-            if 2 * len(self.wrong[kind]) <= len(stamps) and 2 * len(set(stamps)) >= len(stamps)
-        ]
-
-    @property
-    def quality(self) -> tuple[int, int]:
-        """The better clock has the greater one: more usable kinds, then fewer wrong times."""
-        return len(self.usable), -sum(len(self.wrong[kind]) for kind in self.usable)
-
-    def has_few_wrong(self, kind: str) -> bool:
-        """Return whether no more records have wrong times than may be left out as bad."""
-        few = max(FEW_BAD, BAD_SHARE * len(self.stamps[kind]))
-        return kind in self.usable and len(self.wrong[kind]) <= few
-
-    def by_order(self, lines: Sequence[LaserLine | OdometryLine], kind: str) -> list[int]:
-        """Return the times, the wrong ones between those of the records around them."""
-        stamps, wrong = self.stamps[kind], self.wrong[kind]
-        placed = times_by_order([line.line for line in lines], *_known(lines, stamps))
-        return [placed[k] if k in wrong else stamps[k] for k in range(len(lines))]
+    ) -> None:
+        self.stamps = {kind: [stamp_of(line) for line in of] for kind, of in streams.items()}
+        self.wrong: dict[str, set[int]] = {}
+        self.lacking: list[str] = []
+        for kind, stamps in self.stamps.items():
+            wrong = {one.index for one in wrong_times(stamps)}
+            if 2 * max(len(wrong), len(stamps) - len(set(stamps))) > len(stamps):
+                wrong = set(range(len(stamps)))
+            self.wrong[kind] = wrong
+            if len(wrong) > max(FEW_BAD, BAD_SHARE * len(stamps)):
+                self.lacking.append(kind)
+        self.missing = sum(len(self.wrong[kind]) for kind in self.lacking)
 
 
 def _logged(line: LaserLine | OdometryLine) -> int:
     """Return the time [ns] at which a line was logged."""
     return NO_TIME if math.isnan(line.logger_s) else round(line.logger_s * 1e6) * 1000
-
-
-def _known(
-    lines: Sequence[LaserLine | OdometryLine], stamps: Sequence[int]
-) -> tuple[list[int], NDArray[np.int64]]:
-    """Return the numbers of the lines whose times are right, and those times [ns]."""
-    wrong = {one.index for one in wrong_times(stamps)}
-    right = [index for index in range(len(lines)) if index not in wrong]
-    return [lines[k].line for k in right], np.array([stamps[k] for k in right], np.int64)
 
 
 def _with_stamps(lines: list[Message], stamps: Sequence[int]) -> list[Message]:

@@ -131,11 +131,11 @@ def wrong_times(stamps: Sequence[int]) -> list[WrongTime]:
     return [WrongTime(index, wrong[index]) for index in sorted(wrong)]
 
 
-def times_by_order(lines: Sequence[int], known_lines: Sequence[int], known: Stamps) -> list[int]:
-    """Return times [ns] of records at `lines` of a file, between those `known` of others."""
-    origin = int(known[0])
-    since = np.interp(lines, known_lines, (known - origin).astype(np.float64))
-    return [origin + round(one) for one in since.tolist()]
+def times_by_order(lines: Sequence[int], known: Sequence[tuple[int, int]]) -> list[int]:
+    """Return times [ns] of records at `lines` of a file, between those `known` of other lines."""
+    at, times = np.array(known, np.int64).T
+    since = np.interp(lines, at, (times - times[0]).astype(np.float64))
+    return [int(times[0]) + round(one) for one in since.tolist()]
 
 
 def times_by_way(poses: Array) -> list[int]:
