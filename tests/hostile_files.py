@@ -514,13 +514,6 @@ def _bad_lines() -> bytes:
     return b"ODOM nan 0.0 0.0 0.0 0.0 0.0 1.0 robot 1.0\n" * 140_000
 
 
-def _backward_lines() -> bytes:
-    """Return 6 MB of lines, each two seconds before the last one."""
-    return b"".join(
-        b"ODOM 0.0 0.0 0.0 0.0 0.0 0.0 %d robot 1.0\n" % (2 * k) for k in range(140_000, 0, -1)
-    )
-
-
 def mcap(
     compression: str, packed: bytes, size: int, *, chunks: int = 1, claim: int | None = None
 ) -> bytes:
@@ -831,9 +824,6 @@ RECORDINGS: Final[Mapping[str, HostileFile]] = {
         _bytes("scans.log.gz", lambda: gzip.compress(_SCAN_OF_ZEROS * 8_200)), "16 MB"
     ),
     "carmen_bad": HostileFile(_bytes("bad.log", _bad_lines), "140000 of 140000 records are bad"),
-    "carmen_backward": HostileFile(
-        _bytes("backward.log", _backward_lines), "139999 of 140000 records are bad"
-    ),
     "carmen_sparse": HostileFile(sparse("s.log", 5_000 * MB, b"ODOM 0 0 0 0 0 0 1 r 1\n"), "MB"),
     "carmen_zeros": HostileFile(device("/dev/zero", "zeros.log"), "device"),
     "carmen_fifo": HostileFile(fifo("pipe.log"), "FIFO"),
