@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from logging import Logger
 
 from cairn.planar.messages import planar_pose
 from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
@@ -12,6 +13,7 @@ from cairn.planar.poses import Pose, compose
 from cairn.planar.scans import Rays, rays_of, sweep_s
 from cairn.schemas.builtin_interfaces import to_ns
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
+from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.system.clock import SECOND
 
@@ -51,9 +53,11 @@ class PosedScans:
         self._last_ns: int | None = None
         self.waiting = "no pose was received yet"
 
-    def add_odometry(self, stamp_ns: int, pose: Pose) -> OdometryChange:
-        """Add a pose of odometry."""
-        return self._history.add(stamp_ns, pose)
+    def add_odometry(self, odom: Odometry, topic: str, log: Logger) -> None:
+        """Store the robot's motion, which distorts the sweeps of scans."""
+        change = self._history.add(to_ns(odom.header.stamp), planar_pose(odom.pose.pose))
+        if change is OdometryChange.RESET:
+            log.warning("odometry on %s went back in time: restarted its history", topic)
 
     def add_scan(self, scan: LaserScan) -> None:
         """Add a scan."""

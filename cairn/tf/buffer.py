@@ -248,16 +248,8 @@ class Buffer:
         The fixed frame is one that does not move between the times, such as `odom` or `map`. Times
         and errors are as in `lookup`.
         """
-        target_time_ns = _checked(target, fixed_frame, target_time_ns)
-        source_time_ns = _checked(fixed_frame, source, source_time_ns)
-        with self._lock:
-            path = self._path(target, fixed_frame, target_time_ns)
-            if not isinstance(path, _Path):
-                raise path()
-            earlier = self._path(fixed_frame, source, source_time_ns)
-            if not isinstance(earlier, _Path):
-                raise earlier()
-            return Transform.from_motion(rigid_motion.compose(path.motion(), earlier.motion()))
+        earlier = self.lookup(fixed_frame, source, source_time_ns)
+        return self.lookup(target, fixed_frame, target_time_ns) @ earlier
 
     def can_transform(self, target: str, source: str, time_ns: int | None = None) -> bool:
         """Return whether `lookup` with these arguments succeeds now; it does not wait.

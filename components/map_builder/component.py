@@ -51,7 +51,6 @@ from cairn.components.map_builder.zone_keeper import CHANGES, ZoneKeeper
 from cairn.planar.grid import map_message as grid_message
 from cairn.planar.map_file import read_map
 from cairn.planar.messages import planar_pose
-from cairn.planar.odometry import OdometryChange
 from cairn.planar.posed_scans import PosedScans
 from cairn.schemas.cairn_msgs import (
     MOST_DECISIONS,
@@ -425,11 +424,7 @@ class MapBuilder(Component):
     @on("odom")
     def on_odometry(self, odom: Odometry) -> None:
         """Store the robot's motion, which distorts the sweeps of scans."""
-        stamp_ns = to_ns(odom.header.stamp)
-        if self._scans.add_odometry(stamp_ns, planar_pose(odom.pose.pose)) is OdometryChange.RESET:
-            self.log.warning(
-                "odometry on %s went back in time: restarted its history", self.odom.topic
-            )
+        self._scans.add_odometry(odom, self.odom.topic, self.log)
 
     @on("scan")
     def on_scan(self, scan: LaserScan) -> None:

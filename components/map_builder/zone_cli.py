@@ -159,18 +159,12 @@ def zone_row(zone: Zone) -> dict[str, Any]:
     }
 
 
-def _request(
-    verb: str, arguments: Mapping[str, Any], connect: str, domain: int, robot: str
-) -> dict[str, Any]:
+def _request(verb: str, arguments: Mapping[str, Any], connect: str, domain: int, robot: str) -> Any:
+    missing = "it keeps the zones; `cairn load map_builder` starts it, or the first goal"
     with connect_to(connect, domain, robot, notify=note) as client:
-        answer: dict[str, Any] = client.request_plugin(
-            _MAP_BUILDER,
-            verb,
-            arguments,
-            missing="it keeps the zones; `cairn load map_builder` starts it, or the first goal",
-            timeout_s=_LIMIT_S,
+        return client.request_plugin(
+            _MAP_BUILDER, verb, arguments, missing=missing, timeout_s=_LIMIT_S
         )
-    return answer
 
 
 def _report(answer: Mapping[str, Any], *, as_json: bool) -> None:

@@ -140,15 +140,7 @@ def _read(file: Path) -> Proposals:
     return Proposals(file)
 
 
-def _request(
-    verb: str, arguments: Mapping[str, Any], connect: str, domain: int, robot: str
-) -> dict[str, Any]:
+def _request(verb: str, arguments: Mapping[str, Any], connect: str, domain: int, robot: str) -> Any:
+    missing = "it proposes things; start the robot with `--overlay find_objects`"
     with connect_to(connect, domain, robot, notify=note) as client:
-        answer: dict[str, Any] = client.request_plugin(
-            _FINDER,
-            verb,
-            arguments,
-            missing="it proposes things; start the robot with `--overlay find_objects`",
-            timeout_s=_LIMIT_S,
-        )
-    return answer
+        return client.request_plugin(_FINDER, verb, arguments, missing=missing, timeout_s=_LIMIT_S)

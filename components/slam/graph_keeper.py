@@ -20,7 +20,6 @@ from cairn import (
     RetriedSave,
     every,
     on,
-    to_ns,
 )
 from cairn.components.slam.graph_history import (
     GraphHistory,
@@ -31,8 +30,7 @@ from cairn.components.slam.graph_history import (
 from cairn.components.slam.keeper_config import GraphKeeperConfig
 from cairn.components.slam.lifelong import LifelongMap
 from cairn.planar.grid import grid_of
-from cairn.planar.messages import planar_covariance, planar_pose
-from cairn.planar.odometry import OdometryChange
+from cairn.planar.messages import planar_covariance
 from cairn.planar.posed_scans import PosedScans
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
 from cairn.schemas.map_msgs import OccupancyGridUpdate
@@ -119,11 +117,7 @@ class GraphKeeper(Component):
     @on("odom")
     def on_odometry(self, odom: Odometry) -> None:
         """Store the robot's motion, which distorts the sweeps of scans."""
-        stamp_ns = to_ns(odom.header.stamp)
-        if self._scans.add_odometry(stamp_ns, planar_pose(odom.pose.pose)) is OdometryChange.RESET:
-            self.log.warning(
-                "odometry on %s went back in time: restarted its history", self.odom.topic
-            )
+        self._scans.add_odometry(odom, self.odom.topic, self.log)
 
     @on("scan")
     def on_scan(self, scan: LaserScan) -> None:

@@ -1,14 +1,18 @@
 """Scans joined with their poses: the motion during the sweep, from odometry in any order."""
 
+import logging
+
 import numpy as np
 import pytest
 
 from cairn import SECOND, from_ns
 from cairn.planar.messages import with_covariance
-from cairn.planar.odometry import OdometryChange
 from cairn.planar.posed_scans import PosedScans
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate
+from cairn.schemas.geometry_msgs import Point, PoseWithCovariance
+from cairn.schemas.geometry_msgs import Pose as Pose3
+from cairn.schemas.nav_msgs import Odometry
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
@@ -20,8 +24,10 @@ NOWHERE: Pose = (0.0, 0.0, 0.0)
 def posed_scan_after(odometry: list[tuple[int, Pose]]) -> Pose:
     """Return the pose at the end of a sweep of 0.2 s that begins at `BEGIN` at (2, 0, 0)."""
     scans = PosedScans(NOWHERE, 10.0, 0.6, 0.5)
-    for stamp, pose in odometry:
-        assert scans.add_odometry(stamp, pose) is not OdometryChange.RESET
+    for stamp, (x, y, _) in odometry:
+        moved = PoseWithCovariance(pose=Pose3(position=Point(x=x, y=y)))
+        message = Odometry(header=Header(stamp=from_ns(stamp)), pose=moved)
+        scans.add_odometry(message, "odom", logging.getLogger("test"))
     header = Header(stamp=from_ns(BEGIN))
     ranges = np.ones(101, np.float32)
     scans.add_scan(LaserScan(header=header, time_increment=0.002, range_max=9.0, ranges=ranges))
