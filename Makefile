@@ -49,7 +49,7 @@ accuracy: $(VENV)/tests
 
 ## Hostile files, requests, messages and users against a simulated robot: minutes, on loopback only.
 attack: $(VENV)/tests
-	$(PARALLEL) -n 3 tests/attack
+	$(BIN)/pytest -n 2 --dist loadgroup tests/attack
 
 ## The console's page in Chromium (Debian's package `chromium`) with a simulated robot; its decoder in
 ## Node.js, against Foxglove's from npm. Pictures of the page are left in build/browser. What is

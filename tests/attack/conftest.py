@@ -59,11 +59,6 @@ def unharmed(record_property: Callable[[str, object], None]) -> Callable[[Attack
     return check
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the hostile machine: its attacks take longest, one after another."""
-    items.sort(key=lambda item: item.path.stem != "test_hostile_machine")
-
-
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
     """Measure the pauses of this computer during a case."""
