@@ -70,6 +70,7 @@ test-service: $(VENV)/tests
 check: $(VENV)/tests style docs
 	$(MAKE) test
 
+## Style, types and import contracts.
 style: $(VENV)/tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .

@@ -288,7 +288,7 @@ def _time(text: str) -> int:
     except InvalidOperation:
         return NO_TIME
     digits_end = time.as_tuple().exponent
-    if not isinstance(digits_end, int) or digits_end > 0 or abs(time) >= _LATEST_S:
+    if not isinstance(digits_end, int) or digits_end > 0 or abs(float(time)) >= _LATEST_S:
         return NO_TIME
     return round(float(time) * 1e6) * 1000  # to microseconds, the precision of a double
 

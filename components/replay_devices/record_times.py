@@ -35,6 +35,7 @@ NO_TIME = -(2**62)
 # Where a log has no times, a robot that drives and turns so fast [m/s, rad/s] sets them; but no
 # scan follows the one before sooner than after this time [s].
 _DRIVE_M_S, _TURN_RAD_S, _SCAN_S = 0.5, 0.5, 0.1
+_LONGEST_STEP_S = 60.0  # a robot that is so far from the pose before was carried
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def times_by_way(poses: Array) -> list[int]:
     steps = np.diff(poses, axis=0)
     driven = np.hypot(steps[:, 0], steps[:, 1]) / _DRIVE_M_S
     turned = np.abs(wrap_all(steps[:, 2])) / _TURN_RAD_S
-    seconds = np.maximum(np.maximum(driven, turned), _SCAN_S)
+    seconds = np.clip(np.maximum(driven, turned), _SCAN_S, _LONGEST_STEP_S)
     return [0, *np.round(np.cumsum(seconds) * SECOND).astype(np.int64).tolist()]
 
 

@@ -324,6 +324,16 @@ def test_times_that_cannot_be_used_are_those_of_the_logger_or_by_order(
     assert_words(" ".join(ordered.notes()), "no times can be used", "ODOM", "the order of the file")
 
 
+def test_absurd_times_and_poses_give_times_that_messages_can_have(write: Write) -> None:
+    digits = "1" * 1_000_001
+    lines = [f"ODOM {(-1) ** k}e9 0 0 0 0 0 {digits}e0 host 0" for k in range(100)]
+
+    odometry = CarmenRecording(write(*lines)).odometry()
+
+    assert odometry is not None
+    assert all(0 <= stamp < 2**31 * SECOND for stamp in odometry.stamps)
+
+
 def test_map_needs_no_times(write: Write) -> None:
     corrected = [f"FLASER 1 2.0 {k}.2 0 0 {k}.2 0 0 0 host 0" for k in range(9)]
     markers = [f"ODOM {k}.2 0 0 0 0 0 {7.5 - 3 * k} host 0" for k in range(9)]
