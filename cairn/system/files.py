@@ -97,6 +97,18 @@ def side_files(path: Path) -> list[Path]:
     return [path.with_name(path.name + suffix) for suffix in ("-wal", "-shm", "-journal")]
 
 
+def rename_database(old: Path, new: Path) -> None:
+    """Rename a file and those that SQLite keeps beside it; what has the new names is replaced.
+
+    What a process that was killed has written last is in the files beside.
+    """
+    remove_side_files(new)
+    old.replace(new)
+    for one, renamed in zip(side_files(old), side_files(new), strict=True):
+        if one.exists():
+            one.replace(renamed)
+
+
 def remove_side_files(path: Path) -> None:
     """Remove the files that SQLite keeps beside one, and leaves there on a full disk."""
     for file in side_files(path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from logging import Logger
 from pathlib import Path
 
-from cairn.system.files import explain_os_error, side_files
+from cairn.system.files import explain_os_error, rename_database
 
 
 def is_reusable(copy: Path, log: Logger, *, same: bool, ahead: bool) -> bool:
@@ -33,14 +33,10 @@ def set_aside(damaged: Path, log: Logger, why: object, *more: Path) -> None:
     """
     kept = path_aside(damaged)
     reason = str(why).rstrip(".")
-    pairs = [(one, path_aside(one)) for one in (damaged, *more)]
-    pairs += zip(side_files(damaged), side_files(kept), strict=True)
     try:
-        for old, new in pairs:
-            if old.exists():
-                old.replace(new)
-            else:
-                new.unlink(missing_ok=True)
+        for one in (damaged, *more):
+            if one.exists():
+                rename_database(one, path_aside(one))
     except OSError as error:
         why_kept = explain_os_error(error)
         log.warning("%s cannot be used: %s; not renamed: %s", damaged, reason, why_kept)

@@ -32,8 +32,8 @@ from cairn.components.replay_devices.record_times import (
     TimeQuality,
     repair_times,
     time_quality,
+    times_along_path,
     times_by_order,
-    times_by_way,
     with_repair,
     wrong_times,
 )
@@ -179,7 +179,7 @@ class CarmenRecording(Recording):
         if not known:
             first, lines = next(iter(streams.items()))
             poses = np.array([_pose_of(line) or (0.0, 0.0, 0.0) for line in lines])
-            known = list(zip([line.line for line in lines], times_by_way(poses), strict=True))
+            known = list(zip([line.line for line in lines], times_along_path(poses), strict=True))
             self._notes.append(
                 f"no times can be used: those of {first} are made as if the robot drove at a usual "
                 "speed"

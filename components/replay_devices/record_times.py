@@ -139,7 +139,7 @@ def times_by_order(lines: Sequence[int], known: Sequence[tuple[int, int]]) -> li
     return [int(times[0]) + round(one) for one in since.tolist()]
 
 
-def times_by_way(poses: Array) -> list[int]:
+def times_along_path(poses: Array) -> list[int]:
     """Return the times [ns] at which a robot at a usual speed has the poses (n, 3) [m, m, rad]."""
     steps = np.diff(poses, axis=0)
     driven = np.hypot(steps[:, 0], steps[:, 1]) / _DRIVE_M_S

@@ -28,7 +28,7 @@ from cairn.limits.files import too_large
 from cairn.limits.sqlite import SchemaError, bound_connection, table_columns
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
-from cairn.system.files import explain_os_error, remove_side_files, replacing, side_files
+from cairn.system.files import explain_os_error, remove_side_files, rename_database, replacing
 from cairn.visual_map.sqlite_file import at_rest
 
 Array = NDArray[np.float64]
@@ -243,12 +243,7 @@ def set_aside(path: Path) -> Path | None:
             remove_side_files(path)
             return None
         kept = kept_path(path)
-        remove_side_files(kept)
-        path.replace(kept)
-        # What a process that was killed has saved last is in the file beside it.
-        for old, new in zip(side_files(path), side_files(kept), strict=True):
-            if old.exists():
-                old.replace(new)
+        rename_database(path, kept)
         return kept
 
 
