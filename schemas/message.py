@@ -10,7 +10,7 @@ import importlib
 import pkgutil
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from math import isfinite
 from operator import attrgetter
@@ -106,8 +106,14 @@ class InvalidMessage(ValueError):
         return InvalidMessage(type_name, path, _Shortened(self.value), self.reason)
 
 
+Repair = Callable[[dict[str, Any]], list[str]]
+"""Corrects the values of a message's fields in place; returns what was repaired, in words."""
+
+
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def message(name: str) -> Callable[[type[T]], type[T]]:
+def message(
+    name: str, *, repair: Repair | None = None, independent: tuple[str, ...] = ()
+) -> Callable[[type[T]], type[T]]:
     """Decorate a class that defines the ROS 2 message type `name` ("geometry_msgs/msg/Point").
 
     The annotated fields, in this order, are the fields on the wire: primitives of
@@ -119,6 +125,10 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
 
     An invalid message cannot be constructed: the constructor raises `InvalidMessage`. Constraints
     between fields are checked by the class's `__post_init__`, which calls `reject`.
+
+    Other programs are less strict: an invalid message that was received is corrected by `repair`,
+    which knows which fields are redundant and which values mean "not known". Of the sequences named
+    in `independent`, invalid elements are left out. See `received_message`.
     """
     if not _NAME.fullmatch(name):
         raise TypeError(f"{name!r} is not a ROS 2 message name such as geometry_msgs/msg/Point")
@@ -136,6 +146,8 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
             ("__hash__", _hashing(name, names)),
             ("__ros_type__", name),
             ("__check__", check),
+            ("__repair__", repair),
+            ("__independent__", independent),
         ):
             setattr(made, attribute, value)
         return cast("type[T]", made)
@@ -146,6 +158,48 @@ def message(name: str) -> Callable[[type[T]], type[T]]:
 def reject(message: object, path: str, value: object, reason: str) -> NoReturn:
     """Raise `InvalidMessage` for a message under construction."""
     raise InvalidMessage(type_name(type(message)), path, value, reason)
+
+
+def received_message(cls: type[T], values: Mapping[str, Any]) -> T:
+    """Return a message of values that another program has sent, repaired if it is invalid.
+
+    `repairs_of` returns what was repaired. Raises `InvalidMessage` if it is invalid nevertheless.
+    """
+    repair: Repair | None = cls.__dict__["__repair__"]
+    try:
+        return cls(**values)
+    except InvalidMessage:
+        if repair is None:
+            raise
+    corrected = dict(values)
+    repairs = repair(corrected)
+    made = cls(**corrected)
+    set_repairs(made, repairs)
+    return made
+
+
+def repairs_of(message: Any) -> tuple[str, ...]:
+    """Return what was repaired in a message that was received, a text for each; as a rule nothing.
+
+    The texts have no values, so that those of one sender are equal from message to message.
+    """
+    repairs: tuple[str, ...] = message.__dict__.get(_REPAIRS, ())
+    return repairs
+
+
+def set_repairs(message: Any, repairs: Iterable[str]) -> None:
+    """Note what was repaired in a message that is being made of what was received."""
+    if noted := tuple(dict.fromkeys(repairs)):
+        message.__dict__[_REPAIRS] = noted
+
+
+_REPAIRS = "__repairs__"
+
+
+def independent_elements(cls: type[Any]) -> tuple[str, ...]:
+    """Return the sequences of a message class of which invalid elements are left out."""
+    names: tuple[str, ...] = cls.__dict__["__independent__"]
+    return names
 
 
 def type_name(cls: type[Any]) -> str:

@@ -30,6 +30,10 @@ from cairn.schemas.message import (
     InvalidMessage,
     decoding_constructor,
     fields_of,
+    independent_elements,
+    received_message,
+    repairs_of,
+    set_repairs,
     type_name,
 )
 from cairn.schemas.packed import Packed
@@ -84,8 +88,9 @@ class Codec:
         """Return the message in CDR `data` of either byte order.
 
         Its arrays are views of `data`, without a copy, and keep it alive; float64 arrays may be
-        unaligned, which numpy handles but C code may not. Raises `InvalidMessage`, and no other
-        error, if `data` is not a valid message of class `cls`.
+        unaligned, which numpy handles but C code may not. An invalid message is repaired
+        if its class defines how (`repairs_of`). Raises `InvalidMessage`, and no other error, if
+        `data` does not become a valid message of class `cls`.
         """
         code = self._definitions.get(cls) or self._definition(cls)
         view = memoryview(data if type(data) is bytes or _is_plain(data) else bytes(data))
@@ -97,7 +102,7 @@ class Codec:
             failure = str(error)
         else:
             return message
-        raise self._explained(cls, view, failure)
+        return self._repaired(cls, view, failure)
 
     def register(self, cls: type[Any]) -> None:
         """Prepare for messages of a class, if that is not done yet.
@@ -162,40 +167,59 @@ class Codec:
             store.add(charged, known.fields, self._budget.charging(_memory(element), known.cls))
         return (Nodetype.SEQUENCE, ((Nodetype.NAME, charged), 0))
 
-    def _explained(self, cls: type[Any], data: memoryview, failure: str) -> InvalidMessage:
-        # Decode the message a second time, slowly, to name the field that is invalid.
+    def _repaired(self, cls: type[M], data: memoryview, failure: str) -> M:
+        """Decode a message a second time, slowly: repair it, or name the field that is invalid."""
         name = type_name(cls)
         self._budget.left = _DENSE_MEMORY
         try:
-            self._build(cls, self._plain.decode(self._plain.definitions[name], data))
-        except InvalidMessage as invalid:
-            return invalid
+            values = self._plain.decode(self._plain.definitions[name], data)
+            message: M = self._build(cls, values)
         except SerdeError as error:
             failure = str(error)
-        return InvalidMessage(
+        else:
+            if repairs_of(message):
+                return message
+        raise InvalidMessage(
             name, "", bytes(data[:16]), f"{len(data)} bytes are not CDR of this type: {failure}"
         )
 
     def _build(self, cls: type[Any], values: Any) -> Any:
-        """Return a message of plain values, built from the inside out.
+        """Return a message of plain values, built and repaired from the inside out.
 
-        Errors name the whole path.
+        Errors and repairs name the whole path.
         """
-        built: list[Any] = []
+        built: dict[str, Any] = {}
+        repairs: list[str] = []
         for field, value in zip(fields_of(cls), values, strict=True):
-            if not isinstance(field.element, type):
-                built.append(value)
+            if isinstance(field.element, type):
+                built[field.name] = self._build_parts(cls, field, value, repairs)
+            else:
+                built[field.name] = value
+        message = received_message(cls, built)
+        set_repairs(message, [*repairs, *repairs_of(message)])
+        return message
+
+    def _build_parts(self, cls: type[Any], field: Field, value: Any, repairs: list[str]) -> Any:
+        """Return the messages in a field of messages; append what was repaired in them."""
+        element = cast("type[Any]", field.element)
+        made: list[Any] = []
+        first: InvalidMessage | None = None
+        for index, item in enumerate([value] if field.count is None else value):
+            try:
+                part = self._build(element, item)
+            except InvalidMessage as error:
+                path = field.name if field.count is None else f"{field.name}[{index}]"
+                first = first or error.within(type_name(cls), path)
+                if field.name not in independent_elements(cls):
+                    raise first from None
                 continue
-            items = [value] if field.count is None else value
-            made: list[Any] = []
-            for index, item in enumerate(items):
-                try:
-                    made.append(self._build(field.element, item))
-                except InvalidMessage as error:
-                    path = field.name if field.count is None else f"{field.name}[{index}]"
-                    raise error.within(type_name(cls), path) from None
-            built.append(made[0] if field.count is None else made)
-        return self._definitions[cls].cls(*built)
+            made.append(part)
+            repairs += [f"{field.name}.{text}" for text in repairs_of(part)]
+        if first is not None:
+            if not made:
+                raise first
+            repairs.append(f"invalid {field.name} left out")
+        return made[0] if field.count is None else made
 
 
 class _Store:

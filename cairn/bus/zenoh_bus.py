@@ -48,10 +48,13 @@ from cairn.bus.qos import SERVICES, Qos
 from cairn.bus.services import PrivateQueries, ZenohClient, ZenohServer
 from cairn.bus.session import close_session, is_member, process_of
 from cairn.bus.type_hash import type_hash
-from cairn.schemas.message import InvalidMessage, Service, type_name
+from cairn.schemas.message import InvalidMessage, Service, repairs_of, type_name
 
 _EXCLUSIVE_RING = 1024
 """Samples that the ring of an exclusive port holds: so many forged ones displace no true one."""
+
+_MOST_REPORTED = 100
+"""Repairs that one input reports, of all publishers together."""
 
 _CLOSE_LIMIT_S = 0.2
 """A session that takes longer to close does so while its process ends."""
@@ -125,7 +128,7 @@ class ZenohNode(Node):
         self._entity = keys.NodeEntity(bus.domain, zid, bus.next_id(), name)
         self._private: dict[str, PrivateQueries] = {}
         self._closed = False
-        self._warn = warn
+        self.warn = warn
         self._namesakes = PublisherLog(warn)
         self._stop_watching = bus.graph.watch_nodes(name, self._on_node)
         self._token = bus.session.liveliness().declare_token(keys.token_key(self._entity))
@@ -174,7 +177,7 @@ class ZenohNode(Node):
             self._entity, bus.next_id(), kind, topic, type_name(interface),
             type_hash(interface), qos,
         )  # fmt: skip
-        reports = None if shared else (PublisherLog(self.report), PublisherLog(self._warn))
+        reports = None if shared else (PublisherLog(self.report), PublisherLog(self.warn))
         return Announcement(bus, entity, reports)
 
     def close(self) -> None:
@@ -340,6 +343,8 @@ class ZenohSubscription:
         self._wake = wake
         self._max_bytes = max_bytes
         self._long_messages = PublisherLog(node.report)
+        self._warn = node.warn
+        self._reported: set[tuple[str, str]] = set()  # which repairs of whose messages
         self._taken: zenoh.Sample | None = None
         self._pending: DropOldestQueue[tuple[zenoh.ZBytes | bytes, zenoh.Sample]] = DropOldestQueue(
             qos.depth, PENDING_BYTES
@@ -398,6 +403,8 @@ class ZenohSubscription:
             self._malformed += 1
             raise
         self.received += 1
+        if repairs := repairs_of(message):
+            self._report_repairs(repairs)
         return message
 
     def close(self) -> None:
@@ -423,6 +430,19 @@ class ZenohSubscription:
         attachment = keys.Attachment.of(sample)
         if attachment is not None:  # otherwise a peer without rmw_zenoh's numbering
             self._in_transit.received(attachment.gid, attachment.sequence)
+
+    def _report_repairs(self, repairs: tuple[str, ...]) -> None:
+        """Say once for each publisher what is repaired in its messages."""
+        attachment = None if self._taken is None else keys.Attachment.of(self._taken)
+        publisher = _publisher(self._graph, attachment)
+        new = [text for text in repairs if (publisher, text) not in self._reported]
+        if not new or len(self._reported) >= _MOST_REPORTED:  # a peer can take any number of names
+            return
+        self._reported.update((publisher, text) for text in new)
+        self._warn(
+            f"messages on {self._topic} from {publisher} are repaired ({'; '.join(new)}); this is "
+            "said once"
+        )
 
     def _reject_long(self, sample: zenoh.Sample, size: int) -> None:
         self._too_long += 1

@@ -26,7 +26,7 @@ from cairn.deployment.message_types import find_message
 from cairn.errors import CairnError
 from cairn.schemas.builtin_interfaces import from_ns
 from cairn.schemas.cairn_msgs import PortStatus
-from cairn.schemas.message import InvalidMessage, fields_of, type_name
+from cairn.schemas.message import InvalidMessage, fields_of, repairs_of, type_name
 from cairn.schemas.std_msgs import Header
 from cairn.terminal import completion
 from cairn.terminal.fields import FieldPath, field_path, message_of, plain_values
@@ -148,6 +148,7 @@ def echo_topic(
         if len(paths) > 1 and not json:
             line(_csv_row(path.text for path in paths))
         printed = 0
+        noted: set[str] = set()
         with client.subscribe(endpoint.topic, message, timeout_s=wait) as messages:
             while count is None or printed < count:
                 try:
@@ -157,6 +158,9 @@ def echo_topic(
                     _print_invalid(error, is_row=bool(paths), as_json=json)
                     continue
                 printed += 1
+                if new := [text for text in repairs_of(received) if text not in noted]:
+                    noted.update(new)
+                    note(f"repaired, as components receive it: {'; '.join(new)}")
                 if paths:
                     _print_fields(received, paths, as_json=json)
                     continue

@@ -58,6 +58,7 @@ class Ros2Source:
         self._last_arrival: int | None = None
         self._newest: int | None = None
         self._reason, self._rejected_at = "", 0
+        self._noted: set[str] = set()
         self.rejected = 0
 
     @property
@@ -100,6 +101,15 @@ class Ros2Source:
         self.rejected += 1
         self._reason, self._rejected_at = reason, self._now()
         self._warnings.warn("rejected", reason)
+
+    def note_once(self, what: str) -> None:
+        """Log once how the source's messages are understood where they do not say it.
+
+        `what` has no values of a message, so that there are few of them.
+        """
+        if what not in self._noted:
+            self._noted.add(what)
+            self._component.log.warning("%s on %s: %s", self._what, self.topic, what)
 
     def accept(self, stamp: int) -> bool:
         """Count a message that is used; return whether it is the first one after a silence."""

@@ -37,16 +37,29 @@ def pose_message(pose: poses.Pose) -> Pose:
     return Pose(position=Point(x=x, y=y), orientation=_rotation(theta))
 
 
-_LONGEST_QUATERNION = 1e6
+_NORM_TOLERANCE: Final = 1e-6  # of a quaternion: more than its rounding
+_LEAST: Final = float(np.finfo(np.float64).tiny)  # so that nothing is divided by 0
+
+
+def has_orientation(rotation: Quaternion) -> bool:
+    """Return whether a quaternion is not all zeros, by which ROS nodes say that it is not set."""
+    return bool(rotation.x or rotation.y or rotation.z or rotation.w)
 
 
 def planar_pose(pose: Pose) -> poses.Pose:
-    """Return x [m], y [m] and yaw [rad] of a message; the yaw is finite for any quaternion."""
+    """Return x [m], y [m] and yaw [rad] of a message.
+
+    The length of the quaternion does not matter; the yaw is 0 if it is not set (all zeros).
+    """
     q = pose.orientation
     w, x, y, z = q.w, q.x, q.y, q.z
-    # A quaternion that is far from unit length means nothing, but its square must not overflow.
-    if (largest := max(abs(w), abs(x), abs(y), abs(z))) > _LONGEST_QUATERNION:
+    length = math.hypot(w, x, y, z)
+    if abs(length - 1.0) > _NORM_TOLERANCE and length:
+        # Twice, because of numbers so large or small that their length overflows or is inexact.
+        largest = max(abs(w), abs(x), abs(y), abs(z))
         w, x, y, z = w / largest, x / largest, y / largest, z / largest
+        length = math.hypot(w, x, y, z)
+        w, x, y, z = w / length, x / length, y / length, z / length
     yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return pose.position.x, pose.position.y, yaw
 
@@ -121,9 +134,15 @@ def planar_poses(packed: Packed[Pose]) -> Array:
     rows = np.empty((len(packed), 3))
     rows[:, 0], rows[:, 1] = packed.array[:, 0], packed.array[:, 1]
     quaternions = packed.array[:, 3:]
-    largest = np.abs(quaternions).max(axis=1, initial=0.0, keepdims=True)
-    if (largest > _LONGEST_QUATERNION).any():
-        quaternions = quaternions / np.maximum(largest, 1.0)
+    with np.errstate(over="ignore"):
+        unit = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0) <= _NORM_TOLERANCE
+    if not unit.all():
+        others = quaternions[~unit]
+        others = others / np.maximum(np.abs(others).max(axis=1, keepdims=True), _LEAST)
+        quaternions = quaternions.copy()
+        quaternions[~unit] = others / np.maximum(
+            np.linalg.norm(others, axis=1, keepdims=True), _LEAST
+        )
     x, y, z, w = quaternions.T
     rows[:, 2] = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     return rows

@@ -114,6 +114,11 @@ def beams_of(scan: LaserScan, mount: Pose) -> ScanBeams:
     return ScanBeams(mount, angles, ranges, float(scan.range_max))
 
 
+def has_directions(scan: LaserScan) -> bool:
+    """Return whether the beams of a scan have more than one direction, if there are several."""
+    return scan.ranges.size < 2 or scan.angle_increment != 0.0
+
+
 def sweep_s(scan: LaserScan) -> float:
     """Return the time [s] from the first to the last beam of a scan."""
     return max(0.0, scan.time_increment * (scan.ranges.size - 1))

@@ -39,6 +39,8 @@ _UPRIGHT: Final = {
 _CHANNELS: Final[dict[str, tuple[int, int, int | None]]] = {
     "mono8": (1, 1, None),
     "8UC1": (1, 1, None),
+    "nv21": (1, 1, None),  # the colors are behind the rows
+    "nv24": (1, 1, None),
     "mono16": (2, 2, None),
     "16UC1": (2, 2, None),
     "bgr8": (3, 1, cv2.COLOR_BGR2GRAY),

@@ -49,7 +49,7 @@ class CameraModel:
         name = info.header.frame_id or "camera"
         if not is_calibrated(info):
             raise CairnError(
-                f"{name}: its CameraInfo has no calibration (k or p is zero); calibrate the camera "
+                f"{name}: its CameraInfo has no calibration (k is zero); calibrate the camera "
                 "with `cairn camera calibrate` and give the file to its driver"
             )
         _check_whole(info, name)
@@ -65,8 +65,12 @@ class CameraModel:
                 f"{name}: d has {info.d.size} coefficients, but {model} has "
                 f"{' or '.join(str(n) for n in known if n)}; calibrate the camera again"
             )
-        intrinsics, rotation = info.k.reshape(3, 3), info.r.reshape(3, 3)
+        intrinsics = info.k.reshape(3, 3)
+        # Drivers of single cameras may fill k and d alone.
+        rotation = info.r.reshape(3, 3) if info.r.any() else np.eye(3)
         projection = info.p.reshape(3, 4)
+        if not info.p.any():
+            projection = np.column_stack((intrinsics, np.zeros(3)))
         for key, matrix in (("k", intrinsics), ("p", projection)):
             if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2, :3], (0, 0, 1)):
                 raise CairnError(
@@ -132,7 +136,7 @@ class Rectifier:
 
 def is_calibrated(info: CameraInfo) -> bool:
     """Return whether `info` has a calibration: drivers of uncalibrated cameras leave it zero."""
-    return bool(info.k.any() and info.p.any() and info.width and info.height)
+    return bool(info.k.any() and info.width and info.height)
 
 
 def _check_whole(info: CameraInfo, name: str) -> None:

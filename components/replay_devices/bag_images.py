@@ -20,7 +20,7 @@ from cairn.components.replay_devices.bag_messages import (
 )
 from cairn.components.replay_devices.recording import Gray, ImageStream
 from cairn.errors import RecordingError
-from cairn.schemas.message import InvalidMessage
+from cairn.schemas.message import InvalidMessage, received_message
 from cairn.schemas.sensor_msgs import CameraInfo, Image
 from cairn.vision.image_files import camera_of
 from cairn.vision.images import decode, gray_of
@@ -170,16 +170,10 @@ def _gray(name: str, number: int, message: Any) -> Gray:
     try:
         if hasattr(message, "format"):
             return decode(f"it ({message.format})", np.asarray(message.data, np.uint8).tobytes())
-        return gray_of(
-            Image(
-                height=message.height,
-                width=message.width,
-                encoding=message.encoding,
-                is_bigendian=message.is_bigendian,
-                step=message.step,
-                data=np.asarray(message.data, np.uint8).ravel(),
-            )
-        )
+        fields = ("height", "width", "encoding", "is_bigendian", "step")
+        values = {name: getattr(message, name) for name in fields}
+        values["data"] = np.asarray(message.data, np.uint8).ravel()
+        return gray_of(received_message(Image, values))
     except (CairnError, InvalidMessage) as error:
         raise RecordingError(f"{name}, image {number + 1}: {error}") from error
 

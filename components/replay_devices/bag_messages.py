@@ -27,8 +27,9 @@ from cairn.errors import RecordingError
 from cairn.limits.files import megabytes
 from cairn.limits.sqlite import SchemaError
 from cairn.limits.yaml import yaml_fault
+from cairn.planar.scans import has_directions
 from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap
-from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.message import InvalidMessage, received_message, type_name
 from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 from cairn.schemas.std_msgs import Header
 
@@ -227,23 +228,24 @@ def usual_topic(kind: str, topics: Sequence[str]) -> str | None:
 def scan_of(stamp: int, m: Any, upside_down: bool) -> LaserScan:
     """Return a message of ROS as a scan with a time [ns], mirrored if the scanner is upside down.
 
-    Raises `InvalidMessage`, `ValueError`.
+    It is repaired like one on the bus. Raises `InvalidMessage`, `ValueError`.
     """
-    beams = len(m.ranges)
     side = -1.0 if upside_down else 1.0  # it turns to the right: the first beam is the left one
-    return LaserScan(
-        header=Header(stamp=from_ns(stamp), frame_id="laser"),
-        angle_min=side * float(m.angle_min),
-        angle_max=side * float(m.angle_max),
-        angle_increment=side * float(m.angle_increment),
-        time_increment=float(m.time_increment),
-        scan_time=float(m.scan_time),
-        range_min=float(m.range_min),
-        range_max=float(m.range_max),
-        ranges=np.asarray(m.ranges, dtype=np.float32),
-        # Some drivers send another number of intensities, which belong to no beam.
-        intensities=np.asarray(m.intensities if len(m.intensities) == beams else [], np.float32),
-    )
+    numbers = ("time_increment", "scan_time", "range_min", "range_max")
+    values = {
+        "header": Header(stamp=from_ns(stamp), frame_id="laser"),
+        "ranges": np.asarray(m.ranges, dtype=np.float32),
+        "intensities": np.asarray(m.intensities, dtype=np.float32),
+        **{
+            f"angle_{n}": side * float(getattr(m, f"angle_{n}"))
+            for n in ("min", "max", "increment")
+        },
+        **{name: float(getattr(m, name)) for name in numbers},
+    }
+    scan = received_message(LaserScan, values)
+    if not has_directions(scan):
+        raise ValueError("its beams have one direction: angle_increment is 0")
+    return scan
 
 
 # Stamps that are further from the time of receipt than this are of another clock [ns].

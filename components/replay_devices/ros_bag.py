@@ -6,6 +6,7 @@ Images are read from the file as they are replayed: all at once would fill the m
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,12 +54,12 @@ from cairn.components.replay_devices.scanner_mount import (
 )
 from cairn.components.replay_devices.wheel_odometry import odometry_deviations, odometry_velocities
 from cairn.errors import RecordingError
-from cairn.planar.messages import planar_pose
+from cairn.planar.messages import has_orientation, planar_pose
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import RecognizedObjectArray, VisualMap
 from cairn.schemas.geometry_msgs import Point, Quaternion
 from cairn.schemas.geometry_msgs import Pose as PoseMessage
-from cairn.schemas.message import InvalidMessage
+from cairn.schemas.message import InvalidMessage, repairs_of
 from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 
 Array = NDArray[np.float64]
@@ -295,6 +296,10 @@ class BagRecording(Recording):
         return scan_of(self._undelayed(stamp), message, upside_down)
 
     def _to_scans(self, stamps: list[int], scans: list[LaserScan]) -> ScanStream:
+        repairs = Counter(text for scan in scans for text in repairs_of(scan))
+        self._notes += [
+            f"{count} of {len(scans)} scans are repaired: {text}" for text, count in repairs.items()
+        ]
         return ScanStream([self._undelayed(stamp) for stamp in stamps], scans, stamps)
 
     def _undelayed(self, stamp: int) -> int:
@@ -336,6 +341,8 @@ def _odometry_step(_: int, message: Any) -> _OdometryStep:
     twist = (float(message.twist.twist.linear.x), float(message.twist.twist.angular.z))
     if not all(map(math.isfinite, twist)):
         raise ValueError(f"its velocity is {twist[0]:g} m/s, {twist[1]:g} rad/s")
+    if not has_orientation(message.pose.pose.orientation):
+        raise ValueError("its orientation is not set: all four numbers are 0")
     return _OdometryStep(_pose(message.pose.pose), covariance[[0, 1, 5]][:, [0, 1, 5]], twist)
 
 

@@ -19,6 +19,7 @@ from cairn.components.ros2_devices.odometry import (
     odometry_message,
     odometry_transform,
     rejection,
+    understood,
 )
 from cairn.driver.command_timeout import REST
 from cairn.driver.diagnostics import OK, WARN
@@ -44,12 +45,13 @@ class Ros2Base(Component):
 
     The log and `diagnostics` report odometry that is rejected:
 
-    - frames other than `odom_frame` and `base_frame`; `odom` and `base_link` are published;
+    - frames other than `odom_frame` and `base_frame`, which an empty name means, too; `odom` and
+      `base_link` are published;
     - messages older than `odom_age_s` or from the future: synchronize the clocks, or set
       `stamp_on_arrival: true` for a base without a clock;
     - duplicates; late messages that contradict the poses of their time or are more than 0.5 s late;
-    - values that are not finite, and orientations that are not of length 1; a tilted orientation is
-      projected to the plane.
+    - values that are not finite, and orientations that are not set (all zeros); others are divided
+      by their length, and projected to the plane if they are tilted.
 
     Jumps faster than twice `speed` or `turn`, or a return to the origin after silence, mean that
     the base was restarted; poses continue from the last one.
@@ -126,6 +128,8 @@ class Ros2Base(Component):
                 f"publishes {self.base_odom.topic}"
             )
             return
+        for what in understood(message, self.config):
+            self._source.note_once(what)
         was_silent = self._source.accept(stamp)
         if self._continuity.jumps > jumps:
             if was_silent:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cairn import SECOND, from_ns
 from cairn.components.ros2_devices.config import Ros2BaseConfig
-from cairn.planar.messages import pose_message, transform_message
+from cairn.planar.messages import has_orientation, pose_message, transform_message
 from cairn.planar.odometry import (
     ODOMETRY_DISORDER_S,
     OUTDATED_IN_A_ROW,
@@ -38,19 +38,35 @@ _ORIGIN: Pose = (0.0, 0.0, 0.0)
 def rejection(message: Odometry, config: Ros2BaseConfig) -> str | None:
     """Return why a message of odometry cannot be used, as a sentence; None if it can."""
     frames = (message.header.frame_id, message.child_frame_id)
-    if frames != (config.odom_frame, config.base_frame):
+    expected = (config.odom_frame, config.base_frame)
+    if any(
+        name.strip("/") not in ("", frame.strip("/"))
+        for name, frame in zip(frames, expected, strict=True)
+    ):
         return (
             f"the base's odometry is of frame {frames[1]!r} in {frames[0]!r}, not of "
             f"{config.base_frame!r} in {config.odom_frame!r}; set base_frame and odom_frame"
         )
-    q = message.pose.pose.orientation
-    norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
-    if abs(norm - 1.0) > _NORM_TOLERANCE:
+    if not has_orientation(message.pose.pose.orientation):
         return (
-            f"the orientation in the base's odometry has norm {norm:.3g} instead of 1; correct the "
-            "node that publishes it"
+            "the orientation in the base's odometry is not set (x, y, z, w are 0), without which "
+            "the robot's heading is not known; correct the node that publishes it"
         )
     return None
+
+
+def understood(message: Odometry, config: Ros2BaseConfig) -> list[str]:
+    """Return how a message of odometry that is used is understood where it does not say it."""
+    q = message.pose.pose.orientation
+    norm = math.hypot(q.x, q.y, q.z, q.w)
+    found = []
+    if abs(norm - 1.0) > _NORM_TOLERANCE:
+        found.append("their orientations are not of length 1, and are divided by it")
+    if not message.header.frame_id:
+        found.append(f"they name no frame, and are taken as in {config.odom_frame}")
+    if not message.child_frame_id:
+        found.append(f"they name no child frame, and are taken as of {config.base_frame}")
+    return found
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from cairn.planar.scans import sweep_s
+from cairn.planar.scans import has_directions, sweep_s
 from cairn.schemas.sensor_msgs import LaserScan
 from cairn.schemas.std_msgs import Header
 
@@ -16,15 +16,15 @@ from cairn.schemas.std_msgs import Header
 _LONGEST_SWEEP_S: Final = 1.0
 # Each user computes with every beam of every scan; the finest scanners have about 7,000.
 _MOST_BEAMS: Final = 10_000
-_FULL_TURN: Final = math.radians(361)  # some scanners count a last beam that is the first one
 
 
 def why_unusable(scan: LaserScan, topic: str, frame: str) -> str | None:
     """Return why a scan cannot be used, as a sentence; None if it can.
 
-    `LaserScan` itself has checked limits, numbers of values, and that the angles fit the beams.
+    `LaserScan` itself has checked limits, numbers of values, and that the angles fit the beams. A
+    scan that names no frame is of the scanner's.
     """
-    if scan.header.frame_id != frame:
+    if scan.header.frame_id.strip("/") not in ("", frame.strip("/")):
         return (
             f"the scan on {topic} is of frame {scan.header.frame_id!r}, not {frame!r}; set "
             "source_frame, or correct the topic"
@@ -36,12 +36,8 @@ def why_unusable(scan: LaserScan, topic: str, frame: str) -> str | None:
             f"the scan on {topic} has {scan.ranges.size:,} ranges, more than {_MOST_BEAMS:,}; let "
             "its node publish fewer"
         )
-    turn = abs(scan.angle_increment) * (scan.ranges.size - 1)
-    if turn > _FULL_TURN:
-        return (
-            f"the scan on {topic} spans {math.degrees(turn):.0f} degrees, with {scan.ranges.size} "
-            f"beams {scan.angle_increment:g} rad apart; correct the node that publishes it"
-        )
+    if not has_directions(scan):
+        return f"the beams of the scan on {topic} have one direction: its angle_increment is 0"
     if sweep_s(scan) > _LONGEST_SWEEP_S:
         return (
             f"the scan on {topic} takes {sweep_s(scan):.1f} s, with {scan.ranges.size} beams "

@@ -28,9 +28,9 @@ class Ros2Scanner(Component):
 
     Ranges are as in REP 117; 0 counts as NaN. The driver rejects scans
 
-    - of another frame than `source_frame`;
-    - without ranges, with more than 10,000, over more than a full turn, or with fields that
-      contradict each other;
+    - of another frame than `source_frame`; no frame means this one;
+    - without ranges, with more than 10,000, or over far more than a full turn, as of angles in
+      degrees;
     - whose sweep takes more than 1 s: correct `time_increment`;
     - older than `age_s` or from the future: synchronize the clocks, or set `stamp_on_arrival: true`
       for a node without a clock;
@@ -64,6 +64,8 @@ class Ros2Scanner(Component):
         if reason is not None:
             source.reject(reason)
             return
+        if not message.header.frame_id:
+            source.note_once(f"they name no frame, and are taken as of {config.source_frame}")
         source.accept(stamp)
         stamp += round(config.time_offset_s * SECOND)
         header = Header(stamp=from_ns(stamp), frame_id=config.frame_id)

@@ -65,7 +65,7 @@ class RecentSweeps:
         """
         if self._sweeps and time_went_back(self._sweeps[-1][0], stamp):
             self.forget()
-        if rays.ranges.size == 0 or scan.angle_increment == 0.0:
+        if rays.ranges.size == 0:
             return
         ranges = np.where(np.isneginf(scan.ranges), scan.range_min, rays.ranges)
         sweep = replace(beams_of(scan, mount).rays(robot), ranges=ranges)

@@ -1,6 +1,6 @@
 """ROS 2 package geometry_msgs: points, poses, velocities and transforms (REP 103: m, rad, s)."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +89,18 @@ class PoseStamped:
     pose: Pose = Pose()
 
 
-@message("geometry_msgs/msg/PoseWithCovariance")
+def _repair_covariance(values: dict[str, Any]) -> list[str]:
+    """Repair a covariance: what is not known is 0, as ROS nodes send it."""
+    covariance = values["covariance"]
+    known = np.isfinite(covariance)
+    if known.all():
+        return []
+    # Without one of the variances in the plane, the others mean nothing to a robot on wheels.
+    values["covariance"] = np.where(known & known[[0, 7, 35]].all(), covariance, 0.0)
+    return ["numbers in covariance that are not finite: 0, not known"]
+
+
+@message("geometry_msgs/msg/PoseWithCovariance", repair=_repair_covariance)
 class PoseWithCovariance:
     """A pose with its uncertainty."""
 
@@ -129,7 +140,7 @@ class TwistStamped:
     twist: Twist = Twist()
 
 
-@message("geometry_msgs/msg/TwistWithCovariance")
+@message("geometry_msgs/msg/TwistWithCovariance", repair=_repair_covariance)
 class TwistWithCovariance:
     """A velocity with its uncertainty."""
 

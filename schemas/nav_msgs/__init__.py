@@ -1,6 +1,6 @@
 """ROS 2 package nav_msgs: odometry, maps and paths."""
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 
@@ -41,7 +41,14 @@ class MapMetaData:
     origin: Pose = Pose()
 
 
-@message("nav_msgs/msg/OccupancyGrid")
+def _repair_grid(values: dict[str, Any]) -> list[str]:
+    """Repair a map with values that the format does not have."""
+    cells = values["data"]
+    values["data"] = np.where(cells < -1, -1, np.minimum(cells, 100)).astype(np.int8)
+    return ["cells below -1 are unknown, those above 100 occupied"]
+
+
+@message("nav_msgs/msg/OccupancyGrid", repair=_repair_grid)
 class OccupancyGrid:
     """A map of cells, row by row from (0, 0): 0 (free) to 100 (occupied), -1 unknown."""
 

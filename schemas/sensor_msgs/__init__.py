@@ -1,7 +1,9 @@
 """ROS 2 package sensor_msgs: laser scans, camera images and batteries."""
 
 import math
-from typing import Annotated, ClassVar
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +32,71 @@ Matrix3x3 = Annotated[npt.NDArray[np.float64], Array("float64", length=9, check=
 Matrix3x4 = Annotated[npt.NDArray[np.float64], Array("float64", length=12, check=finite)]
 
 
-@message("sensor_msgs/msg/LaserScan")
+_MOST_TURN: Final = 2.5 * math.pi
+"""Most that the beams of a sweep may turn [rad]: some scanners turn a little more than once."""
+
+_ANY_REACH: Final = 100.0
+"""Reach of a scanner that does not say it [m]: more than those of mobile robots have."""
+
+
+def _repair_scan(values: dict[str, Any]) -> list[str]:
+    """Repair a scan: the number of ranges, `angle_min` and `angle_increment` define the beams."""
+    ranges = values["ranges"]
+    repairs = _repair_sweep(values, ranges.size)
+    if values["intensities"].size not in (0, ranges.size):
+        values["intensities"] = ranges[:0]
+        repairs.append("intensities left out: their number is not that of the ranges")
+    if not 0.0 < values["range_max"] < math.inf:
+        # How far a beam without a return was free is not known: it has measured nothing.
+        measured = np.where(ranges == math.inf, np.float32(math.nan), ranges)
+        farthest = np.nanmax(measured, initial=np.float32(max(_ANY_REACH, values["range_min"])))
+        values["ranges"] = measured
+        values["range_max"] = float(np.nextafter(farthest, np.float32(math.inf)))
+        repairs.append("range_max is not set: beams without a return are unknown")
+    elif values["range_min"] > values["range_max"]:
+        values["range_min"] = 0.0
+        repairs.append("range_min is above range_max: 0")
+    return repairs
+
+
+def _repair_sweep(values: dict[str, Any], beams: int) -> list[str]:
+    """Repair what scans with one echo or several have in common."""
+    repairs = []
+    for name, consequence in (
+        ("time_increment", "0, all beams at once"),
+        ("scan_time", "0, not known"),
+    ):
+        if not math.isfinite(values[name]):
+            values[name] = 0.0
+            repairs.append(f"{name} is not a finite number: {consequence}")
+    if not values["range_min"] >= 0.0 or values["range_min"] == math.inf:
+        values["range_min"] = 0.0
+        repairs.append("range_min is not a finite number of at least 0: 0")
+    first, last, step = (values[f"angle_{name}"] for name in ("min", "max", "increment"))
+    if beams > 1 and not (step and math.isfinite(step)) and math.isfinite(last - first):
+        step = values["angle_increment"] = (last - first) / (beams - 1)
+        repairs.append("angle_increment is not set: by angle_min, angle_max and the ranges")
+    elif beams <= 1 and not math.isfinite(step):
+        step = values["angle_increment"] = 0.0
+        repairs.append("angle_increment of a single beam is not a finite number: 0")
+    if not math.isfinite(first) and math.isfinite(last):
+        first = values["angle_min"] = last - (beams - 1) * step
+        repairs.append("angle_min is not a finite number: by angle_max and the ranges")
+    if _apart(last, end := first + max(0, beams - 1) * step, first, step, beams):
+        values["angle_max"] = end
+        repairs.append("angle_max is not that of the last beam: by the number of ranges")
+    return repairs
+
+
+def _apart(angle: float, other: float, first: float, step: float, beams: int) -> bool:
+    """Return whether two directions of the last beam differ by more than a step."""
+    # Some drivers count the beams, some the gaps: tolerate one step. The increment is rounded to
+    # float32, and the error adds up over the beams.
+    rounding = 2 * _EPSILON * (abs(first) + abs(angle) + beams * abs(step))
+    return not abs(other - angle) <= abs(step) + rounding
+
+
+@message("sensor_msgs/msg/LaserScan", repair=_repair_scan)
 class LaserScan:
     """One sweep of a planar laser: `ranges` [m] at angles from `angle_min` [rad], left positive.
 
@@ -65,13 +131,17 @@ class LaserScan:
             if self.range_min < 0.0:
                 reject(self, "range_min", self.range_min, "must be at least 0")
             step = self.angle_increment
+            turn = abs(step) * (beams - 1)
+            if turn > _MOST_TURN:
+                reject(
+                    self,
+                    "angle_increment",
+                    step,
+                    f"makes {beams} beams turn by {turn:.6g} rad, far more than once: it is in "
+                    "radians (REP 103), not in degrees",
+                )
             last = self.angle_min + (beams - 1) * step
-            # Some drivers count the beams, some the gaps: tolerate one step. The increment is
-            # rounded to float32, and the error adds up over the beams.
-            rounding = (
-                2 * _EPSILON * (abs(self.angle_min) + abs(self.angle_max) + beams * abs(step))
-            )
-            if abs(last - self.angle_max) > abs(step) + rounding:
+            if _apart(self.angle_max, last, self.angle_min, step, beams):
                 reject(
                     self,
                     "angle_max",
@@ -87,7 +157,17 @@ class LaserEcho:
     echoes: Float32Array = empty(np.float32)
 
 
-@message("sensor_msgs/msg/MultiEchoLaserScan")
+def _repair_echoes(values: dict[str, Any]) -> list[str]:
+    """Repair a scan with several echoes, as far as it says the same as one with one."""
+    repairs = _repair_sweep(values, len(values["ranges"]))
+    counts = [[echo.echoes.size for echo in values[name]] for name in ("ranges", "intensities")]
+    if counts[1] and counts[0] != counts[1]:
+        values["intensities"] = ()
+        repairs.append("intensities left out: their number is not that of the ranges")
+    return repairs
+
+
+@message("sensor_msgs/msg/MultiEchoLaserScan", repair=_repair_echoes)
 class MultiEchoLaserScan:
     """One sweep of a planar laser with several echoes per beam; otherwise as `LaserScan`."""
 
@@ -110,7 +190,48 @@ class MultiEchoLaserScan:
             reject(self, "intensities", self.intensities, "must be none, or one for each range")
 
 
-@message("sensor_msgs/msg/Image")
+_PIXEL_BYTES: Final[Mapping[str, int]] = {
+    **dict.fromkeys(("mono8", "nv21", "nv24"), 1),
+    **dict.fromkeys(("mono16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"), 2),
+    **dict.fromkeys(("rgb8", "bgr8"), 3),
+    **dict.fromkeys(("rgba8", "bgra8"), 4),
+    **dict.fromkeys(("rgb16", "bgr16"), 6),
+    **dict.fromkeys(("rgba16", "bgra16"), 8),
+}
+
+
+def pixel_bytes(encoding: str) -> int | None:
+    """Return the bytes of a pixel; None if the encoding is not known or has no rows of pixels.
+
+    Source: sensor_msgs/image_encodings.hpp.
+    """
+    if matched := re.fullmatch(r"(8|16|32|64)[USF]C([0-9]{0,3})", encoding):
+        return int(matched[1]) // 8 * int(matched[2] or 1)
+    if matched := re.fullmatch(r"bayer_(?:rggb|bggr|gbrg|grbg)(8|16)", encoding):
+        return int(matched[1]) // 8
+    return _PIXEL_BYTES.get(encoding)
+
+
+def _repair_image(values: dict[str, Any]) -> list[str]:
+    """Repair an image: its size, its encoding and the number of its bytes define the rows."""
+    height, width, step, data = (values[name] for name in ("height", "width", "step", "data"))
+    row = width * (pixel_bytes(values["encoding"]) or 0)
+    if not height or not row:
+        return []
+    repairs = []
+    if step < row and data.size >= height * row:
+        step = values["step"] = data.size // height if data.size % height == 0 else row
+        repairs.append("step is less than a row of pixels: by the number of bytes")
+    if data.size > height * step:
+        values["data"] = data[: height * step]
+        repairs.append("bytes behind the last row left out")
+    elif height * step - (step - row) <= data.size < height * step:
+        values["data"] = np.pad(data, (0, height * step - data.size))
+        repairs.append("padding of the last row added")
+    return repairs
+
+
+@message("sensor_msgs/msg/Image", repair=_repair_image)
 class Image:
     """An uncompressed image: `height` rows of `step` bytes, pixels as `encoding` says."""
 

@@ -7,6 +7,7 @@ import time
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 
@@ -25,6 +26,7 @@ from cairn.bus.type_hash import type_hash
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import InvalidMessage, type_name
+from cairn.schemas.sensor_msgs import LaserScan
 from tests.cairn.bus.network import Network, Reader, eventually, node
 from tests.patience import LIMIT_S
 
@@ -79,6 +81,25 @@ def test_invalid_message_is_rejected_and_the_next_one_received(
     assert reader.next() == Twist(linear=Vector3(x=0.5))
     subscription = reader.subscription
     assert (subscription.invalid, subscription.received, subscription.dropped) == (1, 1, 0)
+
+
+def test_repairs_are_reported_once_for_each_publisher(network: Network) -> None:
+    bus, warnings = network.bus(), list[str]()
+    subscriber = bus.node("/robot/localizer", warnings.append, warnings.append)
+    reader = Reader(subscriber, "/scan", LaserScan, RELIABLE)
+    other = network.bus()
+    other.wait_for_peers(LIMIT_S)
+    scan = LaserScan(range_max=9.0, ranges=np.ones(1, np.float32))
+    scan.__dict__["angle_max"] = 1.0
+    key = data_key(0, "/scan", type_name(LaserScan), type_hash(LaserScan))
+    for number in (1, 2, 3):
+        other.session.put(key, CODEC.encode(scan), attachment=attachment(number))
+
+    assert [reader.next().angle_max for _ in range(3)] == [0.0] * 3
+
+    (warning,) = [one for one in warnings if "repaired" in one]
+    assert "/scan from a publisher that is not in the graph" in warning
+    assert "angle_max is not that of the last beam" in warning
 
 
 @pytest.mark.parametrize(

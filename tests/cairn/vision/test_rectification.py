@@ -71,6 +71,15 @@ def test_rectified_image_is_returned_unchanged() -> None:
     assert Rectifier(info(distortion_model="", d=np.zeros(0))).apply(image) is image
 
 
+def test_single_camera_needs_neither_rotation_nor_projection() -> None:
+    d = np.array([-0.3, 0.1, 0.001, -0.002, 0.0])
+
+    bare = CameraModel.of(info(d=d, r=np.zeros(9), p=np.zeros(12)))
+
+    whole = CameraModel.of(info(d=d, r=np.eye(3).ravel(), p=projection(FOCAL, CX, CY)))
+    assert all(np.array_equal(*maps) for maps in zip(bare.maps(), whole.maps(), strict=True))
+
+
 def test_image_of_another_size_is_rejected_with_both_sizes() -> None:
     with pytest.raises(CairnError, match=words_in_order("640 x 480", "320 x 240")):
         Rectifier(info()).apply(np.zeros((480, 640), np.uint8))
@@ -80,9 +89,8 @@ def test_image_of_another_size_is_rejected_with_both_sizes() -> None:
     ("changes", "message"),
     [
         ({"k": np.zeros(9)}, "has no calibration"),
-        ({"p": np.zeros(12)}, "has no calibration"),
         ({"k": np.array([-1, 0, 1, 0, 1, 1, 0, 0, 1.0])}, "k = .* is not a camera matrix"),
-        ({"r": np.zeros(9)}, "r = .* is not a rotation"),
+        ({"r": np.full(9, 0.5)}, "r = .* is not a rotation"),
         ({"d": np.zeros(3)}, "d has 3 coefficients, but plumb_bob has 4 or 5"),
         ({"distortion_model": "equidistant"}, "d has 5 coefficients, but equidistant has 4"),
         ({"distortion_model": "thin_prism"}, "distortion_model = 'thin_prism' is not supported"),

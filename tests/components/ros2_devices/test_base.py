@@ -323,6 +323,24 @@ def test_unusable_odometry_is_not_published(message: Any) -> None:
     assert base.take("diagnostics")[-1].status[0].values[2].value == "1"
 
 
+def test_odometry_without_frames_and_of_another_length_is_used_and_reported_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    base = started()
+    doubled = Quaternion(z=2.0 * math.sin(0.25), w=2.0 * math.cos(0.25))
+    pose = PoseWithCovariance(pose=Pose(position=Point(x=0.1), orientation=doubled))
+
+    for _ in range(3):
+        base.publish("base_odom", replace(base.odometry(0.0, frame="", child=""), pose=pose))
+        base.run_for(0.05)
+
+    assert [planar_pose(odom.pose.pose) for odom in base.take("odom")][-3:] == [
+        pytest.approx((0.1, 0.0, 0.5))
+    ] * 3
+    for said in ("name no frame", "name no child frame", "not of length 1"):
+        assert caplog.text.count(said) == 1
+
+
 def test_rejected_odometry_is_reported_with_the_reason() -> None:
     base = started(base_frame="base_footprint")
     base.run(1.0)

@@ -87,14 +87,14 @@ def test_compressed_images_are_decoded() -> None:
 @pytest.mark.parametrize(
     ("compressed", "reason"),
     [
-        (False, "left_image: an image of camera: encoding = 'nv21' is not supported; set its "),
+        (False, "left_image: an image of camera: encoding = '32FC1' is not supported; set its "),
         (True, "left_compressed: an image of format 'jpeg'"),
     ],
 )
 def test_image_that_cannot_be_decoded_is_reported(compressed: bool, reason: str) -> None:
     camera = Camera(compressed=compressed)
     for _ in range(12):
-        camera.publish("source_left_image", camera.photograph(encoding="nv21"))
+        camera.publish("source_left_image", camera.photograph(encoding="32FC1"))
         camera.publish(
             "source_left_compressed",
             CompressedImage(header=camera.header(), format="jpeg", data=np.zeros(9, np.uint8)),

@@ -116,11 +116,12 @@ class Clockwise(CorrectScanner):
 
 
 class Degrees(CorrectScanner):
-    """Publishes angles in degrees."""
+    """Publishes the first angle in degrees; an increment in degrees makes no valid message."""
 
     def measured_scan(self) -> LaserScan:
         scan = super().measured_scan()
-        return replace(scan, angle_min=-90.0, angle_max=90.0, angle_increment=1.0)
+        last = -90.0 + (scan.ranges.size - 1) * scan.angle_increment
+        return replace(scan, angle_min=-90.0, angle_max=last)
 
 
 class TooFar(CorrectScanner):
