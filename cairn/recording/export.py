@@ -28,6 +28,7 @@ from cairn.recording.decoding import Definition, MessageDecoder
 from cairn.recording.mcap_file import Progress, RecordedChannel, RecordedMessage
 from cairn.recording.reader import McapRecording
 from cairn.recording.tum import TUM_HEADER, stamp_text, tum_line
+from cairn.schemas.sensor_msgs import pixel_layout
 from cairn.system.clock import SECOND
 from cairn.system.files import explain_os_error, replace_file, replacing
 
@@ -407,27 +408,16 @@ def _numbers(pose: Mapping[str, Mapping[str, float]]) -> list[float]:
 # --- Images -------------------------------------------------------------------------------------
 
 
-# Type of a number, numbers per pixel, and OpenCV's conversion to gray or blue, green, red
-# (sensor_msgs/image_encodings.hpp).
-_ENCODINGS: Final[Mapping[str, tuple[str, int, str]]] = {
-    "mono8": ("u1", 1, ""),
-    "8UC1": ("u1", 1, ""),
-    "mono16": ("u2", 1, ""),
-    "16UC1": ("u2", 1, ""),
-    "bgr8": ("u1", 3, ""),
-    "8UC3": ("u1", 3, ""),
-    "rgb8": ("u1", 3, "RGB2BGR"),
-    "bgra8": ("u1", 4, ""),
-    "8UC4": ("u1", 4, ""),
-    "rgba8": ("u1", 4, "RGBA2BGRA"),
-    "bgr16": ("u2", 3, ""),
-    "rgb16": ("u2", 3, "RGB2BGR"),
-    "yuv422": ("u1", 2, "YUV2BGR_UYVY"),
-    "uyvy": ("u1", 2, "YUV2BGR_UYVY"),
-    "yuv422_yuy2": ("u1", 2, "YUV2BGR_YUY2"),
-    "yuyv": ("u1", 2, "YUV2BGR_YUY2"),
+# OpenCV's conversion to gray or blue, green, red.
+_CONVERSIONS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("mono8", "mono16", "8UC1", "16UC1", "8UC3", "8UC4"), ""),
+    **dict.fromkeys(("bgr8", "bgr16", "bgra8"), ""),
+    **dict.fromkeys(("rgb8", "rgb16"), "RGB2BGR"),
+    "rgba8": "RGBA2BGRA",
+    **dict.fromkeys(("yuv422", "uyvy"), "YUV2BGR_UYVY"),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), "YUV2BGR_YUY2"),
     **{
-        f"bayer_{order}{bits}": (f"u{bits // 8}", 1, f"Bayer{order.upper()}2BGR")
+        f"bayer_{order}{bits}": f"Bayer{order.upper()}2BGR"
         for order in ("rggb", "bggr", "gbrg", "grbg")
         for bits in (8, 16)
     },
@@ -501,14 +491,15 @@ def _pixels(name: str, message: Any, data: NDArray[np.uint8]) -> NDArray[Any]:
     encoding = str(_field(message, "encoding"))
     width, height = int(_field(message, "width")), int(_field(message, "height"))
     step = int(_field(message, "step"))
-    if encoding not in _ENCODINGS:
+    layout = pixel_layout(encoding)
+    if layout is None or encoding not in _CONVERSIONS:
         raise RecordingError(
             f"{name}: its encoding {encoding[:40]!r} is not supported; those are "
-            f"{', '.join(_ENCODINGS)}"
+            f"{', '.join(_CONVERSIONS)}"
         )
     check_pixels(name, width, height)
-    kind, numbers, conversion = _ENCODINGS[encoding]
-    dtype = np.dtype(kind).newbyteorder(">" if _field(message, "is_bigendian") else "<")
+    conversion, (size, numbers) = _CONVERSIONS[encoding], layout
+    dtype = np.dtype(f"u{size}").newbyteorder(">" if _field(message, "is_bigendian") else "<")
     row = width * numbers * dtype.itemsize
     if min(width, height) < 1 or step < row or data.size < step * (height - 1) + row:
         raise RecordingError(

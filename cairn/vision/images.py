@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cairn.errors import CairnError
 from cairn.limits.files import open_regular
 from cairn.limits.images import check_pixels, decode_image, read_header, read_image_file
-from cairn.schemas.sensor_msgs import Image
+from cairn.schemas.sensor_msgs import Image, pixel_layout
 from cairn.schemas.std_msgs import Header
 from cairn.system.files import explained
 
@@ -34,34 +34,17 @@ _UPRIGHT: Final = {
     8: (1, False),
 }
 
-# Bytes per pixel, bytes per channel, and the conversion to gray (None: already gray).
-# (sensor_msgs/image_encodings.hpp)
-_CHANNELS: Final[dict[str, tuple[int, int, int | None]]] = {
-    "mono8": (1, 1, None),
-    "8UC1": (1, 1, None),
-    "nv21": (1, 1, None),  # the colors are behind the rows
-    "nv24": (1, 1, None),
-    "mono16": (2, 2, None),
-    "16UC1": (2, 2, None),
-    "bgr8": (3, 1, cv2.COLOR_BGR2GRAY),
-    "8UC3": (3, 1, cv2.COLOR_BGR2GRAY),
-    "rgb8": (3, 1, cv2.COLOR_RGB2GRAY),
-    "bgra8": (4, 1, cv2.COLOR_BGRA2GRAY),
-    "8UC4": (4, 1, cv2.COLOR_BGRA2GRAY),
-    "rgba8": (4, 1, cv2.COLOR_RGBA2GRAY),
-    "bgr16": (6, 2, cv2.COLOR_BGR2GRAY),
-    "rgb16": (6, 2, cv2.COLOR_RGB2GRAY),
-    "bgra16": (8, 2, cv2.COLOR_BGRA2GRAY),
-    "rgba16": (8, 2, cv2.COLOR_RGBA2GRAY),
-    "bayer_rggb8": (1, 1, cv2.COLOR_BayerRGGB2GRAY),
-    "bayer_bggr8": (1, 1, cv2.COLOR_BayerBGGR2GRAY),
-    "bayer_gbrg8": (1, 1, cv2.COLOR_BayerGBRG2GRAY),
-    "bayer_grbg8": (1, 1, cv2.COLOR_BayerGRBG2GRAY),
-    "bayer_rggb16": (2, 2, cv2.COLOR_BayerRGGB2GRAY),
-    "bayer_bggr16": (2, 2, cv2.COLOR_BayerBGGR2GRAY),
-    "bayer_gbrg16": (2, 2, cv2.COLOR_BayerGBRG2GRAY),
-    "bayer_grbg16": (2, 2, cv2.COLOR_BayerGRBG2GRAY),
-}
+_GRAY: Final = ("mono8", "mono16", "8UC1", "16UC1", "nv21", "nv24")
+# OpenCV's names of colors, as in cv2.COLOR_BGR2GRAY.
+_COLORS: Final = (
+    {"8UC3": "BGR", "8UC4": "BGRA"}
+    | {f"{name.lower()}{bits}": name for name in ("BGR", "RGB", "BGRA", "RGBA") for bits in (8, 16)}
+    | {
+        f"bayer_{order.lower()}{bits}": f"Bayer{order}"
+        for order in ("RGGB", "BGGR", "GBRG", "GRBG")
+        for bits in (8, 16)
+    }
+)
 # Index of the luminance byte among the two bytes of a pixel.
 _LUMINANCE: Final = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 
@@ -107,25 +90,24 @@ def gray_of(image: Image) -> Gray:
     width, height, encoding = image.width, image.height, image.encoding
     _check_least(name, width, height)
     check_pixels(name, width, height)
-    if encoding in _LUMINANCE:
-        rows = _rows(name, image, 2)
-        return np.ascontiguousarray(rows[:, _LUMINANCE[encoding] :: 2])
-    if encoding not in _CHANNELS:
-        known = ", ".join((*_CHANNELS, *_LUMINANCE))
+    layout = pixel_layout(encoding)
+    if layout is None or encoding not in (*_GRAY, *_COLORS, *_LUMINANCE):
+        known = ", ".join((*_GRAY, *_COLORS, *_LUMINANCE))
         raise CairnError(
             f"{name}: encoding = {encoding!r} is not supported; set its driver to send one of "
             f"{known}"
         )
-    pixel, number, conversion = _CHANNELS[encoding]
-    rows = _rows(name, image, pixel)
+    number, channels = layout
+    rows = _rows(name, image, number * channels)
+    if encoding in _LUMINANCE:
+        return np.ascontiguousarray(rows[:, _LUMINANCE[encoding] :: 2])
+    values: NDArray[Any] = rows
     if number == 2:
         wide = np.ascontiguousarray(rows).view(">u2" if image.is_bigendian else "<u2")
-        values: NDArray[Any] = wide.astype(np.uint16, copy=False)
-    else:
-        values = rows
-    if conversion is not None:
-        channels = pixel // number
+        values = wide.astype(np.uint16, copy=False)
+    if encoding in _COLORS:
         shape = (height, width, channels) if channels > 1 else (height, width)
+        conversion: int = getattr(cv2, f"COLOR_{_COLORS[encoding]}2GRAY")
         values = cv2.cvtColor(np.ascontiguousarray(values).reshape(shape), conversion)
     return eight_bits(values)
 

@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
@@ -190,32 +189,33 @@ class MultiEchoLaserScan:
             reject(self, "intensities", self.intensities, "must be none, or one for each range")
 
 
-_PIXEL_BYTES: Final[Mapping[str, int]] = {
-    **dict.fromkeys(("mono8", "nv21", "nv24"), 1),
-    **dict.fromkeys(("mono16", "yuv422", "uyvy", "yuv422_yuy2", "yuyv"), 2),
-    **dict.fromkeys(("rgb8", "bgr8"), 3),
-    **dict.fromkeys(("rgba8", "bgra8"), 4),
-    **dict.fromkeys(("rgb16", "bgr16"), 6),
-    **dict.fromkeys(("rgba16", "bgra16"), 8),
-}
+_PIXEL = re.compile(
+    "(?:mono|rgba?|bgra?|bayer_(?:rggb|bggr|gbrg|grbg))(?P<bits>8|16)"
+    "|(?P<plain>8|16|32|64)[USF]C(?P<channels>[0-9]{0,3})"
+    "|(?P<pair>yuv422|uyvy|yuv422_yuy2|yuyv)|(?P<planes>nv21|nv24)"
+)
 
 
-def pixel_bytes(encoding: str) -> int | None:
-    """Return the bytes of a pixel; None if the encoding is not known or has no rows of pixels.
+def pixel_layout(encoding: str) -> tuple[int, int] | None:
+    """Return the bytes of a number, and the numbers of a pixel, in the rows of an image.
 
-    Source: sensor_msgs/image_encodings.hpp.
+    None if the encoding is not known. Source: sensor_msgs/image_encodings.hpp.
     """
-    if matched := re.fullmatch(r"(8|16|32|64)[USF]C([0-9]{0,3})", encoding):
-        return int(matched[1]) // 8 * int(matched[2] or 1)
-    if matched := re.fullmatch(r"bayer_(?:rggb|bggr|gbrg|grbg)(8|16)", encoding):
-        return int(matched[1]) // 8
-    return _PIXEL_BYTES.get(encoding)
+    matched = _PIXEL.fullmatch(encoding)
+    if matched is None:
+        return None
+    if matched["pair"] or matched["planes"]:  # of these the colors are behind the rows
+        return 1, 2 if matched["pair"] else 1
+    if matched["plain"]:
+        return int(matched["plain"]) // 8, int(matched["channels"] or 1)
+    colors = 1 if encoding[0] == "m" or encoding[:2] == "ba" else encoding.count("a") + 3
+    return int(matched["bits"]) // 8, colors
 
 
 def _repair_image(values: dict[str, Any]) -> list[str]:
     """Repair an image: its size, its encoding and the number of its bytes define the rows."""
     height, width, step, data = (values[name] for name in ("height", "width", "step", "data"))
-    row = width * (pixel_bytes(values["encoding"]) or 0)
+    row = width * math.prod(pixel_layout(values["encoding"]) or (0,))
     if not height or not row:
         return []
     repairs = []
