@@ -276,6 +276,12 @@ class _WebSocket(WebSocketsSansIOProtocol):
         super().connection_made(transport)
         self.close_timeout = _CLOSE_LIMIT_S
 
+    def shutdown(self) -> None:
+        if self.transport.is_closing():  # its browser has just closed it: uvicorn raises an error
+            self.stop_keepalive()
+        else:
+            super().shutdown()
+
     def data_received(self, data: bytes) -> None:
         for begin in range(0, len(data), _READ_BYTES):
             if not self.transport.is_closing():

@@ -228,6 +228,18 @@ def test_page_and_socket_are_served_over_tls_under_any_name(tmp_path: Path) -> N
     assert url.startswith("wss://127.0.0.1:")
 
 
+def test_page_that_closes_while_the_console_stops_is_no_error() -> None:
+    with running(FakeSource()) as console:
+        console.browser().text("serverInfo")
+
+        def close_and_stop() -> None:
+            (connection,) = console.console._server.server_state.connections
+            connection.data_received(b"\x88\x82\0\0\0\0\x03\xe8")  # a close frame, code 1000
+            connection.shutdown()
+
+        console.call(close_and_stop)
+
+
 def test_token_file_is_created_for_its_owner_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "token"
 
