@@ -26,6 +26,7 @@ These are the defaults of ROS's map_server: occupied_thresh 0.65 and free_thresh
 """
 
 Value = TypeVar("Value", bound=np.generic)
+Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Frame:
         columns, rows = self.cells(x, y)
         return math.floor(rows), math.floor(columns)
 
-    def cells(self, x: float, y: float) -> tuple[float, float]:
+    def cells(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Return the point x, y [m] in cells along the grid's x and y axes, from its corner."""
         ox, oy, theta = self.origin
         cosine, sine = math.cos(theta), math.sin(theta)
@@ -54,7 +55,7 @@ class Frame:
             (cosine * dy - sine * dx) / self.resolution,
         )
 
-    def point(self, row: float, column: float) -> tuple[float, float]:
+    def point(self, row: Coordinate, column: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Return x, y [m] of the center of a cell."""
         ox, oy, theta = self.origin
         along, across = (column + 0.5) * self.resolution, (row + 0.5) * self.resolution

@@ -28,7 +28,7 @@ from cairn.planar.grid import (
     OccupancyCells,
 )
 from cairn.schemas.nav_msgs import LARGEST_ORIGIN, SMALLEST_CELL
-from cairn.system.files import explain_os_error, replace_file
+from cairn.system.files import complete_replacement, explain_os_error, replace_file
 
 Mode = Literal["trinary", "scale", "raw"]
 
@@ -155,6 +155,7 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
 
 
 def _read_description(file: Path) -> MapFile:
+    complete_replacement(file)
     try:
         content = read_yaml(file)
     except FileNotFoundError as error:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import errno
 import os
 import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -90,6 +91,73 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
         part.unlink(missing_ok=True)
         remove_side_files(part)
         raise
+
+
+@contextmanager
+def replacing_together(files: Mapping[str, Path]) -> Iterator[dict[str, Path]]:
+    """Yield temporary paths of the files NAME.* of one folder, which then replace them together.
+
+    Keys are chosen by the caller. Files that were not written there are removed. If this process is
+    killed meanwhile, the files are those before; or those after, as soon as
+    `complete_replacement` was called for one of them.
+
+    Raises `CairnError`, and leaves all files as they were, if one cannot be written.
+    """
+    first = next(iter(files.values()))
+    folder, written = first.parent, _replacement(first)
+    part = written.with_suffix(".part")
+    with explained(f"{first} cannot be written"):
+        folder.mkdir(parents=True, exist_ok=True)
+        complete_replacement(first)
+        shutil.rmtree(part, ignore_errors=True)  # left by a process that was killed
+        part.mkdir()
+        parts = {key: part / file.name for key, file in files.items()}
+        try:
+            yield parts
+            gone = [file.name for key, file in files.items() if not parts[key].exists()]
+            (part / _REMOVED).write_text("\n".join(gone))
+            part.rename(written)  # from here on, the new files are those that count
+        except CairnError as error:
+            # The user knows the files by the names that they get.
+            raise CairnError(str(error).replace(str(part), str(folder))) from error
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+        complete_replacement(first)
+
+
+def complete_replacement(file: Path) -> None:
+    """Complete what a killed process has begun: the replacement of a file and others of its name.
+
+    To be called before a file is read that `replacing_together` replaces. Raises `CairnError` if
+    the disk refuses it.
+    """
+    written = _replacement(file)
+    if not written.is_dir():
+        return
+    with explained(f"{file}: its replacement was interrupted, and cannot be completed"):
+        removed = written / _REMOVED
+        parts: list[Path] = []
+        with suppress(FileNotFoundError):  # here and below: another process completes it, too
+            parts = sorted(written.iterdir())
+        for name in removed.read_text().splitlines() if removed in parts else ():
+            remove_side_files(file.with_name(name))
+            file.with_name(name).unlink(missing_ok=True)
+        for part in parts:
+            if part != removed:
+                remove_side_files(file.with_name(part.name))
+                with suppress(FileNotFoundError):
+                    part.replace(file.with_name(part.name))
+        removed.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            written.rmdir()
+
+
+_REMOVED: Final = ".removed"
+
+
+def _replacement(file: Path) -> Path:
+    """Return the folder with the files that replace those of a file's name."""
+    return file.with_name(f".{file.stem}.new")
 
 
 def side_files(path: Path) -> list[Path]:

@@ -21,7 +21,7 @@ from typing import Any, Final
 from cairn.errors import CairnError
 from cairn.limits.files import too_large
 from cairn.limits.sqlite import bound_connection, replaced_by_copy
-from cairn.system.files import TAKES_NO_DATA, explain_os_error, side_files
+from cairn.system.files import TAKES_NO_DATA, complete_replacement, explain_os_error, side_files
 from cairn.visual_map.shared_record import MOST_ROBOTS
 
 APPLICATION: Final = 0x4361_726E
@@ -349,6 +349,7 @@ def _bytes(value: Any) -> bytes:
 
 
 def _check_exists(path: Path) -> None:
+    complete_replacement(path)
     with explained_errors(path):
         if path.is_file():
             if path.stat().st_size > MAP_BYTES:

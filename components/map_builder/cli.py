@@ -31,10 +31,11 @@ from cairn.planar.grid import FREE, FREE_TO, OCCUPIED_FROM, UNKNOWN
 from cairn.planar.map_file import read_map as read_grid
 from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.zones import read_zones
-from cairn.system.files import explain_os_error, remove_side_files
-from cairn.terminal.output import line, print_json
+from cairn.system.files import replacing_together
+from cairn.terminal.output import line, note, print_json
 from cairn.terminal.output import show as show_rows
 from cairn.visual_map.landmark_store import open_landmarks
+from cairn.visual_map.landmarks import LandmarkRecord
 from cairn.visual_map.new_map import write_map
 
 DEFAULT_MAP = Path("visual_map.cairn")
@@ -105,19 +106,29 @@ def import_map(
     files = [out]
     if not out.suffix:
         files = [out.with_name(out.name + ending) for ending in endings_of(source)]
-    for file in files:
+    replaced = {file.suffix: file for file in files}
+    if grid_file := replaced.get(".yaml"):  # a graph beside it would be that of another map
+        replaced |= {ending: grid_file.with_suffix(ending) for ending in (".pgm", ".graph")}
+    for file in replaced.values():
         if file.exists() and not force:
             raise CairnError(f"{file} exists already. Give another name, or --force to replace it.")
     moves = _parse_displacements(displace or [])
-    for file in files:
-        if file.suffix == ".yaml":
-            grid = import_grid(source, dataset, resolution, parse_mount(scanner), reach)
-            prepare(file)
-            write_grid(file, grid)
-            width, height = grid.size_m
-            line(f"{file}: {width:.1f} m x {height:.1f} m, cells of {grid.frame.resolution:g} m")
-        else:
-            _import_objects(source, dataset, file, moves, remove or [])
+    written: list[str] = []
+    with replacing_together(replaced) as parts:
+        for file in files:
+            if file == grid_file:
+                grid = import_grid(source, dataset, resolution, parse_mount(scanner), reach)
+                write_grid(parts[".yaml"], grid)
+                (width, height), cell = grid.size_m, grid.frame.resolution
+                text = f"{width:.1f} m x {height:.1f} m, cells of {cell:g} m"
+            else:
+                objects, text = _altered(source, dataset, moves, remove or [])
+                models = import_models(source, dataset)
+                origin = f"imported by {source} from {dataset.name}"
+                write_map(parts[file.suffix], origin, objects, models=models)
+            written.append(f"{file}: {text}")
+    for text in written:
+        line(text)
 
 
 @app.command()
@@ -190,21 +201,18 @@ def zones(
     show_rows([zone_row(zone) for zone in found], ZONE_COLUMNS, as_json=as_json, nothing="no zones")
 
 
-def _import_objects(
-    source: str, dataset: Path, out: Path, moves: dict[int, tuple[float, float]], remove: list[int]
-) -> None:
-    """Write the visual map of an importer, some objects displaced by (dx, dy) [m], some removed."""
+def _altered(
+    source: str, dataset: Path, moves: dict[int, tuple[float, float]], remove: list[int]
+) -> tuple[list[LandmarkRecord], str]:
+    """Return an importer's objects, some displaced by (dx, dy) [m], some removed; and a summary."""
     objects = alter(importer(source)(dataset), moves, remove)
-    models = import_models(source, dataset)
-    prepare(out)
-    write_map(out, f"imported by {source} from {dataset.name}", objects, models=models)
     moved = "".join(f", {key} displaced by ({dx:g}, {dy:g}) m" for key, (dx, dy) in moves.items())
     removed = "".join(f", {key} removed" for key in remove)
-    line(f"{out}: {len(objects)} objects{moved}{removed}")
+    return objects, f"{len(objects)} objects{moved}{removed}"
 
 
 def _show_grid(file: Path, as_json: bool) -> None:
-    grid = read_grid(file)
+    grid = read_grid(file, note)
     values, (width, height), (x, y, theta) = grid.values, grid.size_m, grid.frame.origin
     shares = {
         "free": float(np.mean((values >= FREE) & (values <= FREE_TO))),
@@ -254,15 +262,6 @@ def parse_mount(text: str) -> tuple[float, float, float]:
             "correct them"
         )
     return x, y, theta
-
-
-def prepare(out: Path) -> None:
-    """Make the folder of a map; remove what an earlier map of that name has left beside it."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        remove_side_files(out)
-    except OSError as error:
-        raise CairnError(f"{out} cannot be written: {explain_os_error(error)}") from error
 
 
 def change_row(

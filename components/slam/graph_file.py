@@ -28,7 +28,13 @@ from cairn.limits.files import too_large
 from cairn.limits.sqlite import SchemaError, bound_connection, table_columns
 from cairn.planar.motion_model import MEASURED, MotionModel
 from cairn.planar.renewals import TILE, Renewals
-from cairn.system.files import explain_os_error, remove_side_files, rename_database, replacing
+from cairn.system.files import (
+    complete_replacement,
+    explain_os_error,
+    remove_side_files,
+    rename_database,
+    replacing,
+)
 from cairn.visual_map.sqlite_file import at_rest
 
 Array = NDArray[np.float64]
@@ -303,6 +309,21 @@ def read_state(connection: sqlite3.Connection, version: int | None = None) -> Gr
     if not np.all(np.abs(poses) < _LARGEST):
         raise ValueError("poses are missing or not finite")
     return replace(state, poses=poses.reshape(-1, 3))
+
+
+def read_surfaces(connection: sqlite3.Connection) -> Array:
+    """Return the ends (n, 2) [m] of the rays of all keyframes in the file, also of retired ones.
+
+    Raises `ValueError` if the file is damaged.
+    """
+    places = {number: row for number, *row in _rows(connection, "poses", "number")}
+    ends = [np.zeros((0, 2))]
+    for number, *columns in _rows(connection, "keyframes", "number"):
+        rays = _keyframe(*columns).rays
+        if rays is not None and number in places:
+            x, y, theta = places[number]
+            ends.append(rays.rays().placed((x, y, theta)).points())
+    return np.concatenate(ends)
 
 
 def read_edges(connection: sqlite3.Connection, numbers: Sequence[int]) -> list[Edge]:
@@ -594,6 +615,7 @@ def check_format(path: Path, connection: sqlite3.Connection) -> None:
 
 def check_exists(path: Path) -> None:
     """Raise `CairnError` if there is no such file."""
+    complete_replacement(path)
     if not path.is_file():
         fault = "is not a file" if path.exists() else "no such file"
         raise CairnError(f"{path}: {fault}; give a graph that `cairn map build` has written")

@@ -7,6 +7,7 @@ change is on the disk when the call that makes it returns.
 from __future__ import annotations
 
 import hashlib
+import shutil
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
@@ -35,6 +36,7 @@ from cairn.components.slam.graph_file import (
     read_constraints,
     read_edges,
     read_state,
+    read_surfaces,
 )
 from cairn.components.slam.keyframes import Keyframe
 from cairn.components.slam.pose_graph import Edge, PoseGraph
@@ -44,6 +46,8 @@ from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
+
+Array = NDArray[np.float64]
 
 # Free pages that are returned to the disk when the file is opened: with fewer, or a smaller share
 # of the file, writing the whole file again is not worth it.
@@ -173,6 +177,14 @@ class GraphHistory:
         """
         with explained_damage(self.path):
             return _map_in(self._connection, read_state(self._connection, version))
+
+    def seen_surfaces(self) -> Array:
+        """Return the ends of rays (n, 2) [m] of all keyframes that the file keeps, in the map.
+
+        Raises `CairnError` if the file is damaged.
+        """
+        with explained_damage(self.path):
+            return read_surfaces(self._connection)
 
     def edges(self, numbers: Sequence[int]) -> list[Edge]:
         """Return the constraints between some keyframes; raises `CairnError` as `state`."""
@@ -333,6 +345,21 @@ def copy_graph(original: Path, copy: Path) -> None:
     ):
         target.execute("UPDATE graph SET origin = ?", (origin,))
         target.execute(f"DROP TABLE IF EXISTS {DIFFERENCES}")
+
+
+@contextmanager
+def copy_at_rest(original: Path, copy: Path) -> Iterator[GraphHistory]:
+    """Yield a copy of a graph, open for changes; no other program can change the original then.
+
+    Raises `CairnError` if another program has it open, `OSError` if it cannot be copied.
+    """
+    with GraphHistory(original) as graph:
+        graph.seal()
+        with explained_errors(original):
+            graph._connection.execute("BEGIN EXCLUSIVE")
+        shutil.copyfile(original, copy)
+        with GraphHistory(copy) as changed:
+            yield changed
 
 
 def graph_digest(path: Path) -> str:

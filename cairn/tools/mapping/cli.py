@@ -25,10 +25,11 @@ from cairn.components.map_builder.evidence_chain import time_text
 from cairn.components.replay_devices.mrclam import MrclamRecording
 from cairn.components.replay_devices.open_recording import open_recording
 from cairn.planar.map_file import read_map, write_map
+from cairn.system.files import replacing_together
 from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
 from cairn.terminal.output import line, note, print_json
 from cairn.terminal.output import show as show_rows
-from cairn.tools.mapping.target import map_files, replacing_map
+from cairn.tools.mapping.target import map_files
 from cairn.visual_map.landmark_store import open_landmarks
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def build(
     with _shown_progress() as progress:
         built = build_map(opened, str(recording), settings, progress, mapper)
     source = f"built from {recording.name}"
-    with replacing_map(files) as parts:
+    with replacing_together(files) as parts:
         if built.grid is not None:
             write_map(parts[".yaml"], built.grid)
         if built.landmarks.landmarks:
@@ -220,31 +221,34 @@ def rollback(
 ) -> None:
     """Return to the map of an earlier time; this is a change, too, so it can be undone.
 
-    Changes GRAPH, and writes the grid map (.yaml, .pgm) of that time beside it.
+    Changes GRAPH, and writes the grid map (.yaml, .pgm) of that time beside it. Obstacles that were
+    drawn by hand into the grid map stay.
     """
-    from cairn.components.slam.graph_history import GraphHistory, draw_state, read_log
+    from cairn.components.slam.graph_history import copy_at_rest, draw_state, read_log
+    from cairn.tools.mapping.hand_drawn import drawn_by_hand, with_obstacles
 
     version = _version_at(file, read_log(file), when)
-    grid_file = file.with_suffix(".yaml")
-    with GraphHistory(file) as graph:
-        graph.seal()  # fails while a robot uses the file: it would not see the change
-        then = graph.state(version)
-        resolution = read_map(grid_file).frame.resolution if grid_file.exists() else 0.05
+    files = {".graph": file} | {end: file.with_suffix(end) for end in (".yaml", ".pgm")}
+    before = read_map(files[".yaml"]) if files[".yaml"].exists() else None
+    with replacing_together(files) as parts, copy_at_rest(file, parts[".graph"]) as graph:
+        resolution = before.frame.resolution if before else 0.05
         try:
-            grid = draw_state(then, resolution).grid()
+            grid = draw_state(graph.state(version), resolution).grid()
         except ValueError as error:
             raise CairnError(f"{file}: version {version} cannot be drawn: {error}") from error
-        reason = f"returned to version {version}"
-        grid_files = {ending: file.with_suffix(ending) for ending in (".yaml", ".pgm")}
-        with replacing_map(grid_files) as parts:
-            write_map(parts[".yaml"], grid)
-            new = graph.rollback(version, time.time_ns(), reason)
-    written = [str(file), *map(str, grid_files.values())]
+        drawn = drawn_by_hand(before or grid, graph.seen_surfaces())
+        write_map(parts[".yaml"], with_obstacles(grid, drawn))
+        new = graph.rollback(version, time.time_ns(), f"returned to version {version}")
+        graph.seal()
     if json:
-        print_json({"version": new, "returned_to": version, "files": written})
+        written = list(map(str, files.values()))
+        kept = {"obstacles_kept": len(drawn)}
+        print_json({"version": new, "returned_to": version, "files": written, **kept})
         return
     line(f"{file}: version {new}, which is the map of version {version}")
-    line(f"also written: {grid_file.name}, {grid_file.with_suffix('.pgm').name}")
+    if len(drawn):
+        line(f"  kept       {len(drawn)} obstacle cells that no scan has seen, drawn by hand")
+    line(f"also written: {files['.yaml'].name}, {files['.pgm'].name}")
 
 
 _GRAPH_COLUMNS = {

@@ -12,8 +12,9 @@ from cairn.components.slam.graph_file import read_graph, write_graph
 from cairn.components.slam.quality import MapQuality
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.map_file import read_map, write_map
+from cairn.system.files import replacing_together
 from cairn.terminal.output import line, print_json
-from cairn.tools.mapping.target import map_files, replacing_map
+from cairn.tools.mapping.target import map_files
 from cairn.visual_map.sqlite_file import copy_map
 
 # Drawing a large map takes some seconds.
@@ -65,7 +66,7 @@ def save_map(robot: Robot, out: Path, *, force: bool) -> SavedMap:
     target = files[".graph"]
     if target.exists() and target.samefile(graph_file):
         raise CairnError(f"{target} is the file that {slam} is writing to; give another name")
-    with replacing_map(files) as parts:
+    with replacing_together(files) as parts:
         write_map(parts[".yaml"], grid)
         write_graph(parts[".graph"], mapper, f"saved from {slam}")
         if ".cairn" in sources:

@@ -1,16 +1,12 @@
-"""The files of a map that a command writes: their names, and that they are replaced together."""
+"""The files of a map that a command writes."""
 
 from __future__ import annotations
 
 import os
-import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 from cairn import CairnError
-from cairn.components.map_builder.cli import prepare
-from cairn.system.files import explain_os_error
 
 
 def map_files(out: Path, endings: Iterable[str], *, force: bool) -> dict[str, Path]:
@@ -35,40 +31,6 @@ def map_files(out: Path, endings: Iterable[str], *, force: bool) -> dict[str, Pa
             f"{existing[0]} exists already. Give another name, or --force to replace it."
         )
     return files
-
-
-@contextmanager
-def replacing_map(files: Mapping[str, Path]) -> Iterator[dict[str, Path]]:
-    """Yield paths to write the files of a map to, by their endings; then they replace the map's.
-
-    Files of the map before that were not written are removed. Raises `CairnError`, and leaves the
-    map before as it was, if one cannot be written: a grid map belongs to its graph.
-    """
-    first = next(iter(files.values()))
-    folder = first.parent
-    part = folder / f".{first.name}.part"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(part, ignore_errors=True)  # left by a process that was killed
-        part.mkdir()
-        parts = {ending: part / file.name for ending, file in files.items()}
-        try:
-            yield parts
-        except CairnError as error:
-            # The user knows the files by the names that they get.
-            raise CairnError(str(error).replace(str(part), str(folder))) from error
-        for ending, file in files.items():
-            prepare(file)
-            if parts[ending].exists():
-                parts[ending].replace(file)
-            else:
-                file.unlink(missing_ok=True)
-    except OSError as error:
-        raise CairnError(
-            f"{folder}: the map cannot be written there: {explain_os_error(error)}"
-        ) from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _check_folder(out: Path) -> None:

@@ -4,11 +4,19 @@ import os
 import signal
 import subprocess
 import sys
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from cairn.system.files import replace_file, replacing
+from cairn.errors import CairnError
+from cairn.system.files import (
+    complete_replacement,
+    replace_file,
+    replacing,
+    replacing_together,
+)
 from tests.disk import room_for
 from tests.wording import assert_words
 
@@ -108,3 +116,73 @@ print(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
     assert run.returncode == (not allowed)
     if not allowed:
         assert_words(run.stderr, "may open 24 files", "ulimit -n 1024")
+
+
+OLD = {"hall.yaml": "old", "hall.pgm": "old", "hall.graph": "old"}
+NEW = {"hall.yaml": "new", "hall.pgm": "new", "hall.tum": "new"}
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {one.name: one.read_text() for one in folder.iterdir() if not one.name.startswith(".")}
+
+
+def replace_hall(folder: Path) -> None:
+    files = {name: folder / name for name in OLD | NEW}
+    with replacing_together(files) as parts:
+        for name, content in NEW.items():
+            parts[name].write_text(content)
+
+
+def killed_at(step: int, folder: Path) -> bool:
+    """Replace the files in a process that is killed before so many operations on the folder."""
+    child = os.fork()
+    if child == 0:
+        steps = count()
+        for name in ("mkdir", "rename", "replace", "unlink", "rmdir"):
+            real = getattr(os, name)
+
+            def step_or_end(*arguments: Any, real: Any = real, **options: Any) -> Any:
+                if next(steps) == step:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return real(*arguments, **options)
+
+            setattr(os, name, step_or_end)
+        replace_hall(folder)
+        os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+def test_files_that_are_replaced_together_are_of_one_time_whenever_the_process_is_killed(
+    tmp_path: Path,
+) -> None:
+    found = []
+    for step in count():
+        folder = tmp_path / str(step)
+        folder.mkdir()
+        for name, content in OLD.items():
+            (folder / name).write_text(content)
+        if not killed_at(step, folder):
+            break
+        complete_replacement(folder / "hall.graph")
+        found.append(contents(folder))
+        replace_hall(folder)
+        assert names(folder) == sorted(NEW)
+
+    assert all(one in (OLD, NEW) for one in found)
+    assert found[0] == OLD
+    assert found[-1] == NEW
+    assert len(found) > 6
+
+
+def test_files_that_cannot_be_written_together_stay_and_are_named(tmp_path: Path) -> None:
+    replace_file(tmp_path / "hall.yaml", b"old")
+    files = {name: tmp_path / name for name in NEW}
+
+    def write() -> None:
+        with replacing_together(files) as parts:
+            raise CairnError(f"{parts['hall.pgm']}: takes no data")
+
+    with pytest.raises(CairnError) as refused:
+        write()
+    assert str(refused.value) == f"{tmp_path / 'hall.pgm'}: takes no data"
+    assert names(tmp_path) == ["hall.yaml"]
