@@ -31,7 +31,6 @@ _BORDER_M = 1.0
 _NEIGHBOR, _SURFACE_M = 3, 1.0
 # Least sine of the angle between a ray and a surface: smaller ones count as this.
 _GRAZING = 0.1
-_HITS = 3  # ends of rays from which a cell counts when conflicts are counted
 NOT_SEEN, SEEN, SEEN_FREE = 0, 1, 2
 """What rays say of a cell: none came there, some did, or it is free for certain."""
 
@@ -123,34 +122,16 @@ class ScanGrid:
         y = (self._row + top - border) * self._resolution
         return Grid(cells, Frame(self._resolution, (x, y, 0.0)))
 
-    def entropy(self) -> float:
-        """Return the mean uncertainty [bit] of the cells that rays reached; 0 without any.
+    def on_obstacles(self) -> float:
+        """Return the share of the ends of rays that lie in a drawn obstacle, or beside one.
 
-        It is that of a ray's end or passage, so it is 0 in a map in which each cell was always
-        passed, or always hit, and grows where walls are blurred or double (Shannon).
+        Wrong poses, moving things and glass reduce it; it is 0 without rays.
         """
-        bits, known = 0.0, 0
-        for first in range(0, len(self._ended), _BLOCK):
-            ended = self._ended[first : first + _BLOCK]
-            reached = ended + self._passed[first : first + _BLOCK]
-            is_known = reached > 0
-            share = ended[is_known] / reached[is_known]
-            known += share.size
-            between = share[(share > 0.0) & (share < 1.0)]
-            each = between * np.log2(between) + (1.0 - between) * np.log2(1.0 - between)
-            bits -= float(each.sum())
-        return bits / max(1, known)
-
-    def conflicts(self) -> float:
-        """Return the share of the cells with ends of rays that are free for most rays.
-
-        Of the cells in which at least three rays ended, those that are not drawn as obstacles.
-        Moving things, glass and wrong poses cause them.
-        """
-        hit = self._ended >= _HITS
-        ended = self._ended[hit]
-        free = ended < _OCCUPIED_SHARE * (ended + self._passed[hit])
-        return float(np.count_nonzero(free) / max(1, free.size))
+        obstacles = (self.whole().values == OCCUPIED).astype(np.uint8)
+        if not obstacles.any():
+            return 0.0
+        near = cv2.dilate(obstacles, np.ones((3, 3), np.uint8)) > 0
+        return float(self._ended[near].sum() / self._ended.sum())
 
     def evidence(self, passes: int) -> Grid[np.uint8]:
         """Return for each cell what the rays say of it: NOT_SEEN, SEEN or SEEN_FREE.

@@ -77,8 +77,8 @@ _LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
 # ...), until the map is optimized.
 _LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
 
-Progress = Callable[[str, float], None]
-"""Called with the name of a stage and its completed share, from 0 to 1."""
+Progress = Callable[[str, float, str], None]
+"""Called with the name of a stage, its completed share [0 to 1], and what was done, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,7 +306,9 @@ class Mapper:
         planned = self.closer.pending
         while self.closer.pending:
             self._close_loops(_COMPARED)
-            report("loops", 1.0 - self.closer.pending / planned)
+            compared, loops = planned - self.closer.pending, self.closer.counts.accepted
+            done = f"{compared:,} of {planned:,} pairs of places compared, {loops:,} loops closed"
+            report("loops", compared / planned, done)
         if self._unsolved:
             self._unsolved = 0
             self.graph.optimize()
@@ -509,8 +511,9 @@ class Mapper:
 
 
 def _report_round(report: Progress, number: int, share: float) -> None:
-    report("alignment", (number + share) / len(_REACH_M))
+    done = f"round {number + 1} of {len(_REACH_M)}"
+    report("alignment", (number + share) / len(_REACH_M), done)
 
 
-def _ignore(stage: str, share: float) -> None:
+def _ignore(stage: str, share: float, done: str) -> None:
     pass

@@ -26,8 +26,8 @@ class MapQuality:
             free space or by other closures, or not confirmed.
         loop_error_m: root mean square of the closures' errors after the optimization [m].
         loop_error_deg: the same of their headings [deg].
-        entropy_bit: mean uncertainty of the grid map's known cells [bit].
-        conflicts: share of the cells in which rays ended that most rays passed, from 0 to 1.
+        on_walls: share of what the scanner measured that lies on obstacles of the grid map, from 0
+            to 1; 0 without scans.
 
     """
 
@@ -40,8 +40,7 @@ class MapQuality:
     loops_rejected: int
     loop_error_m: float
     loop_error_deg: float
-    entropy_bit: float
-    conflicts: float
+    on_walls: float
 
 
 def quality_of(mapper: Mapper, grid: MapGrid) -> MapQuality:
@@ -66,8 +65,7 @@ def quality_of(mapper: Mapper, grid: MapGrid) -> MapQuality:
         + mapper.graph.rejected,
         loop_error_m=_rms(errors[:, :2]) * 2**0.5,
         loop_error_deg=float(np.degrees(_rms(errors[:, 2:]))),
-        entropy_bit=grid.counts.entropy(),
-        conflicts=grid.counts.conflicts(),
+        on_walls=grid.counts.on_obstacles(),
     )
 
 

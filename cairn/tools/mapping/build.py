@@ -20,7 +20,7 @@ from cairn.components.replay_devices.recording import (
 )
 from cairn.components.slam.landmarks import LandmarkReport
 from cairn.components.slam.map_grid import MapGrid
-from cairn.components.slam.mapping import Mapper
+from cairn.components.slam.mapping import Mapper, Progress
 from cairn.components.slam.quality import MapQuality, quality_of
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import MEASURED, MotionModel
@@ -33,11 +33,7 @@ from cairn.visual_map.observations import Observation, observations_of
 
 Array = NDArray[np.float64]
 
-Progress = Callable[[str, float], None]
-"""Called with the name of a stage and its completed share, from 0 to 1."""
-
 _KIND_NAMES = {"odom": "odometry", "truth": "true poses"}  # of the kinds of recorded topics
-_REPORTED = 200  # records between two reports of progress
 # Without odometry, motion is continued over a gap for so many times the time between two scans.
 _MOST_PREDICTED = 2.0
 _FARTHEST_LANDMARK_M = 50.0  # surfaces are irrelevant for a map without scans
@@ -196,8 +192,8 @@ def _add_records(
         streams.append([(stamp, kind, k) for k, stamp in enumerate(stamps)])
     virtual: Pose = (0.0, 0.0, 0.0)
     for number, (stamp, kind, k) in enumerate(merge(*streams)):
-        if number % _REPORTED == 0:
-            progress("records", number / total)
+        done = f"{number:,} of {total:,} records, {mapper.closer.counts.accepted:,} loops closed"
+        progress("records", number / total, done)
         if kind == _ODOMETRY and odometry is not None:
             x, y, theta = odometry.poses[k].tolist()
             mapper.add_odometry(stamp, (x, y, theta))
@@ -215,7 +211,6 @@ def _add_records(
             )
         elif seen is not None and at is not None:
             mapper.add_observations(stamp, at(stamp), _observations(seen, k))
-    progress("records", 1.0)
 
 
 _ODOMETRY, _SCAN = 0, 1  # kinds of records, in the order in which those of one time are added

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -34,7 +34,8 @@ from cairn.visual_map.landmark_store import open_landmarks
 
 if TYPE_CHECKING:
     from cairn.components.slam.graph_history import GraphLog
-    from cairn.tools.mapping.build import BuiltMap, Progress
+    from cairn.components.slam.mapping import Progress
+    from cairn.tools.mapping.build import BuiltMap
 
 __all__ = ["app"]
 
@@ -320,7 +321,7 @@ def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
              f"{quality.driven_m:.0f} m driven")  # fmt: skip
         if quality.left_out:
             line(f"  left out   {quality.left_out} scans: no place that they show was recognized")
-        line(f"  fit        {quality.fit:.2f} of 1")
+        line(f"  fit        {quality.fit:.2f} of 1 (good: above 0.8)")
         for text in quality_lines(quality):
             line(text)
     if landmarks.sightings:
@@ -336,20 +337,47 @@ def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
 
 @contextmanager
 def _shown_progress() -> Iterator[Progress]:
-    """Show the progress on the terminal, if stderr is one."""
+    """Show the progress: as bars on a terminal, else as a line from time to time."""
     from rich.console import Console
     from rich.progress import Progress as Bars
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda _stage, _share: None
+        yield ProgressLines(note)
         return
     with Bars(console=console, transient=True) as bars:
         tasks: dict[str, Any] = {}
 
-        def report(stage: str, share: float) -> None:
+        def report(stage: str, share: float, done: str) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=1.0)
-            bars.update(tasks[stage], completed=share)
+            bars.update(tasks[stage], completed=share, description=f"{stage}: {done}")
 
         yield report
+
+
+class ProgressLines:
+    """Prints how far a long computation is, every 10 s: for logs, and pipes."""
+
+    EVERY_S: Final = 10.0
+
+    def __init__(
+        self, output: Callable[[str], object], now: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Print with `output`, by the clock `now` [s]."""
+        self._output, self._now = output, now
+        self._stage, self._began_s = "", 0.0
+        self._next_s = now() + self.EVERY_S
+
+    def __call__(self, stage: str, share: float, done: str) -> None:
+        """Report a stage, its completed share, from 0 to 1, and what was done, in words."""
+        now = self._now()
+        if stage != self._stage:
+            self._stage, self._began_s = stage, now
+        if now < self._next_s:
+            return
+        self._next_s = now + self.EVERY_S
+        left = ""
+        if share > 0.0:
+            left = f"; about {(now - self._began_s) * (1.0 - share) / share:.0f} s left of it"
+        self._output(f"{stage}: {done}{left}")

@@ -97,9 +97,7 @@ def quality_lines(quality: MapQuality) -> list[str]:
     loops = f"  loops      {quality.loops} closed, {quality.loops_rejected} rejected"
     if quality.loops:
         loops += f"; they differ by {quality.loop_error_m:.3f} m, {quality.loop_error_deg:.2f} deg"
-    return [
-        loops,
-        f"  entropy    {quality.entropy_bit:.3f} bit per known cell",
-        f"  conflicts  {100 * quality.conflicts:.0f} % of the cells that rays hit are free for "
-        "most",
-    ]
+    on_walls = (
+        f"  on walls   {100 * quality.on_walls:.0f} % of the measured points (good: above 95 %)"
+    )
+    return [loops, on_walls] if quality.on_walls else [loops]

@@ -120,7 +120,7 @@ def test_removed_scans_leave_the_map_without_them() -> None:
 
     assert np.array_equal(grid.grid().values, expected.grid().values)
     assert grid.grid().frame == expected.grid().frame
-    assert grid.entropy() == pytest.approx(expected.entropy())
+    assert grid.on_obstacles() == pytest.approx(expected.on_obstacles())
 
 
 def test_changes_bring_a_copy_of_the_map_up_to_date() -> None:
@@ -145,7 +145,7 @@ def test_changes_bring_a_copy_of_the_map_up_to_date() -> None:
     assert grid.take_changes() is None
 
 
-def test_blurred_map_has_more_entropy_and_conflicts() -> None:
+def test_fewer_points_lie_on_the_walls_of_a_blurred_map() -> None:
     posed = drive(corridor(), 4)
     random = np.random.default_rng(5)
     sharp, blurred = ScanGrid(0.05, 15.0), ScanGrid(0.05, 15.0)
@@ -155,8 +155,9 @@ def test_blurred_map_has_more_entropy_and_conflicts() -> None:
         x, y = random.normal(0.0, 0.1, 2)
         blurred.add((pose[0] + x, pose[1] + y, pose[2]), rays_of_scan(scan))
 
-    assert blurred.entropy() > 1.1 * sharp.entropy()
-    assert blurred.conflicts() > 1.2 * sharp.conflicts()
+    assert blurred.on_obstacles() < 0.8 * sharp.on_obstacles()
+    assert sharp.on_obstacles() <= 1.0
+    assert ScanGrid(0.05, 15.0).on_obstacles() == 0.0
 
 
 def test_points_in_free_space_are_told_from_walls() -> None:

@@ -109,12 +109,11 @@ def test_world_is_imported_with_the_requested_cell_size(tmp_path: Path) -> None:
     assert read_map(out).frame.resolution == 0.1
 
 
-
 def test_files_of_another_map_are_replaced_only_by_force_and_all_of_them(tmp_path: Path) -> None:
     graph = tmp_path / "room.graph"
     graph.write_text("of the map before")
 
-    with pytest.raises(CairnError, match="room.graph exists already"):
+    with pytest.raises(CairnError, match=r"room\.graph exists already"):
         cairn_map("import", "world", ROOM, tmp_path / "room", "--resolution", "0.1")
     assert graph.read_text() == "of the map before"
     cairn_map("import", "world", ROOM, tmp_path / "room", "--resolution", "0.1", "--force")
