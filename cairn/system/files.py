@@ -126,7 +126,7 @@ def replacing_together(files: Mapping[str, Path]) -> Iterator[dict[str, Path]]:
 
 
 def complete_replacement(file: Path) -> None:
-    """Complete what a killed process has begun: the replacement of a file and others of its name.
+    """Complete what a killed process has started: the replacement of a file and others of its name.
 
     To be called before a file is read that `replacing_together` replaces. Raises `CairnError` if
     the disk refuses it.

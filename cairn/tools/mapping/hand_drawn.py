@@ -1,4 +1,4 @@
-"""Obstacles that somebody has drawn into a grid map, such as stairs, and that no scan shows."""
+"""Obstacles that were drawn into a grid map by hand, such as stairs, and that no scan shows."""
 
 from __future__ import annotations
 
