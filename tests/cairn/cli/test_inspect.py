@@ -55,6 +55,7 @@ def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
     assert header.index("note") + len("not loaded") <= 100
 
 
+@pytest.mark.realtime
 def test_ps_lists_what_does_not_answer_without_waiting_for_it(command: Command, rover: Run) -> None:
     session_of = f"{keys.CAIRN_ID_PREFIX}{1:08x}0000000000000001"
     ghost = keys.NodeEntity(0, session_of, 0, "/rover/ghost")
