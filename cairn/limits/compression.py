@@ -78,6 +78,11 @@ def _unpacked_frame(packed: bytes, decompressor: Any, size: int, *, cut_off: boo
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
+def is_zstd(data: bytes) -> bool:
+    """Return whether data are a frame of zstd (RFC 8878, 3.1.1); no message begins like that."""
+    return data[:4] == b"\x28\xb5\x2f\xfd"
+
+
 def unpack_message(packed: bytes) -> bytes:
     """Return a message that rosbag2 compressed by zstd; raise `ValueError` as `unpack`."""
     data = _unpacked_frame(packed, zstd.ZstdDecompressor(), RECORD_BYTES)

@@ -102,12 +102,12 @@ def beams_of(scan: LaserScan, mount: Pose) -> ScanBeams:
     """Return the beams of a scan by a scanner that is mounted at `mount` on the robot.
 
     As in REP 117, +inf means that nothing was hit within reach; a range at or above `range_max`
-    counts as the same. -inf (too near), NaN, and other ranges outside the scanner's limits count
-    as beams that measured nothing.
+    counts as the same. -inf (too near), NaN, exactly 0 (as drivers older than REP 117 send), and
+    other ranges outside the scanner's limits count as beams that measured nothing.
     """
     ranges = scan.ranges.astype(np.float64)
     with np.errstate(invalid="ignore"):
-        ranges[ranges < scan.range_min] = math.nan
+        ranges[(ranges < scan.range_min) | (ranges == 0.0)] = math.nan
         ranges[ranges >= scan.range_max] = math.inf
     steps = np.arange(ranges.size, dtype=np.float64)
     angles: Array = mount[2] + scan.angle_min + scan.angle_increment * steps

@@ -34,7 +34,7 @@ _UPRIGHT: Final = {
     8: (1, False),
 }
 
-_GRAY: Final = ("mono8", "mono16", "8UC1", "16UC1", "nv21", "nv24")
+_GRAY: Final = ("mono8", "mono16", "8UC1", "16UC1", "nv12", "nv21", "nv24")
 # OpenCV's names of colors, as in cv2.COLOR_BGR2GRAY.
 _COLORS: Final = (
     {"8UC3": "BGR", "8UC4": "BGRA"}

@@ -49,8 +49,8 @@ class CameraModel:
         name = info.header.frame_id or "camera"
         if not is_calibrated(info):
             raise CairnError(
-                f"{name}: its CameraInfo has no calibration (k is zero); calibrate the camera "
-                "with `cairn camera calibrate` and give the file to its driver"
+                f"{name}: its CameraInfo has no calibration (k, width or height is 0); calibrate "
+                "the camera with `cairn camera calibrate` and give the file to its driver"
             )
         _check_whole(info, name)
         model = info.distortion_model
@@ -65,7 +65,8 @@ class CameraModel:
                 f"{name}: d has {info.d.size} coefficients, but {model} has "
                 f"{' or '.join(str(n) for n in known if n)}; calibrate the camera again"
             )
-        intrinsics = info.k.reshape(3, 3)
+        # Drivers of rectified images may fill p alone.
+        intrinsics = info.k.reshape(3, 3) if info.k.any() else info.p.reshape(3, 4)[:, :3]
         # Drivers of single cameras may fill k and d alone.
         rotation = info.r.reshape(3, 3) if info.r.any() else np.eye(3)
         projection = info.p.reshape(3, 4)
@@ -136,7 +137,8 @@ class Rectifier:
 
 def is_calibrated(info: CameraInfo) -> bool:
     """Return whether `info` has a calibration: drivers of uncalibrated cameras leave it zero."""
-    return bool(info.k.any() and info.width and info.height)
+    is_rectified = info.p.any() and not info.d.any()
+    return bool((info.k.any() or is_rectified) and info.width and info.height)
 
 
 def _check_whole(info: CameraInfo, name: str) -> None:

@@ -37,6 +37,7 @@ _ROWS = 5
 _FEWEST, _AGREE = 8, 0.7
 # Rows and focal lengths of a rectified pair agree, apart from rounding in their file.
 _SAME_PX = 0.01
+_LEAST_BASELINE_M = 0.005  # no two cameras are nearer to each other
 # Alignment of patches: iterations, and largest change of the disparity that it starts from [px].
 _ALIGN_ROUNDS, _ALIGN_REACH = 8, 1.5
 # Aligned patches with a smaller normalized correlation show different things.
@@ -83,10 +84,10 @@ class StereoRig:
                 "`cairn camera calibrate`"
             )
         baseline = float((p[0, 3] - q[0, 3]) / p[0, 0])
-        if abs(baseline) < 1e-4:
+        if abs(baseline) < _LEAST_BASELINE_M:
             raise CairnError(
-                "the cameras have no baseline: p[3] of the right one must be -fx * baseline, "
-                f"but is {q[0, 3]:g}; calibrate the two cameras together with "
+                "the cameras have no baseline: p[3] of the right one must be -fx * baseline, in "
+                f"pixels times meters, but is {q[0, 3]:g}; calibrate the two cameras together with "
                 "`cairn camera calibrate`"
             )
         if baseline < 0 or abs(p[0, 3]) > _SAME_PX:

@@ -11,6 +11,7 @@ metadata.yaml of rosbag2_storage.
 from __future__ import annotations
 
 import os
+import shutil
 import sqlite3
 import struct
 from collections import Counter
@@ -27,7 +28,7 @@ from cairn.components.replay_devices.bounded_streams import (
     unpack_file,
 )
 from cairn.errors import RecordingError
-from cairn.limits.compression import RECORD_BYTES, unpack, unpack_message
+from cairn.limits.compression import RECORD_BYTES, is_zstd, unpack, unpack_message
 from cairn.limits.files import open_regular
 from cairn.limits.sqlite import SchemaError, bound_connection, table_columns
 from cairn.limits.yaml import read_yaml
@@ -39,19 +40,30 @@ _DEFINITION_1_2, _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = r
 _LONGEST_HEADER: Final = 1 << 16
 _CHUNK_HEADER: Final = 128  # longest header of a chunk, among them where an undamaged one starts
 _MOST_TOPICS: Final = 10_000
-_MOST_DAMAGES: Final = 1_000
+MOST_DAMAGES: Final = 1_000
+"""Damages of a bag that is read nevertheless."""
+
 _MOST_FILES: Final = 10_000
+_PACKED: Final = ".zstd"
 _UINT32 = struct.Struct("<I")
 _TIME = struct.Struct("<II")
 
 
+class NotSupported(ValueError):
+    """A bag is whole, and in a form that is not read."""
+
+
 @dataclass(frozen=True)
 class BagTopic:
-    """A topic of a bag; `type` as `package/msg/Name`, `md5` of its definition in ROS 1, else ""."""
+    """A topic of a bag; `type` as `package/msg/Name`, `md5` of its definition in ROS 1, else "".
+
+    `is_ros1`: its messages are in the format of ROS 1.
+    """
 
     name: str
     type: str
     md5: str = ""
+    is_ros1: bool = False
 
 
 Wanted = Callable[[BagTopic], bool]
@@ -89,7 +101,7 @@ class BagFile:
         if (self.path / "metadata.yaml").is_file():
             yield from self._folder(wanted)
         elif self.path.is_dir():
-            for file in mcap_files(self.path):
+            for file in [*mcap_files(self.path), *sqlite_files(self.path)]:
                 yield from self._file(file, wanted)
         else:
             yield from self._file(self.path, wanted)
@@ -101,6 +113,13 @@ class BagFile:
         if self._unpacked > most:
             raise too_much_unpacked(self.path, most)
 
+    def plain(self, message: bytes) -> bytes:
+        """Return a message, decompressed if it is compressed by itself."""
+        if is_zstd(message):
+            message = unpack_message(message)
+            self.unpacked(len(message))
+        return message
+
     def add_topic(self, topic: BagTopic) -> BagTopic:
         """Count a topic without messages."""
         self.counts[topic] += 0
@@ -111,9 +130,9 @@ class BagFile:
     def damage(self, text: str) -> None:
         """Note a damage of a ROS 1 bag; raise `RecordingError` if there are too many."""
         self.lost.append(text)
-        if len(self.lost) > _MOST_DAMAGES:
+        if len(self.lost) > MOST_DAMAGES:
             raise RecordingError(
-                f"{self.path} has more than {_MOST_DAMAGES:,} damages, the last: {text}. Repair it "
+                f"{self.path} has more than {MOST_DAMAGES:,} damages, the last: {text}. Repair it "
                 "with `rosbag reindex`, or take a fresh copy."
             )
 
@@ -128,7 +147,8 @@ class BagFile:
             elif magic.startswith(MAGIC):
                 yield from self._mcap(path, wanted)
             elif magic == b"SQLite format 3\0":
-                yield from _sqlite_messages(self, path, wanted)
+                with _with_log(path) as database:
+                    yield from _sqlite_messages(self, database, wanted)
             else:
                 raise ValueError(f"{path.name} starts with {magic!r}, like no kind of bag")
 
@@ -137,17 +157,19 @@ class BagFile:
 
         def topic_of(channel: RecordedChannel) -> BagTopic:
             if channel not in topics:
-                kind = channel.type
-                if channel.encoding != "cdr":
-                    kind = f"{kind} in {channel.encoding[:20]}"  # which is not read
-                topics[channel] = self.add_topic(BagTopic(channel.topic, kind))
+                kind, encoding = ros2_type(channel.type), channel.encoding
+                if encoding not in ("cdr", "ros1"):
+                    kind = f"{kind} in {encoding[:20]}"  # which is not read
+                topics[channel] = self.add_topic(
+                    BagTopic(channel.topic, kind, is_ros1=encoding == "ros1")
+                )
             return topics[channel]
 
         with McapFile(path) as file:
             try:
                 for one in file.messages(lambda channel: wanted(topic_of(channel))):
                     if not self._repeats.contains(one):
-                        yield topic_of(one.channel), one.log_ns, one.data
+                        yield topic_of(one.channel), one.log_ns, self.plain(one.data)
             finally:
                 for channel, count in file.counts.items():
                     self.counts[topic_of(channel)] += count
@@ -166,18 +188,35 @@ class BagFile:
         if not 1 <= len(names) <= _MOST_FILES:
             raise ValueError(f"metadata.yaml lists {len(names):,} files, not 1 to {_MOST_FILES:,}")
         if mode not in ("none", "file", "message") or compression != "zstd":
-            raise ValueError(f"its compression {compression[:20]!r} ({mode[:20]!r}) is not known")
+            raise NotSupported(f"its compression is {compression[:20]!r} ({mode[:20]!r})")
+        for part in self._parts(names):
+            with self._decompressed(part) as file:
+                yield from self._file(file, wanted)
+
+    def _parts(self, names: list[str]) -> list[Path]:
+        """Return the files of a bag that are there, of those that metadata.yaml names.
+
+        Others of a bag that was renamed; with or without the ending of a packed file. Raises
+        `ValueError` if there is none.
+        """
+        found, missing = [], []
         for name in names:
-            with self._decompressed(self.path / name, mode) as file:
-                for topic, received, raw in self._file(file, wanted):
-                    if mode == "message":
-                        raw = unpack_message(raw)
-                        self.unpacked(len(raw))
-                    yield topic, received, raw
+            plain = name.removesuffix(_PACKED)
+            same = [self.path / one for one in (name, plain, plain + _PACKED)]
+            there = next((file for file in same if file.is_file()), None)
+            found += [there] if there is not None else []
+            missing += [name] if there is None else []
+        if missing and not found:
+            found = [*mcap_files(self.path), *sqlite_files(self.path)]
+        if not found:
+            raise ValueError(f"the file {missing[0]} that metadata.yaml names is missing")
+        for name in missing:
+            self.damage(f"the file {name} that metadata.yaml names is missing")
+        return found
 
     @contextmanager
-    def _decompressed(self, file: Path, mode: str) -> Iterator[Path]:
-        if mode != "file":
+    def _decompressed(self, file: Path) -> Iterator[Path]:
+        if file.suffix != _PACKED:
             yield file
             return
         with TemporaryDirectory() as folder:
@@ -272,7 +311,7 @@ class _Ros1:
             topic = header.get("topic", b"")
             md5 = described.get("md5sum", described.get("md5", b""))
             self.topics[header.get("conn", topic)] = self.bag.add_topic(
-                BagTopic(_text(topic), _ros2_type(_text(described["type"])), _text(md5))
+                BagTopic(_text(topic), ros2_type(_text(described["type"])), _text(md5), True)
             )
 
     def _message(self, header: dict[str, bytes]) -> tuple[BagTopic, int] | None:
@@ -366,14 +405,14 @@ def _next_chunk(data: Data, at: int) -> int | None:
                 if record is not None and "compression" in record.fields:
                     return start
             tries += 1
-            if tries > _MOST_DAMAGES:
+            if tries > MOST_DAMAGES:
                 return None
             found = piece.find(b"op=\x05", found + 1)
     return None
 
 
-def _ros2_type(name: str) -> str:
-    """Return the name of a ROS 1 type, `package/Name`, as ROS 2 writes it."""
+def ros2_type(name: str) -> str:
+    """Return the name of a type as ROS 2 writes it; ROS 1, and some programs, write p/Name."""
     return name.replace("/", "/msg/", 1) if "/msg/" not in name else name
 
 
@@ -390,6 +429,28 @@ _COLUMNS: Final = {
     "messages": {"id", "topic_id", "timestamp", "data"},
 }
 _LONGEST_NAME: Final = 1_000
+
+
+def sqlite_files(folder: Path) -> list[Path]:
+    """Return the databases of a ROS 2 bag in the order in which its recorder numbered them."""
+    files = [*folder.glob("*.db3"), *folder.glob(f"*.db3{_PACKED}")]
+    return sorted(files, key=lambda file: (len(file.name), file.name))
+
+
+@contextmanager
+def _with_log(path: Path) -> Iterator[Path]:
+    """Yield a database; a copy with the log beside it, which a killed recorder has left."""
+    log = path.with_name(f"{path.name}-wal")
+    if not log.is_file() or not log.stat().st_size:
+        yield path
+        return
+    with TemporaryDirectory() as folder:
+        for file in (path, log):
+            shutil.copyfile(file, Path(folder, file.name))
+        copy = Path(folder, path.name)
+        with closing(sqlite3.connect(copy)) as connection:
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        yield copy
 
 
 def _sqlite_messages(bag: BagFile, path: Path, wanted: Wanted) -> Iterator[Message]:
@@ -424,4 +485,4 @@ def _sqlite_messages(bag: BagFile, path: Path, wanted: Wanted) -> Iterator[Messa
         ):
             if not isinstance(received, int) or not isinstance(raw, bytes):
                 raise ValueError(f"a message of {topics[number].name} is not a message: {received}")
-            yield topics[number], received, raw
+            yield topics[number], received, bag.plain(raw)

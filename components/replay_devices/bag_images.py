@@ -60,13 +60,17 @@ def image_topics(
     ]
 
 
-def bag_images(path: Path, topics: list[str]) -> tuple[ImageStream, list[str]]:
+def bag_images(
+    path: Path, topics: list[str], clock_offset: int = 0
+) -> tuple[ImageStream, list[str]]:
     """Return the images of one topic, or the pairs of two, with notes on what is left out.
+
+    Times of receipt are ahead of the clock of the stamps by `clock_offset` [ns].
 
     Raises `RecordingError` if they cannot be read.
     """
     notes: list[str] = []
-    times = [_image_times(path, topic, notes) for topic in topics]
+    times = [_image_times(path, topic, clock_offset, notes) for topic in topics]
     chosen = [list(times[0])]
     if len(topics) == 2:
         chosen = _paired(*times)
@@ -127,7 +131,7 @@ def _messages_of(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
     bag = BagFile(path)
     try:
         for found, received, raw in bag.messages(lambda of: "/" + of.name.lstrip("/") == topic):
-            yield received, deserialize(bag, found, raw)
+            yield received, deserialize(found, raw)
     except UNREADABLE as error:
         raise RecordingError(
             f"{path}: it cannot be read ({error_text(error)}): repair the bag with "
@@ -135,10 +139,10 @@ def _messages_of(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
         ) from error
 
 
-def _image_times(path: Path, topic: str, notes: list[str]) -> dict[int, int]:
+def _image_times(path: Path, topic: str, clock_offset: int, notes: list[str]) -> dict[int, int]:
     """Return the stamps [ns] of a topic's images by their numbers; notes on those left out."""
     received = [(receipt, message.header.stamp) for receipt, message in _messages_of(path, topic)]
-    stamps, note = message_stamps(topic, received)
+    stamps, note = message_stamps(topic, received, clock_offset)
     notes += [note] if note else []
     times: dict[int, int] = {}
     newest = -1

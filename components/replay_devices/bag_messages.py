@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,9 +21,14 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from cairn import SECOND, from_ns
+from cairn import SECOND, from_ns, to_ns
 from cairn.bus.codec import Codec
-from cairn.components.replay_devices.bag_files import BagFile, BagTopic
+from cairn.components.replay_devices.bag_files import (
+    MOST_DAMAGES,
+    BagFile,
+    BagTopic,
+    NotSupported,
+)
 from cairn.errors import RecordingError
 from cairn.limits.files import megabytes
 from cairn.limits.sqlite import SchemaError
@@ -34,6 +40,7 @@ from cairn.schemas.sensor_msgs import CameraInfo, LaserScan
 from cairn.schemas.std_msgs import Header
 
 SCAN_TYPE: Final = "sensor_msgs/msg/LaserScan"
+ECHOES_TYPE: Final = "sensor_msgs/msg/MultiEchoLaserScan"
 ODOMETRY_TYPE: Final = "nav_msgs/msg/Odometry"
 TRANSFORM_TYPES: Final = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """The types of topics of transforms, in ROS 2 and in ROS 1."""
@@ -48,7 +55,15 @@ MAP_TYPE = type_name(VisualMap)
 INFO_TYPE = type_name(CameraInfo)
 # Are decoded to Cairn's classes.
 _OWN = {OBJECTS_TYPE: RecognizedObjectArray, MAP_TYPE: VisualMap, INFO_TYPE: CameraInfo}
-_READ = (SCAN_TYPE, ODOMETRY_TYPE, *TRANSFORM_TYPES, *POSE_TYPES, OBJECTS_TYPE, MAP_TYPE)
+_READ = (
+    SCAN_TYPE,
+    ECHOES_TYPE,
+    ODOMETRY_TYPE,
+    *TRANSFORM_TYPES,
+    *POSE_TYPES,
+    OBJECTS_TYPE,
+    MAP_TYPE,
+)
 TEXT_TYPE, _DESCRIPTION = "std_msgs/msg/String", "robot_description"
 
 
@@ -91,11 +106,11 @@ def read_bag(path: Path) -> BagContents:
                     "the limit for a bag of its size. Replay a part of it."
                 )
             try:
-                message = deserialize(bag, topic, raw)
+                message = deserialize(topic, raw)
             except SerdeError as error:
-                if not bag.is_ros1:
-                    raise
                 damaged.append(f"a message of {topic.name} is damaged: {error_text(error)}")
+                if len(damaged) > MOST_DAMAGES:
+                    raise
                 continue
             messages.setdefault(topic.name, []).append((received, message))
         if not bag.counts.total() and bag.lost:
@@ -143,18 +158,30 @@ def _explained(bag: BagFile) -> Iterator[None]:
             raise RecordingError(
                 f"{path} is a database, but not a ROS 2 bag ({why}). Give a recording."
             ) from error
-        if bag.is_ros1:
+        if isinstance(error, NotSupported):
             raise RecordingError(
-                f"{path} cannot be read as a ROS 1 bag ({why}). It is cut off or damaged: repair "
-                "it with `rosbag reindex`, or take a fresh copy."
+                f"{path}: {why}, which is not supported; convert it with its own tools, such as "
+                "`ros2 bag convert`."
             ) from error
-        repair = (
-            f"mcap recover {path.name}" if path.suffix == ".mcap" else f"ros2 bag reindex {path}"
-        )
+        kind = "ROS 1" if bag.is_ros1 else "ROS 2"
         raise RecordingError(
-            f"{path} cannot be read as a ROS 2 bag ({why}). It is cut off, damaged, or was not "
-            f"closed after recording: repair it with `{repair}`, or take a fresh copy."
+            f"{path} cannot be read as a {kind} bag ({why}). It is cut off, damaged, or was not "
+            f"closed after recording: {_repair(bag, error)}take a fresh copy."
         ) from error
+
+
+def _repair(bag: BagFile, error: Exception) -> str:
+    """Return which command may repair a bag; "" if none does."""
+    command = ""
+    if bag.is_ros1:
+        command = "rosbag reindex"
+    elif isinstance(error, sqlite3.Error):
+        command = "sqlite3 FILE .recover | sqlite3 NEW_FILE"
+    elif bag.path.suffix == ".mcap":
+        command = f"mcap recover {bag.path.name}"
+    elif "metadata.yaml" in error_text(error):
+        command = f"ros2 bag reindex {bag.path}"
+    return f"repair it with `{command}`, or " if command else ""
 
 
 UNREADABLE: Final = (
@@ -169,7 +196,8 @@ def error_text(error: Exception) -> str:
         position, fault = yaml_fault(error)
         return f"metadata.yaml{position}: {fault}"
     if isinstance(error, OSError):
-        return str(error.strerror or error)
+        name = f"{Path(error.filename).name}: " if error.filename else ""
+        return f"{name}{error.strerror or error}"
     return " ".join(str(error).split())[:500] or type(error).__name__
 
 
@@ -193,24 +221,24 @@ def _md5(type_name: str) -> str:
     return str(_typestore(is_ros1=True).generate_msgdef(type_name)[1])
 
 
-def deserialize(bag: BagFile, topic: BagTopic, raw: bytes) -> Any:
+def deserialize(topic: BagTopic, raw: bytes) -> Any:
     """Return a message; raise `SerdeError` if it is damaged, `ValueError` for an unknown type."""
-    store = _typestore(bag.is_ros1)
+    store = _typestore(topic.is_ros1)
     own = _OWN.get(topic.type)
-    if own is not None and not bag.is_ros1:
+    if own is not None and not topic.is_ros1:
         try:
             return _codec().decode(own, raw)
         except InvalidMessage as error:
             raise SerdeError(error_text(error)) from error
     if topic.type not in store.fielddefs:
-        raise ValueError(f"{topic.name} has the type {topic.type[:100]!r}, which is not known")
-    if bag.is_ros1 and topic.md5 not in ("", "*", _md5(topic.type)):
-        raise ValueError(
+        raise NotSupported(f"{topic.name} has the unknown type {topic.type[:100]!r}")
+    if topic.is_ros1 and topic.md5 not in ("", "*", _md5(topic.type)):
+        raise NotSupported(
             f"{topic.name} has the type {topic.type}, but another definition of it (MD5 "
             f"{topic.md5[:40]!r}) than ROS"
         )
     try:
-        if bag.is_ros1:
+        if topic.is_ros1:
             return store.deserialize_ros1(raw, topic.type)
         return store.deserialize_cdr(raw, topic.type)
     except (AssertionError, IndexError, MemoryError) as error:
@@ -225,17 +253,28 @@ def usual_topic(kind: str, topics: Sequence[str]) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
+class NothingMeasured(ValueError):
+    """A message is valid, and of no use."""
+
+
 def scan_of(stamp: int, m: Any, upside_down: bool) -> LaserScan:
     """Return a message of ROS as a scan with a time [ns], mirrored if the scanner is upside down.
 
-    It is repaired like one on the bus. Raises `InvalidMessage`, `ValueError`.
+    Of several echoes, the nearest counts. It is repaired like one on the bus. Raises
+    `InvalidMessage`, `ValueError`, of which `NothingMeasured` is no fault.
     """
+    if not len(m.ranges):
+        raise NothingMeasured("it has no ranges")
+    ranges, intensities = m.ranges, m.intensities
+    if hasattr(ranges[0], "echoes"):
+        ranges = [one.echoes[0] if len(one.echoes) else math.inf for one in ranges]
+        intensities = ()
     side = -1.0 if upside_down else 1.0  # it turns to the right: the first beam is the left one
     numbers = ("time_increment", "scan_time", "range_min", "range_max")
     values = {
         "header": Header(stamp=from_ns(stamp), frame_id="laser"),
-        "ranges": np.asarray(m.ranges, dtype=np.float32),
-        "intensities": np.asarray(m.intensities, dtype=np.float32),
+        "ranges": np.asarray(ranges, dtype=np.float32),
+        "intensities": np.asarray(intensities, dtype=np.float32),
         **{
             f"angle_{n}": side * float(getattr(m, f"angle_{n}"))
             for n in ("min", "max", "increment")
@@ -252,22 +291,46 @@ def scan_of(stamp: int, m: Any, upside_down: bool) -> LaserScan:
 _CLOCK_TOLERANCE = 60 * SECOND
 
 
-def message_stamps(topic: str, received: Sequence[tuple[int, Any]]) -> tuple[list[int], str]:
+def clock_offset(received: Sequence[tuple[int, Any]]) -> int:
+    """Return by how much the times of receipt [ns] are ahead of the stamps, as a rule.
+
+    `received` are the times of receipt [ns] and the stamps (builtin_interfaces/Time).
+    """
+    ahead = sorted(receipt - to_ns(stamp) for receipt, stamp in received)
+    return ahead[len(ahead) // 2]
+
+
+def is_same_clock(offset: int, other: int) -> bool:
+    """Return whether two offsets [ns] between stamps and times of receipt are of one clock."""
+    return abs(offset - other) <= _CLOCK_TOLERANCE
+
+
+def message_stamps(
+    topic: str, received: Sequence[tuple[int, Any]], offset: int = 0
+) -> tuple[list[int], str]:
     """Return the stamps [ns] of a topic's messages, and a note, or "".
 
-    If the stamps are of another clock, they are replaced by the times of receipt, with a note.
+    Those of another clock than the recording's are replaced by the times of receipt, which are
+    ahead of its stamps by `offset` [ns].
 
     `received` are the times of receipt [ns] and the stamps (builtin_interfaces/Time).
     """
     if not received:
         return [], ""
-    stamps = [stamp.sec * SECOND + stamp.nanosec for _, stamp in received]
-    apart = sorted(
-        abs(stamp - receipt) for (receipt, _), stamp in zip(received, stamps, strict=True)
-    )
-    if apart[len(apart) // 2] <= _CLOCK_TOLERANCE:
+    stamps = [to_ns(stamp) for _, stamp in received]
+    receipts = [receipt for receipt, _ in received]
+    if min(receipts) == max(receipts) and min(stamps) < max(stamps):
+        return stamps, f"messages of {topic} have no times of receipt: their stamps are used"
+    if not is_same_clock(clock_offset(received), offset):
+        return receipts, (
+            f"stamps on {topic} are from another clock than the bag's (the first is "
+            f"{stamps[0] / SECOND:g} s): the times of receipt are used instead"
+        )
+    if offset:
         return stamps, ""
-    return [receipt for receipt, _ in received], (
-        f"stamps on {topic} are from another clock than the bag's (the first is "
-        f"{stamps[0] / SECOND:g} s): the times of receipt are used instead"
-    )
+    pairs = zip(receipts, stamps, strict=True)
+    wrong = [k for k, (receipt, stamp) in enumerate(pairs) if not is_same_clock(receipt, stamp)]
+    for k in wrong:
+        stamps[k] = receipts[k]
+    note = f"{len(wrong)} stamps on {topic} are wrong: the times of receipt are used instead"
+    return stamps, note if wrong else ""

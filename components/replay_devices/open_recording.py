@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
+from cairn.components.replay_devices.bag_files import sqlite_files
 from cairn.components.replay_devices.bounded_streams import first_lines
 from cairn.components.replay_devices.carmen import CarmenRecording
 from cairn.components.replay_devices.carmen_lines import MESSAGES
@@ -20,7 +21,7 @@ from cairn.system.files import explain_os_error
 
 _FORMATS = (
     "an MRCLAM folder (Barcodes.dat and Robot<n>_*.dat), a CARMEN log, a ROS 1 bag, "
-    "the folder of a ROS 2 bag (with metadata.yaml), an MCAP file, a folder of MCAP files, "
+    "a ROS 2 bag (its folder, or a file *.db3), an MCAP file, a folder of MCAP files, "
     "a video, or a folder of images"
 )
 _BAGS = (b"#ROSBAG V", b"#ROSRECORD V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
@@ -58,7 +59,7 @@ def open_recording(
                     f"deployment by the parameter `robot`; it has: {', '.join(held) or 'none'}."
                 )
             return MrclamRecording(path, robot)
-        if holds_mcap(path):
+        if holds_mcap(path) or sqlite_files(path):
             return BagRecording(path, topics or {}, scan_delay_s)
         if holds_images(path):
             return ImageRecording(path, image_rate_hz)

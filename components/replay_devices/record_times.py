@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -115,21 +115,26 @@ def wrong_times(stamps: Sequence[int]) -> list[WrongTime]:
         elif place < len(chain) and stamp > stamps[chain[place]] + _DISORDER_NS:
             after = stamps[chain[place]] / SECOND
             wrong[index] = f"time is {stamp / SECOND:.3f} s, ahead of {after:.3f} s after it"
-    right = sorted((stamp, k) for k, stamp in enumerate(stamps) if k not in wrong)
+    wrong |= times_apart({k: stamp for k, stamp in enumerate(stamps) if k not in wrong})
+    return [WrongTime(index, wrong[index]) for index in sorted(wrong)]
+
+
+def times_apart(stamps: Mapping[int, int]) -> dict[int, str]:
+    """Return what is wrong with times [ns] that are more than an hour from the most, by key."""
     groups: list[list[tuple[int, int]]] = []
-    for entry in right:
+    for entry in sorted((stamp, k) for k, stamp in stamps.items()):
         if not groups or entry[0] - groups[-1][-1][0] > _LONGEST_GAP_NS:
             groups.append([])
         groups[-1].append(entry)
     largest = max(groups, key=len, default=[])
+    apart: dict[int, str] = {}
     for group in groups:
         if group is not largest:
             ends = (group[0][0] - largest[-1][0], largest[0][0] - group[-1][0])
-            for stamp, index in group:
-                wrong[index] = (
-                    f"time is {stamp / SECOND:.3f} s, {max(ends) / SECOND:.0f} s from the others"
-                )
-    return [WrongTime(index, wrong[index]) for index in sorted(wrong)]
+            for stamp, k in group:
+                far_s = max(ends) / SECOND
+                apart[k] = f"time is {stamp / SECOND:.3f} s, {far_s:.0f} s from the others"
+    return apart
 
 
 def times_by_order(lines: Sequence[int], known: Sequence[tuple[int, int]]) -> list[int]:

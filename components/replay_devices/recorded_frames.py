@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from cairn.components.replay_devices.bag_files import BagFile, BagTopic
+from cairn.components.replay_devices.bag_files import BagTopic, ros2_type
 from cairn.components.replay_devices.bag_messages import (
     ODOMETRY_TYPE,
     SCAN_TYPE,
@@ -126,11 +126,10 @@ class _Reader:
     def __init__(self, recording: McapRecording) -> None:
         self.notes: list[str] = []
         self._recording = recording
-        self._bag = BagFile(recording.files[0])
         self._channels: dict[BagTopic, list[RecordedChannel]] = {}
         for channel in recording.channels:
             if channel.encoding == "cdr" and recording.counts[channel]:
-                topic = BagTopic("/" + channel.topic.lstrip("/"), channel.type)
+                topic = BagTopic("/" + channel.topic.lstrip("/"), ros2_type(channel.type))
                 self._channels.setdefault(topic, []).append(channel)
 
     def first(self, kind: str, type_name: str) -> tuple[str, Any]:
@@ -174,6 +173,6 @@ class _Reader:
                         "recording show` reads all"
                     )
                     return
-                yield deserialize(self._bag, topic, one.data)
+                yield deserialize(topic, one.data)
         except (RecordingError, *UNREADABLE) as error:
             self.notes.append(f"{topic.name} cannot be read: {error_text(error)}")

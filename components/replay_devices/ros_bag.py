@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cairn import SECOND
 from cairn.components.replay_devices.bag_images import bag_images, first_calibration, image_topics
 from cairn.components.replay_devices.bag_messages import (
+    ECHOES_TYPE,
     INFO_TYPE,
     MAP_TYPE,
     OBJECTS_TYPE,
@@ -26,12 +27,19 @@ from cairn.components.replay_devices.bag_messages import (
     SCAN_TYPE,
     TEXT_TYPE,
     TRANSFORM_TYPES,
+    NothingMeasured,
+    clock_offset,
+    is_same_clock,
     message_stamps,
     read_bag,
     scan_of,
     usual_topic,
 )
-from cairn.components.replay_devices.record_times import TimeQuality, time_quality
+from cairn.components.replay_devices.record_times import (
+    TimeQuality,
+    time_quality,
+    times_apart,
+)
 from cairn.components.replay_devices.recording import (
     BAD_SHARE,
     FEW_BAD,
@@ -52,7 +60,11 @@ from cairn.components.replay_devices.scanner_mount import (
     links_of_description,
     links_of_transforms,
 )
-from cairn.components.replay_devices.wheel_odometry import odometry_deviations, odometry_velocities
+from cairn.components.replay_devices.wheel_odometry import (
+    odometry_deviations,
+    odometry_velocities,
+    velocities_agree,
+)
 from cairn.errors import RecordingError
 from cairn.planar.messages import has_orientation, planar_pose
 from cairn.planar.poses import Pose
@@ -88,15 +100,17 @@ class BagRecording(Recording):
         self._counts = {"/" + topic.lstrip("/"): count for topic, count in bag.counts.items()}
         self._notes = bag.notes
         self._scan_delay = round(scan_delay_s * SECOND)
-        scan, odom = self._topic("scan", (SCAN_TYPE,)), self._topic("odom", (ODOMETRY_TYPE,))
+        scan = self._topic("scan", (SCAN_TYPE, ECHOES_TYPE))
+        odom = self._topic("odom", (ODOMETRY_TYPE,))
         truth = self._topic("truth", tuple(POSE_TYPES)) if "truth" in self._named else None
         truth = truth or self._usual("truth", tuple(POSE_TYPES))
         objects = self._usual("recognized_objects", (OBJECTS_TYPE,))
         surveyed = self._usual("true_map", (MAP_TYPE,))
         self._quality: dict[str, TimeQuality] = {}
+        self._clock_offset = self._common_offset([one for one in (scan, odom) if one])
         self._mount = self._find_mount(scan, odom)
         self._scans = self._read("scan", scan, self._to_scan, self._to_scans)
-        self._odometry = self._read("odom", odom, _odometry_step, _odometry_stream)
+        self._odometry = self._read("odom", odom, _odometry_step, self._to_odometry)
         self._objects = self._read("objects", objects, lambda _, message: message, _observations)
         maps = self._messages.get(surveyed or "", [])
         self._landmark_map: VisualMap | None = maps[-1][1] if maps else None
@@ -116,6 +130,8 @@ class BagRecording(Recording):
         self._notes += notes
         self._replayed |= dict.fromkeys(self._image_topics, "images")
         if self._scans is None and self._odometry is None and not self._image_topics:
+            if notes:
+                raise RecordingError(f"{path} holds only images, and {notes[0]}.")
             raise RecordingError(
                 f"{path} holds neither laser scans, odometry nor images: nothing to replay. "
                 "Its topics are "
@@ -150,7 +166,7 @@ class BagRecording(Recording):
         """Return the images of a camera's topic, or of a stereo camera's two."""
         if not self._image_topics:
             return None
-        images, notes = bag_images(self._path, self._image_topics)
+        images, notes = bag_images(self._path, self._image_topics, self._clock_offset)
         self._notes += [note for note in notes if note not in self._notes]
         infos = [self._calibration(topic) for topic in self._image_topics]
         return replace(images, infos=tuple(infos))
@@ -207,6 +223,23 @@ class BagRecording(Recording):
             )
         return usual or next(iter(found), None)
 
+    def _common_offset(self, topics: Sequence[str]) -> int:
+        """Return by how much the times of receipt are ahead of a clock that all stamps have [ns].
+
+        It is 0 if the stamps are of the recorder's clock, or not of one clock. In a recording of a
+        simulation they are of the simulation's, which is as fast as the robot moves.
+        """
+        received = [self._messages.get(topic, []) for topic in topics]
+        offsets = [clock_offset([(at, m.header.stamp) for at, m in of]) for of in received if of]
+        if len(offsets) < 2 or is_same_clock(offsets[0], 0):
+            return 0
+        if not is_same_clock(*offsets):
+            return 0
+        self._notes.append(
+            "the stamps of scans and odometry are from one clock, another one than the bag's: kept"
+        )
+        return offsets[0]
+
     def _usual(self, kind: str, types: Sequence[str]) -> str | None:
         return usual_topic(kind, [topic for topic, of in self._types.items() if of in types])
 
@@ -260,22 +293,43 @@ class BagRecording(Recording):
         Invalid messages are left out and noted. Raises `RecordingError` if they are too many.
         """
         received = self._messages.get(topic, []) if topic else []
+        return self._gathered(kind, topic or "", received, parse, gather)
+
+    def _gathered(
+        self,
+        kind: str,
+        topic: str,
+        received: Received,
+        parse: Callable[[int, Any], Item],
+        gather: Callable[[list[int], list[Item]], T],
+    ) -> T | None:
+        """Gather messages as `_read` does, of which `topic` is only named in notes and errors."""
         if not received:
             return None
-        stamps = self._stamps(topic or "", [(at, m.header.stamp) for at, m in received])
-        self._quality[kind] = time_quality(stamps)
+        stamps = self._stamps(topic, [(at, m.header.stamp) for at, m in received])
+        apart = times_apart(dict(enumerate(stamps)))
+        if len(apart) > max(FEW_BAD, BAD_SHARE * len(stamps)):
+            apart = {}  # a pause, or another run
+        self._quality[kind] = time_quality([s for k, s in enumerate(stamps) if k not in apart])
         parsed: list[Item] = []
         known: list[int] = []
         faults: list[str] = []
+        empty: list[str] = []
         for k in sorted(range(len(stamps)), key=stamps.__getitem__):
+            if k in apart:
+                empty.append(apart[k])
+                continue
             try:
                 parsed.append(parse(stamps[k], received[k][1]))
                 known.append(stamps[k])
+            except NothingMeasured as error:
+                empty.append(str(error))
             except (InvalidMessage, ValueError) as error:
                 faults.append(f"message {k + 1}: {error}")
         if len(faults) > max(FEW_BAD, BAD_SHARE * len(stamps)) or not parsed:
+            wrong = faults or empty
             raise RecordingError(
-                f"{self._path}, topic {topic}: {faults[0]}. {len(faults)} of {len(stamps)} "
+                f"{self._path}, topic {topic}: {wrong[0]}. {len(wrong)} of {len(stamps)} "
                 "messages are invalid, which cannot be replayed: name another topic, or remove "
                 "them from the bag."
             )
@@ -284,10 +338,14 @@ class BagRecording(Recording):
                 f"{len(faults)} of {len(stamps)} messages of {topic} are invalid and left out: "
                 f"{faults[0]}{'; ...' if len(faults) > 1 else ''}"
             )
+        if empty:
+            self._notes.append(
+                f"{len(empty)} of {len(stamps)} messages of {topic} are left out: {empty[0]}"
+            )
         return gather(known, parsed)
 
     def _stamps(self, topic: str, received: Sequence[tuple[int, Any]]) -> list[int]:
-        stamps, note = message_stamps(topic, received)
+        stamps, note = message_stamps(topic, received, self._clock_offset)
         self._notes += [note] if note else []
         return stamps
 
@@ -302,6 +360,19 @@ class BagRecording(Recording):
         ]
         return ScanStream([self._undelayed(stamp) for stamp in stamps], scans, stamps)
 
+    def _to_odometry(self, stamps: list[int], steps: list[_OdometryStep]) -> OdometryStream:
+        computed = _computed_odometry(stamps, [step.pose for step in steps])
+        covariances = np.array([step.covariance for step in steps])
+        twists = np.array([step.twist for step in steps])
+        if not velocities_agree(stamps, computed.poses, twists):
+            self._notes.append(
+                "velocities are computed from the poses: the recorded ones are missing or disagree"
+            )
+            twists = computed.twists
+        if not _is_known(covariances):
+            covariances = computed.covariances
+        return OdometryStream(stamps, computed.poses, covariances, twists)
+
     def _undelayed(self, stamp: int) -> int:
         return max(stamp - self._scan_delay, 0)
 
@@ -314,17 +385,9 @@ class BagRecording(Recording):
             if transform.header.frame_id.strip("/") == "odom"
             and transform.child_frame_id.strip("/") in BASES
         ]
-        if not pairs:
-            return None
-        stamps = self._stamps("/tf", [(at, t.header.stamp) for at, t in pairs])
-        self._quality["odom"] = time_quality(stamps)
-        order = sorted(range(len(stamps)), key=stamps.__getitem__)
-        stamps = [stamps[k] for k in order]
-        transforms = [pairs[k][1].transform for k in order]
-        poses = np.array([_pose_of(one.translation, one.rotation) for one in transforms])
-        self._notes.append("odometry is computed from the transforms of frame odom")
-        covariances = covariances_of(odometry_deviations(poses))
-        return OdometryStream(stamps, poses, covariances, odometry_velocities(stamps, poses))
+        if pairs:
+            self._notes.append("odometry is computed from the transforms of frame odom")
+        return self._gathered("odom", "/tf", pairs, _transformed_pose, _computed_odometry)
 
 
 @dataclass(frozen=True)
@@ -336,22 +399,37 @@ class _OdometryStep:
     twist: tuple[float, float]
 
 
+def _transformed_pose(_: int, message: Any) -> Pose:
+    moved = message.transform
+    return _oriented_pose(moved.translation, moved.rotation)
+
+
+def _oriented_pose(position: Any, rotation: Any) -> Pose:
+    if not has_orientation(rotation):
+        raise ValueError("its orientation is not set: all four numbers are 0")
+    return _pose_of(position, rotation)
+
+
+def _computed_odometry(stamps: list[int], poses: list[Pose]) -> OdometryStream:
+    """Return odometry of which only the poses are known."""
+    rows = np.array(poses)
+    covariances = covariances_of(odometry_deviations(rows))
+    return OdometryStream(stamps, rows, covariances, odometry_velocities(stamps, rows))
+
+
 def _odometry_step(_: int, message: Any) -> _OdometryStep:
     covariance = np.array(message.pose.covariance, dtype=np.float64).reshape(6, 6)
     twist = (float(message.twist.twist.linear.x), float(message.twist.twist.angular.z))
     if not all(map(math.isfinite, twist)):
         raise ValueError(f"its velocity is {twist[0]:g} m/s, {twist[1]:g} rad/s")
-    if not has_orientation(message.pose.pose.orientation):
-        raise ValueError("its orientation is not set: all four numbers are 0")
-    return _OdometryStep(_pose(message.pose.pose), covariance[[0, 1, 5]][:, [0, 1, 5]], twist)
+    pose = _oriented_pose(message.pose.pose.position, message.pose.pose.orientation)
+    return _OdometryStep(pose, covariance[[0, 1, 5]][:, [0, 1, 5]], twist)
 
 
-def _odometry_stream(stamps: list[int], steps: list[_OdometryStep]) -> OdometryStream:
-    poses = np.array([step.pose for step in steps])
-    covariances = np.array([step.covariance for step in steps])
-    if not covariances.any() or not np.isfinite(covariances).all():
-        covariances = covariances_of(odometry_deviations(poses))
-    return OdometryStream(stamps, poses, covariances, np.array([step.twist for step in steps]))
+def _is_known(covariances: Array) -> bool:
+    """Return whether odometry states its covariances (n, 3, 3): drivers write 0, NaN or -1 else."""
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    return bool(covariances.any() and np.isfinite(covariances).all() and (variances >= 0.0).all())
 
 
 def _observations(stamps: list[int], messages: list[RecognizedObjectArray]) -> ObservationStream:

@@ -62,6 +62,8 @@ def understood(message: Odometry, config: Ros2BaseConfig) -> list[str]:
     found = []
     if abs(norm - 1.0) > _NORM_TOLERANCE:
         found.append("their orientations are not of length 1, and are divided by it")
+    if not _states_variances(message):
+        found.append("they state no variances (below 0), which are taken as 0, not known")
     if not message.header.frame_id:
         found.append(f"they name no frame, and are taken as in {config.odom_frame}")
     if not message.child_frame_id:
@@ -157,13 +159,20 @@ class OdometryContinuity:
 
 def odometry_message(message: Odometry, stamp: int, continued: ContinuedPose) -> Odometry:
     """Return the base's odometry in the robot's frames, and in the plane."""
-    covariance = rotate_covariance(message.pose.covariance, continued.rotation)
+    covariance = np.zeros(36)
+    if _states_variances(message):
+        covariance = rotate_covariance(message.pose.covariance, continued.rotation)
     return dataclasses.replace(
         message,
         header=Header(stamp=from_ns(stamp), frame_id=_ODOM),
         child_frame_id=_BASE,
         pose=PoseWithCovariance(pose=pose_message(continued.pose), covariance=covariance),
     )
+
+
+def _states_variances(message: Odometry) -> bool:
+    """Return whether the variances in the plane are known; some drivers write -1 otherwise."""
+    return bool((message.pose.covariance[[0, 7, 35]] >= 0.0).all())
 
 
 def odometry_transform(message: Odometry, pose: Pose) -> TransformStamped:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Final
-
-import numpy as np
 
 from cairn.planar.scans import has_directions, sweep_s
 from cairn.schemas.sensor_msgs import LaserScan
@@ -47,20 +44,12 @@ def why_unusable(scan: LaserScan, topic: str, frame: str) -> str | None:
 
 
 def scan_message(scan: LaserScan, header: Header, *, upside_down: bool) -> LaserScan:
-    """Return a scan with another header; with mirrored angles if the scanner is upside down.
-
-    A range of exactly 0, which drivers older than REP 117 send where they measured nothing, becomes
-    NaN: with `range_min` 0 it would be an obstacle on the scanner.
-    """
+    """Return a scan with another header; with mirrored angles if the scanner is upside down."""
     side = -1.0 if upside_down else 1.0
-    ranges = scan.ranges
-    if not ranges.all():
-        ranges = np.where(ranges == 0.0, np.float32(math.nan), ranges)
     return replace(
         scan,
         header=header,
         angle_min=side * scan.angle_min,
         angle_max=side * scan.angle_max,
         angle_increment=side * scan.angle_increment,
-        ranges=ranges,
     )

@@ -183,8 +183,8 @@ class Mapper:
         # If a scan that does not fit became a keyframe, those after it would fit to it.
         if is_first or (has_moved and not tracked.is_misfit):
             frame = Keyframe(
-                stamp_ns, odometry, scan_surfaces(cloud), scan_rays(rays), self._open.number,
-                self.version,
+                stamp_ns, odometry, scan_surfaces(cloud),
+                scan_rays(rays) if rays.ranges.size else None, self._open.number, self.version,
             )  # fmt: skip
             self._add_keyframe(frame, None if is_first else (offset, tracked))
             last, offset = last + 1, (0.0, 0.0, 0.0)

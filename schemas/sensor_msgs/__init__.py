@@ -34,6 +34,9 @@ Matrix3x4 = Annotated[npt.NDArray[np.float64], Array("float64", length=12, check
 _MOST_TURN: Final = 2.5 * math.pi
 """Most that the beams of a sweep may turn [rad]: some scanners turn a little more than once."""
 
+_LONGEST_SWEEP_S: Final = 10.0
+"""No scanner takes longer for a sweep [s]: a time in other units, as milliseconds, is."""
+
 _ANY_REACH: Final = 100.0
 """Reach of a scanner that does not say it [m]: more than those of mobile robots have."""
 
@@ -68,6 +71,9 @@ def _repair_sweep(values: dict[str, Any], beams: int) -> list[str]:
         if not math.isfinite(values[name]):
             values[name] = 0.0
             repairs.append(f"{name} is not a finite number: {consequence}")
+    if abs(values["time_increment"]) * (beams - 1) > _LONGEST_SWEEP_S:
+        values["time_increment"] = 0.0
+        repairs.append("time_increment makes a sweep longer than 10 s: 0, all beams at once")
     if not values["range_min"] >= 0.0 or values["range_min"] == math.inf:
         values["range_min"] = 0.0
         repairs.append("range_min is not a finite number of at least 0: 0")
@@ -129,6 +135,11 @@ class LaserScan:
                 reject(self, "range_max", self.range_max, "must be above 0 and finite")
             if self.range_min < 0.0:
                 reject(self, "range_min", self.range_min, "must be at least 0")
+            sweep_s = abs(self.time_increment) * (beams - 1)
+            if sweep_s > _LONGEST_SWEEP_S:
+                reject(
+                    self, "time_increment", self.time_increment, f"makes a sweep of {sweep_s:g} s"
+                )
             step = self.angle_increment
             turn = abs(step) * (beams - 1)
             if turn > _MOST_TURN:
@@ -192,7 +203,7 @@ class MultiEchoLaserScan:
 _PIXEL = re.compile(
     "(?:mono|rgba?|bgra?|bayer_(?:rggb|bggr|gbrg|grbg))(?P<bits>8|16)"
     "|(?P<plain>8|16|32|64)[USF]C(?P<channels>[0-9]{0,3})"
-    "|(?P<pair>yuv422|uyvy|yuv422_yuy2|yuyv)|(?P<planes>nv21|nv24)"
+    "|(?P<pair>yuv422|uyvy|yuv422_yuy2|yuyv)|(?P<planes>nv12|nv21|nv24)"
 )
 
 

@@ -80,6 +80,15 @@ def test_single_camera_needs_neither_rotation_nor_projection() -> None:
     assert all(np.array_equal(*maps) for maps in zip(bare.maps(), whole.maps(), strict=True))
 
 
+def test_camera_of_rectified_images_needs_only_the_projection() -> None:
+    bare = CameraModel.of(info(k=np.zeros(9), d=np.zeros(0), r=np.zeros(9), distortion_model=""))
+
+    assert bare.intrinsics.tolist() == info().p.reshape(3, 4)[:, :3].tolist()
+    image = np.zeros((HEIGHT, WIDTH), np.uint8)
+    given = info(k=np.zeros(9), d=np.zeros(0), r=np.zeros(9), distortion_model="")
+    assert Rectifier(given).apply(image) is image
+
+
 def test_image_of_another_size_is_rejected_with_both_sizes() -> None:
     with pytest.raises(CairnError, match=words_in_order("640 x 480", "320 x 240")):
         Rectifier(info()).apply(np.zeros((480, 640), np.uint8))
@@ -88,7 +97,7 @@ def test_image_of_another_size_is_rejected_with_both_sizes() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"k": np.zeros(9)}, "has no calibration"),
+        ({"k": np.zeros(9), "p": np.zeros(12)}, "has no calibration"),
         ({"k": np.array([-1, 0, 1, 0, 1, 1, 0, 0, 1.0])}, "k = .* is not a camera matrix"),
         ({"r": np.full(9, 0.5)}, "r = .* is not a rotation"),
         ({"d": np.zeros(3)}, "d has 3 coefficients, but plumb_bob has 4 or 5"),

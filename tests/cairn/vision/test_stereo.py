@@ -182,7 +182,7 @@ def test_principal_points_may_differ() -> None:
         ),
         (info("right"), info("left"), "left and right are swapped"),
         (info(), info("left"), "no baseline: p.3. of the right one must be -fx"),
-        (info(), info("right", k=np.zeros(9)), "right_camera.* has no calibration"),
+        (info(), info("right", k=np.zeros(9), p=np.zeros(12)), "right_camera.* has no calibration"),
         (info(), info("right", p=projection(cy=130.0, tx=-25.0)), "rows .* are not aligned"),
         (info(), info("right", p=projection(fx=260.0, tx=-25.0)), "rows .* are not aligned"),
     ],

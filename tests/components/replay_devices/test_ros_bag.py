@@ -455,5 +455,5 @@ def test_broken_ros2_bag_is_rejected_with_a_remedy(
     bag = ros2(tmp_path / "bag", drive())
     damage(next(bag.glob("*.db3")))
 
-    with pytest.raises(RecordingError, match=r"as a ROS 2 bag .* `ros2 bag reindex"):
+    with pytest.raises(RecordingError, match=r"as a ROS 2 bag .*take a fresh copy"):
         open_recording(bag)
