@@ -64,7 +64,7 @@ _DECODERS_RAISE: Final = (
     Picture.DecompressionBombError,
 )  # fmt: skip
 _ROWS: Final = 256  # are converted at once
-_GAP: Final = rb"(?:\s|#[^\n]*\n)+"
+_GAP: Final = rb"(?:\s|#[^\r\n]*[\r\n])+"
 _PNM: Final = re.compile(rb"P([2356])" + 3 * (_GAP + rb"([0-9]{1,9})") + rb"\s")
 _PNM_HEADER: Final = 4096  # [bytes], comments included
 
@@ -110,6 +110,8 @@ def read_header(name: str, stream: BinaryIO) -> ImageHeader:
             header = _pnm_header(start)
         elif not start:
             raise CairnError(f"{name}: is empty; give an image file")
+        elif start.startswith(b"version "):
+            raise CairnError(f"{name}: is a pointer of Git LFS to the image; run `git lfs pull`")
         else:
             raise CairnError(
                 f"{name}: not an image of a known format, it begins with {start[:8]!r}; give a "
@@ -381,8 +383,14 @@ def _decode_pnm(data: bytes) -> NDArray[Any]:
                 raise ValueError("its pixels are not numbers") from error
     else:
         words = np.dtype(np.uint8 if most < 256 else ">u2")
-        whole = (len(data) - found.end()) // words.itemsize
-        values = np.frombuffer(data, words, min(number, whole), found.end())
+        start = found.end()
+        # Programs of Windows end the header's lines by two bytes: there is one too many then.
+        if data[start - 1 : start + 1] == b"\r\n" and (
+            len(data) - start == number * words.itemsize + 1
+        ):
+            start += 1
+        whole = (len(data) - start) // words.itemsize
+        values = np.frombuffer(data, words, min(number, whole), start)
     if values.size < number:
         raise ValueError(f"it has {values.size} of {number} values")
     if values.max() > most:

@@ -1,5 +1,6 @@
 """Read JSON from other processes with limits on its size, depth and numbers."""
 
+import codecs
 from math import isfinite
 from typing import Any, Final
 
@@ -16,6 +17,8 @@ def parse_json(data: bytes, longest: int) -> Any:
     """
     if len(data) > longest:
         raise too_large(len(data), longest)
+    if data[: len(codecs.BOM_UTF8)] == codecs.BOM_UTF8:  # of editors of Windows
+        data = data[len(codecs.BOM_UTF8) :]
     value = from_json(data, allow_inf_nan=False, cache_strings=False)
     _check(value, _DEPTH)
     return value

@@ -117,9 +117,29 @@ class _Loader(BoundedComposer):
         return super().construct_mapping(node, deep)
 
 
+class _OpenCvLoader(_Loader):
+    """Also reads the matrices of OpenCV's FileStorage, as mappings."""
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Hashable, Any]:
+    return loader.construct_mapping(node, deep=True)
+
+
+_OpenCvLoader.add_constructor("tag:yaml.org,2002:opencv-matrix", _mapping)
+_OPENCV_HEAD: Final = "%YAML:1.0"  # YAML writes %YAML 1.0
+
+
 def parse_yaml(text: str) -> Any:
     """Return the value of a YAML text; raise `yaml.YAMLError` if it is invalid or too large."""
     return yaml.load(text, _Loader)
+
+
+def parse_opencv_yaml(text: str) -> Any:
+    """Return the value of a YAML text, also of one that OpenCV has written; else as `parse_yaml`.
+
+    A matrix is a mapping with `rows`, `cols` and `data`.
+    """
+    return yaml.load(text.removeprefix(_OPENCV_HEAD), _OpenCvLoader)
 
 
 def read_yaml(file: Path) -> Any:

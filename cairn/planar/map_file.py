@@ -37,6 +37,15 @@ def _as_bool(value: object) -> object:
     return {0: False, 1: True}.get(value, value) if isinstance(value, int) else value
 
 
+def _three_numbers(value: object) -> object:
+    """Return the three numbers of an origin; Python writes (1.0, 2.0, 0.0), which is a text."""
+    if isinstance(value, str) and value.startswith("(") and value.endswith(")"):
+        value = [float(part) for part in value[1:-1].split(",")]
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError("must be [x, y, yaw] in m and rad; yaw is 0 if the map is not rotated")
+    return value
+
+
 Number = Annotated[float, BeforeValidator(no_boolean)]
 Coordinate = Annotated[
     float, Field(ge=-LARGEST_ORIGIN, le=LARGEST_ORIGIN), BeforeValidator(no_boolean)
@@ -51,7 +60,7 @@ class MapFile(BaseModel):
     image: Path
     mode: Mode = "trinary"
     resolution: Number = Field(ge=SMALLEST_CELL, le=100)
-    origin: tuple[Coordinate, Coordinate, Coordinate]
+    origin: Annotated[tuple[Coordinate, Coordinate, Coordinate], BeforeValidator(_three_numbers)]
     negate: Annotated[bool, BeforeValidator(_as_bool)] = False
     occupied_thresh: Number = Field(gt=0, le=1)
     free_thresh: Number = Field(ge=0, lt=1)
@@ -103,6 +112,11 @@ def read_map(file: Path, notify: Callable[[str], object] = lambda _: None) -> Oc
         cells = look_up(values, levels)
         if description.mode == "scale" and opaque is not None:
             cells[~opaque] = UNKNOWN
+        elif opaque is not None and not opaque.all():
+            notify(
+                f"{file}: {np.mean(~opaque):.0%} of the pixels are transparent, and count by their "
+                f"hidden color in mode {description.mode}: draw them on white, or set mode: scale"
+            )
     x, y, yaw = description.origin
     return Grid(np.ascontiguousarray(cells[::-1]), Frame(description.resolution, (x, y, yaw)))
 
@@ -163,7 +177,9 @@ def _read_description(file: Path) -> MapFile:
     except OSError as error:
         raise CairnError(f"{file}: cannot be read: {explain_os_error(error)}") from error
     except UnicodeDecodeError as error:
-        raise CairnError(f"{file}: not a map_server YAML file: {error}") from error
+        raise CairnError(
+            f"{file}: not a map_server YAML file: {error}; save it as UTF-8"
+        ) from error
     except yaml.YAMLError as error:
         position, fault = yaml_fault(error)
         raise CairnError(f"{file}{position}: not a map_server YAML file: {fault}") from error

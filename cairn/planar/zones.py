@@ -20,7 +20,7 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from cairn.errors import CairnError
 from cairn.limits.files import read_bounded
@@ -35,26 +35,60 @@ ZONE_FILE_BYTES: Final = 16 * 1024 * 1024
 
 Array = NDArray[np.float64]
 Number = Annotated[float, Field(strict=True)]
-Position = tuple[Number, Number]
+Ignored = Annotated[Any, Field(exclude=True)]
+
+
+def _flat(value: object) -> object:
+    """Return a position without its height, which is 0 as programs of maps write it."""
+    if isinstance(value, list) and len(value) == 3:
+        if value[2]:
+            raise ValueError(f"has the height {value[2]}, but zones are flat")
+        return value[:2]
+    return value
+
+
+Position = Annotated[tuple[Number, Number], BeforeValidator(_flat)]
 
 
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class _Polygon(_Part):
+class _Geometry(_Part):
+    bbox: Ignored = None
+
+
+class _Polygon(_Geometry):
     type: Literal["Polygon"] = "Polygon"
     coordinates: list[list[Position]]
 
 
-class _LineString(_Part):
+class _LineString(_Geometry):
     type: Literal["LineString"] = "LineString"
     coordinates: list[Position]
 
 
-class _Point(_Part):
+class _Point(_Geometry):
     type: Literal["Point"] = "Point"
     coordinates: Position
+
+
+def _single(value: object) -> object:
+    """Return a geometry of several parts, of which there is one, as that part."""
+    if isinstance(value, dict) and str(value.get("type", "")).startswith("Multi"):
+        parts = value.get("coordinates")
+        if not isinstance(parts, list) or len(parts) != 1:
+            raise ValueError("has several parts; make each a feature of its own")
+        return {"type": str(value["type"]).removeprefix("Multi"), "coordinates": parts[0]}
+    return value
+
+
+def _no_crs(_: object) -> object:
+    """Refuse coordinates of the earth."""
+    raise ValueError(
+        "its coordinates are those of the earth; those of zones are x, y [m] in frame map: "
+        "export it without them"
+    )
 
 
 class _Keepout(_Part):
@@ -83,12 +117,20 @@ class _Place(_Part):
 class _Feature(_Part):
     type: Literal["Feature"] = "Feature"
     properties: Annotated[_Keepout | _Slow | _Lane | _Place, Field(discriminator="zone")]
-    geometry: Annotated[_Polygon | _LineString | _Point, Field(discriminator="type")]
+    geometry: Annotated[
+        Annotated[_Polygon | _LineString | _Point, Field(discriminator="type")],
+        BeforeValidator(_single),
+    ]
+    id: Ignored = None
+    bbox: Ignored = None
 
 
 class _Collection(_Part):
     type: Literal["FeatureCollection"]
     features: list[Any] = Field(max_length=MAX_ZONES)
+    name: Ignored = None
+    bbox: Ignored = None
+    crs: Annotated[Ignored, BeforeValidator(_no_crs)] = None
 
 
 def read_zones(file: Path) -> tuple[Zone, ...]:

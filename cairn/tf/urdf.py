@@ -26,6 +26,7 @@ MOST_LINKS: Final = 10_000
 """Largest number of links, and of joints."""
 
 _MOST_ELEMENTS = 200_000
+_LARGEST_ANGLE = 2.0 * math.pi + 1e-3  # [rad]; degrees are more, as a rule
 _DEEPEST = 100
 _LONGEST_NAME = 255
 _MOVABLE = ("revolute", "continuous", "prismatic", "floating", "planar")
@@ -110,7 +111,7 @@ def read_urdf_file(path: Path) -> RobotDescription:
         ) from error
     except UnicodeDecodeError as error:
         raise RobotDescriptionError(
-            f"{path}: it is not UTF-8 text ({error.reason}); give a robot description (URDF)"
+            f"{path}: it is not UTF-8 text ({error.reason}); save it as UTF-8"
         ) from error
     return read_urdf(text, str(path))
 
@@ -171,12 +172,18 @@ class _ReadJoint:
     def joint(self, source: str) -> Joint:
         try:
             x, y, z = _three_numbers(self.xyz)
-            transform = Transform.from_roll_pitch_yaw(*_three_numbers(self.rpy), (x, y, z))
+            angles = _three_numbers(self.rpy)
+            transform = Transform.from_roll_pitch_yaw(*angles, (x, y, z))
         except (ValueError, InvalidArgumentError) as error:
             raise RobotDescriptionError(
                 f"{source}: joint {self.name}: origin xyz={self.xyz[:80]!r} rpy={self.rpy[:80]!r} "
                 "are not three finite numbers each; correct it, and expand it first if it is xacro"
             ) from error
+        if max(map(abs, angles)) > _LARGEST_ANGLE:
+            raise RobotDescriptionError(
+                f"{source}: joint {self.name}: origin rpy={self.rpy[:80]!r} has an angle of more "
+                "than a turn; give it in radians, such as 1.5708 for 90 degrees"
+            )
         return Joint(self.name, self.type, self.parent, self.child, transform)
 
 
@@ -206,7 +213,9 @@ class _UrdfReader:
         self._check_unique([joint.name for joint in self.joints], "joint")
         known = set(self.links)
         for joint in self.joints:
-            for link in (joint.parent, joint.child):
+            for link, role in ((joint.parent, "parent"), (joint.child, "child")):
+                if not link:
+                    raise self._error(f"joint {joint.name} has no {role}", f"add <{role} link=...>")
                 if link not in known:
                     raise self._error(
                         f"joint {joint.name}: there is no link {link!r}",
@@ -244,6 +253,10 @@ class _UrdfReader:
                 "give a smaller robot description",
             )
         self.path.append(element)
+        if element.startswith("xacro:"):
+            raise self._error(
+                f"it is a xacro file (<{element[:80]}>)", "expand it: `xacro FILE > robot.urdf`"
+            )
         match self.path:
             case ["robot"]:
                 self.robot = attributes.get("name", "")
@@ -257,6 +270,11 @@ class _UrdfReader:
             case [_, "joint"]:
                 self.joints.append(self._joint(attributes))
             case [_, "joint", "origin"]:
+                if unknown := sorted(attributes.keys() - {"xyz", "rpy"}):
+                    raise self._error(
+                        f"joint {self.joints[-1].name}: its origin has {unknown[0][:80]}",
+                        "give its rotation as rpy, in radians",
+                    )
                 self.joints[-1].xyz = attributes.get("xyz", "0 0 0")
                 self.joints[-1].rpy = attributes.get("rpy", "0 0 0")
             case [_, "joint", "parent"]:
@@ -287,6 +305,11 @@ class _UrdfReader:
 
     def _name(self, element: str, attributes: dict[str, str]) -> str:
         name = attributes.get("name", "")
+        if "${" in name:
+            raise self._error(
+                f"a {element} has the name {name[:80]}, as in a xacro file",
+                "expand it: `xacro FILE > robot.urdf`",
+            )
         if not name or len(name) > _LONGEST_NAME:
             raise self._error(
                 f"the name of a {element} has {len(name)} characters",

@@ -19,7 +19,8 @@ from pydantic import (
 )
 
 from cairn.errors import CairnError
-from cairn.limits.yaml import no_boolean, read_yaml, yaml_fault
+from cairn.limits.files import read_text_bounded
+from cairn.limits.yaml import YAML_BYTES, no_boolean, parse_opencv_yaml, yaml_fault
 from cairn.schemas.sensor_msgs import CameraInfo
 from cairn.schemas.std_msgs import Header
 from cairn.system.files import explain_os_error, explained, replace_file
@@ -55,8 +56,8 @@ class _CameraFile(BaseModel):
     distortion_model: str = "plumb_bob"
     camera_matrix: _Matrix
     distortion_coefficients: _Matrix
-    rectification_matrix: _Matrix
-    projection_matrix: _Matrix
+    rectification_matrix: _Matrix = _Matrix(rows=3, cols=3, data=[0.0] * 9)
+    projection_matrix: _Matrix = _Matrix(rows=3, cols=4, data=[0.0] * 12)
 
 
 _SHAPES = {
@@ -119,7 +120,8 @@ _REMEDY = "calibrate the camera again with `cairn camera calibrate`, or use an i
 
 def _load(file: Path) -> _CameraFile:
     try:
-        content = read_yaml(file)
+        text = read_text_bounded(file, YAML_BYTES)
+        content = parse_opencv_yaml(text)
     except FileNotFoundError as error:
         raise CairnError(
             f"{file}: no such calibration file; make one with `cairn camera calibrate`"
@@ -131,10 +133,16 @@ def _load(file: Path) -> _CameraFile:
     except UnicodeDecodeError as error:
         raise CairnError(f"{file}: not a calibration in YAML: {error}; {_REMEDY}") from error
     except yaml.YAMLError as error:
+        if "[image]" in text:
+            raise CairnError(f"{file}: is a file ost.txt; give the ost.yaml beside it") from error
         position, fault = yaml_fault(error)
         raise CairnError(
             f"{file}{position}: not a calibration in YAML: {fault}; {_REMEDY}"
         ) from error
+    if isinstance(content, dict) and "cam0" in content:
+        raise CairnError(f"{file}: is a camchain of Kalibr; convert it to ROS's camera_info YAML")
+    if isinstance(content, dict) and {"width", "height", "k", "d"} <= content.keys():
+        content = _of_message(content)
     if not isinstance(content, dict):
         raise CairnError(f"{file}: not a calibration in YAML: it has no keys; {_REMEDY}")
     try:
@@ -144,6 +152,17 @@ def _load(file: Path) -> _CameraFile:
         key = ".".join(map(str, first["loc"]))
         value = "" if first["type"] == "missing" else f" = {str(first['input'])[:60]}"
         raise CairnError(f"{file}: {key}{value}: {first['msg'].lower()}; {_REMEDY}") from error
+
+
+def _of_message(content: dict[Any, Any]) -> dict[Any, Any]:
+    """Return the keys of the file for those of a message CameraInfo, as `ros2 topic echo` has."""
+    given = {"image_width": content["width"], "image_height": content["height"]}
+    shapes = {"k": (3, 3), "r": (3, 3), "p": (3, 4)} | {"d": (1, len(content["d"] or ()))}
+    names = dict(zip("krpd", (*_SHAPES, "distortion_coefficients"), strict=True))
+    for key, (rows, columns) in shapes.items():
+        if key in content:
+            given[names[key]] = {"rows": rows, "cols": columns, "data": content[key]}
+    return content | given
 
 
 def _matrix(values: NDArray[np.float64]) -> dict[str, Any]:

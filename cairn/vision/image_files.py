@@ -44,10 +44,16 @@ def images_in(folder: Path) -> list[Path]:
             children += child.iterdir()
     except OSError as error:
         raise CairnError(f"{folder} cannot be read: {explain_os_error(error)}.") from error
-    found = [child for child in children if child.suffix.lower() in SUFFIXES and child.is_file()]
+    found = [child for child in children if is_image(child)]
     if not found:
         raise CairnError(f"{folder} has no images (files that end in {', '.join(SUFFIXES)}).")
     return sorted(found, key=lambda path: (path.parent.name, natural_order(path)))
+
+
+def is_image(file: Path) -> bool:
+    """Return whether a file's name is that of an image; hidden ones are macOS's notes on others."""
+    named = file.suffix.lower() in SUFFIXES and not file.name.startswith(".")
+    return named and file.is_file()
 
 
 def is_camera_folder(folder: Path) -> bool:

@@ -261,7 +261,7 @@ def scan_of(stamp: int, m: Any, upside_down: bool) -> LaserScan:
     """Return a message of ROS as a scan with a time [ns], mirrored if the scanner is upside down.
 
     Of several echoes, the nearest counts. It is repaired like one on the bus. Raises
-    `InvalidMessage`, `ValueError`, of which `NothingMeasured` is no fault.
+    `InvalidMessage`, `ValueError`; `NothingMeasured` means a valid scan.
     """
     if not len(m.ranges):
         raise NothingMeasured("it has no ranges")

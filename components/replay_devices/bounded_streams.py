@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import codecs
 import gzip
 import lzma
 import os
@@ -86,6 +87,8 @@ def first_lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield lines as `text_lines` does, without reading the whole file before."""
     with _explained(path) as at:
         for raw in _raw_lines(path, at):
+            if at.line == 1:
+                raw = raw.removeprefix(codecs.BOM_UTF8)  # of editors of Windows
             yield at.line, raw.decode("ascii")
 
 

@@ -335,7 +335,7 @@ class CarmenRecording(Recording):
             longest = _parse_length(parameter) or _SICK_LONGEST
         ranges = np.where(line.ranges >= longest, np.float32(math.inf), line.ranges)
         if longest <= _SICK_ERRORS:
-            ranges[line.ranges > _SICK_ERRORS] = math.nan
+            ranges[(line.ranges > _SICK_ERRORS) & np.isfinite(line.ranges)] = math.nan
         try:
             return LaserScan(
                 header=Header(stamp=from_ns(stamp), frame_id="laser"),

@@ -214,6 +214,9 @@ def _flaser(words: list[str], line: int) -> LaserLine:
     )
 
 
+_MOST_TURN_RAD = 2.5 * math.pi  # of a sweep, as in a LaserScan
+
+
 def _laser(words: list[str], line: int) -> LaserLine:
     """Parse the newer kinds, which describe their beams; ROBOTLASER1 has poses as well.
 
@@ -226,7 +229,8 @@ def _laser(words: list[str], line: int) -> LaserLine:
     rest = remissions + 1 + _whole(words, remissions)
     poses = words[0] == "ROBOTLASER1"
     _check_count(words, rest + (11 if poses else 0) + _STAMP)
-    if step == 0 and count > 1:
+    # Some programs write the number of steps instead of the angle between them.
+    if count > 1 and (step == 0 or abs(step) * (count - 1) > _MOST_TURN_RAD):
         step = fov / (count - 1)
     if 0 < longest <= SHORTEST_M:
         raise _DamageError(f"the longest range is {longest:g} m, not above {SHORTEST_M:g} m")
@@ -294,9 +298,16 @@ def _time(text: str) -> int:
 
 
 def _ranges(words: list[str]) -> NDArray[np.float32]:
-    ranges = np.array(_numbers(words, "range"), dtype=np.float32)
-    if ranges.size and ranges.min() < 0:
-        raise _DamageError(f"a range is {ranges.min():g} m")
+    """Return ranges [m]; as in REP 117, inf without a return, nan of a failed measurement."""
+    others = [word for word in words if word not in ("inf", "nan", "-nan")]
+    if len(others) < len(words):
+        _numbers(others, "range")
+        ranges = np.array([float(word) for word in words], dtype=np.float32)
+    else:
+        ranges = np.array(_numbers(words, "range"), dtype=np.float32)
+    least = float(np.nanmin(ranges, initial=0.0))
+    if least < 0:
+        raise _DamageError(f"a range is {least:g} m")
     return ranges
 
 

@@ -24,11 +24,11 @@ from cairn.errors import RecordingError
 from cairn.limits.files import open_regular
 from cairn.limits.images import check_pixels
 from cairn.vision.image_files import (
-    SUFFIXES,
     assign_cameras,
     camera_of,
     images_in,
     is_camera_folder,
+    is_image,
     pair_files,
 )
 from cairn.vision.images import read_image, upright_size
@@ -79,7 +79,7 @@ class ImageRecording(Recording):
 def holds_images(folder: Path) -> bool:
     """Return whether a folder holds images, videos, or folders of cameras."""
     for child in folder.iterdir():
-        if child.suffix.lower() in SUFFIXES or (child.is_file() and is_video(child)):
+        if is_image(child) or (child.is_file() and is_video(child)):
             return True
         if is_camera_folder(child) or (child.is_dir() and camera_of(child / "x") is not None):
             return True

@@ -100,7 +100,7 @@ def test_features_of_a_zone_are_geojson() -> None:
         (feature("LineString", [[0, 0], [1, 1]], zone="lane", name="a", width=0), "width"),
         (feature("Point", [0, 0], zone="keepout", name="a"), "is a Polygon, not a Point"),
         (feature("Point", [2e5, 0], zone="place", name="a"), "at most 100000 m"),
-        (feature("Point", [0, 0, 0], zone="place", name="a"), "coordinates"),
+        (feature("Point", [0, 0, 1], zone="place", name="a"), "height 1"),
         (feature("Point", [0, 0], zone="place", name="a", heading=9), "heading"),
         (feature("Point", [0, 0], zone="place", name=""), "1 to 64 characters"),
         (feature("Point", [0, 0], zone="place", name="x" * 65), "1 to 64 characters"),
@@ -109,7 +109,7 @@ def test_features_of_a_zone_are_geojson() -> None:
         (feature("Point", [0, 0], zone="place", name="-a"), "begin with a letter"),
         (feature("Point", [0, 0], zone="place", name="3"), "begin with a letter"),
         (feature("Point", [0, 0], zone="place", name="nan"), "must not be a number"),
-        ({**KITCHEN, "id": 1}, "id"),
+        ({**KITCHEN, "color": 1}, "color"),
         ("kitchen", "it must be an object"),
     ],
 )

@@ -98,7 +98,7 @@ INVALID = {
     "unknown link": (robot(joint("a", "z")), ("joint j", "no link 'z'")),
     "joint without a child": (
         robot('<joint name="j" type="fixed"><parent link="a"/></joint>'),
-        ("joint j", "no link ''"),
+        ("joint j", "no child"),
     ),
     "type": (robot(joint("a", "b", kind="welded")), ("joint j", "welded", "revolute")),
     "no type": (robot('<joint name="j"/>'), ("joint j", "''", "fixed")),
@@ -147,7 +147,10 @@ def test_invalid_description_is_refused_with_the_reason(what: str) -> None:
 
 @pytest.mark.parametrize(
     ("data", "words"),
-    [(b"\xff\xfe<robot/>", ("not UTF-8", "URDF")), (b" " * 4_000_001, ("4 MB", "smaller"))],
+    [
+        (b"\xff\xfe<robot/>", ("not UTF-8", "save it as UTF-8")),
+        (b" " * 4_000_001, ("4 MB", "smaller")),
+    ],
     ids=["not UTF-8", "too long"],
 )
 def test_file_that_is_no_description_is_refused(
