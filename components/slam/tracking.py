@@ -51,6 +51,8 @@ _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # people hide it.
 _NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
 _STANDS_M, _STANDS_RAD = 0.02, 0.02
+# Where scans are usually farther from each other than this [m], they need not show the same.
+_NEXT_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,7 @@ class ScanTracker:
         self.usual_fit = 0.0
         """How well scans have fitted lately, from 0 to 1."""
         self._misfits = self._since_jump = 0  # scans in a row
+        self._usual_step_m = 0.0
         self._driven: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan that fitted
         self._covariance = np.zeros((3, 3))  # since the surroundings were set
 
@@ -110,6 +113,8 @@ class ScanTracker:
         """
         tracked = self._track(pose, step, cloud)
         self._before = cloud
+        length = math.hypot(step[0], step[1])
+        self._usual_step_m += _FIT_MEMORY * (length - self._usual_step_m)
         return tracked
 
     def _track(self, pose: Pose, step: Pose, cloud: PointCloud) -> Tracked:
@@ -144,16 +149,22 @@ class ScanTracker:
         is_misfit = found.fit < max(_NO_FIT, _NO_FIT_OF_USUAL * self.usual_fit)
         self._misfits = self._misfits + 1 if is_misfit else 0
         self._driven = compose(self._driven, step) if self._misfits > 1 else step
+        is_moving = apart(self._driven, (0.0, 0.0, 0.0), _STANDS_M, _STANDS_RAD)
         if not is_misfit:
             self._since_jump = 0
-        elif self._since_jump or not self._follows(cloud, step, trusted):
-            self._since_jump += 1
-        elif self._misfits >= _NO_FIT_IN_A_ROW:
-            if apart(self._driven, (0.0, 0.0, 0.0), _STANDS_M, _STANDS_RAD):
-                # The place is new, or people stand around: only odometry shows the way.
-                self._misfits = 0
+        else:
+            follows = self._follows(cloud, step, trusted)
+            # A robot that was moved by hand sees one place and then another one. Where scan after
+            # scan differs from the one before, there are leaves and grass, or nothing is near.
+            is_new_place = self._misfits >= _NO_FIT_IN_A_ROW and not self._since_jump
+            if is_moving and (is_new_place if follows else self._since_jump):
+                # Or people stand around: only odometry shows the way.
+                self._misfits = self._since_jump = 0
                 return self._at(guess, noise, None, None)
-            self._since_jump = self._misfits
+            if is_new_place and follows:
+                self._since_jump = self._misfits
+            elif self._since_jump or not follows:
+                self._since_jump += 1
         if self._misfits:
             # Better a wrong step of odometry than one to where nothing fits.
             return self._at(guess, noise, None, found.fit)
@@ -165,6 +176,8 @@ class ScanTracker:
         """Return whether a scan shows the same as the one before, `step` from there."""
         before = self._before
         if before is None or before.count < _LEAST_POINTS:
+            return True
+        if self._usual_step_m > _NEXT_M and math.hypot(step[0], step[1]) < 2 * self._usual_step_m:
             return True
         return Reference(before).align(cloud, step, prior, _REACH_M).fit >= _NO_FIT
 

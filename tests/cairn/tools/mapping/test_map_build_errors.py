@@ -101,7 +101,7 @@ def test_unusable_recording_or_option_is_named_with_a_remedy(
     answer = cairn("map", "build", recording, str(tmp_path / "new" / "map"), *options)
 
     assert answer.code == 1
-    assert answer.err.startswith("cairn: ")
+    assert "\ncairn: " in f"\n{answer.err}"  # after notes on the recording
     assert_words(answer.err, *words)
     assert not (tmp_path / "new").exists()
 
