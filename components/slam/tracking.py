@@ -51,6 +51,8 @@ _SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # people hide it.
 _NO_FIT, _NO_FIT_OF_USUAL, _NO_FIT_IN_A_ROW = 0.3, 0.6, 4
 _STANDS_M, _STANDS_RAD = 0.02, 0.02
+# A scan follows the one before with such a fit, where the next one could show a jump.
+_FOLLOWS = 0.5
 # Where scans are usually farther from each other than this [m], they need not show the same.
 _NEXT_M = 0.5
 
@@ -92,6 +94,8 @@ class ScanTracker:
         """How well scans have fitted lately, from 0 to 1."""
         self._misfits = self._since_jump = 0  # scans in a row
         self._usual_step_m = 0.0
+        # What the scan before that showed, and the step to the last one.
+        self._earlier: tuple[PointCloud | None, Pose] = (None, (0.0, 0.0, 0.0))
         self._driven: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan that fitted
         self._covariance = np.zeros((3, 3))  # since the surroundings were set
 
@@ -112,6 +116,7 @@ class ScanTracker:
         show. Otherwise the wheels may have slipped, the place may be new, or the robot was moved.
         """
         tracked = self._track(pose, step, cloud)
+        self._earlier = (self._before, step)
         self._before = cloud
         length = math.hypot(step[0], step[1])
         self._usual_step_m += _FIT_MEMORY * (length - self._usual_step_m)
@@ -156,14 +161,15 @@ class ScanTracker:
             follows = self._follows(cloud, step, trusted)
             # A robot that was moved by hand sees one place and then another one. Where scan after
             # scan differs from the one before, there are leaves and grass, or nothing is near.
-            is_new_place = self._misfits >= _NO_FIT_IN_A_ROW and not self._since_jump
-            if is_moving and (is_new_place if follows else self._since_jump):
+            jumps = not follows and not self._since_jump and self._followed_before(trusted)
+            is_new_place = self._misfits >= _NO_FIT_IN_A_ROW and not (self._since_jump or jumps)
+            if is_moving and (is_new_place or (self._since_jump and not follows)):
                 # Or people stand around: only odometry shows the way.
                 self._misfits = self._since_jump = 0
                 return self._at(guess, noise, None, None)
-            if is_new_place and follows:
+            if is_new_place:
                 self._since_jump = self._misfits
-            elif self._since_jump or not follows:
+            elif self._since_jump or jumps:
                 self._since_jump += 1
         if self._misfits:
             # Better a wrong step of odometry than one to where nothing fits.
@@ -180,6 +186,13 @@ class ScanTracker:
         if self._usual_step_m > _NEXT_M and math.hypot(step[0], step[1]) < 2 * self._usual_step_m:
             return True
         return Reference(before).align(cloud, step, prior, _REACH_M).fit >= _NO_FIT
+
+    def _followed_before(self, prior: Array) -> bool:
+        """Return whether the scan before showed the same as the one before that, clearly."""
+        (earlier, step), before = self._earlier, self._before
+        if earlier is None or before is None or earlier.count < _LEAST_POINTS:
+            return True
+        return Reference(earlier).align(before, step, prior, _REACH_M).fit >= _FOLLOWS
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
