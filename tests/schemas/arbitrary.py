@@ -152,7 +152,9 @@ def _covariances(size: int) -> st.SearchStrategy[Any]:
 @st.composite
 def _scans(draw: st.DrawFn) -> Any:
     beams = draw(st.integers(0, LONGEST))
-    first, step = draw(st.floats(-3, 3, width=32)), draw(st.floats(-1, 1, width=32))
+    widest = 0.5 if beams < 16 else 4.0 / beams  # within a turn
+    first, step = draw(st.floats(-3, 3)), draw(st.floats(-widest, widest))
+    first, step = float(np.float32(first)), float(np.float32(step))
     last = first + max(0, beams - 1) * step
     nearest = draw(st.floats(0, 1, width=32))
     farthest = [nearest or 30.0, 30.0] if beams else [nearest, math.inf]
@@ -163,6 +165,7 @@ def _scans(draw: st.DrawFn) -> Any:
             angle_min=st.just(first),
             angle_max=st.sampled_from([last, last + step]),
             angle_increment=st.just(step),
+            time_increment=st.floats(-0.5, 0.5, width=32).map(lambda t: t / max(1, beams)),
             range_min=st.just(nearest),
             range_max=st.sampled_from(farthest),
             ranges=_arrays("float32", beams),
