@@ -139,9 +139,12 @@ def complete_replacement(file: Path) -> None:
         parts: list[Path] = []
         with suppress(FileNotFoundError):  # here and below: another process completes it, too
             parts = sorted(written.iterdir())
-        for name in removed.read_text().splitlines() if removed in parts else ():
-            remove_side_files(file.with_name(name))
-            file.with_name(name).unlink(missing_ok=True)
+        names = removed.read_text(errors="replace").splitlines() if removed in parts else []
+        for name in names:
+            gone = Path(name)
+            if gone.name == name and gone.stem == file.stem:  # of a file of this name, nothing else
+                remove_side_files(file.with_name(name))
+                file.with_name(name).unlink(missing_ok=True)
         for part in parts:
             if part != removed:
                 remove_side_files(file.with_name(part.name))

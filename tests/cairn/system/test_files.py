@@ -186,3 +186,19 @@ def test_files_that_cannot_be_written_together_stay_and_are_named(tmp_path: Path
         write()
     assert str(refused.value) == f"{tmp_path / 'hall.pgm'}: takes no data"
     assert names(tmp_path) == ["hall.yaml"]
+
+
+def test_replacement_removes_no_other_files(tmp_path: Path) -> None:
+    folder = tmp_path / "maps"
+    written = folder / ".hall.new"
+    written.mkdir(parents=True)
+    other, outside = folder / "room.yaml", tmp_path / "hall.yaml"
+    for file in (other, outside):
+        file.write_text("stays")
+    (written / ".removed").write_bytes(b"../hall.yaml\nroom.yaml\n\xff\n/hall.yaml\n..\nhall.tum")
+    (folder / "hall.tum").write_text("old")
+
+    complete_replacement(folder / "hall.graph")
+
+    assert (other.read_text(), outside.read_text()) == ("stays", "stays")
+    assert names(folder) == ["room.yaml"]
