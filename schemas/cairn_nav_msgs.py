@@ -375,6 +375,16 @@ EXPLORATION_STATES: Final = {
 """The names of the states of an `ExplorationStatus`."""
 
 
+@message("cairn_nav_msgs/msg/AlternativePose")
+class AlternativePose:
+    """Another position in frame map at which the robot may be, and how probable that is."""
+
+    x: FiniteFloat64 = 0.0
+    y: FiniteFloat64 = 0.0
+    theta: FiniteFloat64 = 0.0
+    probability: Probability = 0.0
+
+
 @message("cairn_nav_msgs/msg/LocalizationEstimate")
 class LocalizationEstimate:
     """Where the robot is in frame map, and how far that estimate can be relied on.
@@ -384,7 +394,8 @@ class LocalizationEstimate:
     its `ReasonCode`. `position_sd` [m] and `heading_sd` [rad] are standard deviations; `scan_fit`
     is the share of the scan's beams that the grid map explains, NaN without a scan;
     `objects_agreeing` and `objects_contradicting` count the positions of mapped objects observed
-    recently. `particles` is the size of the particle set.
+    recently. `particles` is the size of the particle set; `alternatives` are the other positions at
+    which the robot may be, the most probable first.
     """
 
     header: Header = Header()
@@ -397,6 +408,7 @@ class LocalizationEstimate:
     objects_agreeing: UInt32 = 0
     objects_contradicting: UInt32 = 0
     particles: UInt32 = 0
+    alternatives: tuple[AlternativePose, ...] = ()
     reason: String = ""
     reason_code: ReasonNumber = 0
 

@@ -451,7 +451,8 @@ class Localizer(Component):
         if self._localization.map is not None:
             health = self._scanner.limit(health, self._track.latest, self.scan.topic)
         particles = self._localization.filters.particles.count
-        self.localization.publish(estimate_message(header, pose, health, particles))
+        others = self._localization.alternatives() if pose is not None else []
+        self.localization.publish(estimate_message(header, pose, health, particles, others))
 
     def _header(self, stamp: float) -> Header:
         return Header(stamp=from_ns(round(stamp * SECOND)), frame_id="map")

@@ -29,6 +29,18 @@ Array = NDArray[np.float64]
 # of `_LOOSE`, `_PER_M2` and `_MODES` locate as many robots as the present values: 20 and 19 of 20
 # from unknown starts on fr101 and fr079 (benchmark `localization_logs`); others were not compared.
 
+# A global search counts less of a scan: things that no map holds (people, furniture that was moved)
+# fit some position or other by chance. From unknown starts on fr101 and fr079 (benchmark
+# `localization_logs`) 20 and 19 of 20 were located, after 3 and 2 s; with half 20 and 20 after 6
+# and 3 s, with double 20 and 19 after 3 and 1 s.
+SEARCH_SHARE = 0.4
+# What errs for one scan (a gap in the map, a crowd, a door) errs for the next ones as well: only
+# every so many meters of the way scans count as much again as the first one. A scanner sees about
+# as far indoors before walls hide the rest.
+MOMENT, CORRELATED_M = 0.3, 1.7
+# Positions differ by at least this: 0.5 m and 0.7 rad each; a map without a grid reaches so far
+# around its objects [m].
+_PLACES_PER_M2, _AROUND_OBJECTS_M = 2.0 * math.pi / (0.5 * 0.5 * 0.7), 4.0
 # So many scans are compared loosely: of more, a pose that is a little off explains nothing.
 _LOOSE = 4
 
@@ -47,6 +59,42 @@ class RecentMeasurements:
     scan_share: float
     now: Pose
     moved_s: float
+
+    @property
+    def places(self) -> float:
+        """About how many positions there are at which the robot may be: at least 1."""
+        if self.map is not None:
+            area = self.map.free.area
+        else:
+            marks = np.array([(one.x, one.y) for one in self.landmarks.values()]).reshape(-1, 2)
+            area = float(np.prod(np.ptp(marks, axis=0) + _AROUND_OBJECTS_M)) if len(marks) else 0.0
+        return max(1.0, area * _PLACES_PER_M2)
+
+    def scan_worth(self, poses: Array) -> Array:
+        """Return what the recent scans say for poses (3, n) in a comparison of positions: (n,).
+
+        Their errors are correlated: it is the mean over the scans, and more only by the way
+        between them.
+        """
+        if self.map is None or not len(self.scans):
+            return np.zeros(poses.shape[1])
+        field = self.map.field
+
+        def each(poses: Array, points: Array) -> Array:
+            hidden = [field.through_walls((x, y, t), points) for x, y, t in poses.T.tolist()]
+            result: Array = field.log_likelihood(poses, points) + hidden
+            return result
+
+        total = self.scans.log_likelihood(poses, self.now, each, None)
+        worth = self.scan_share * MOMENT * (1.0 + self.scans.way_m / CORRELATED_M) / len(self.scans)
+        result: Array = worth * total
+        return result
+
+    def object_worth(self, poses: Array) -> Array:
+        """Return what the recent observations say for poses (3, n): (n,)."""
+        return self.observations.log_likelihood(
+            poses, self.now, self.moved_s, self.landmarks, worth=1.0
+        )
 
     @property
     def scanned(self) -> bool:
@@ -103,7 +151,7 @@ _LOOSE_SHARE, _LOOSELY, _LOOSE_NOISE = 0.5, 5000, 0.08
 # Without scans, one in so many poses is kept, but at least so many.
 _ONE_IN, _LEAST_KEPT = 10, 200
 # So many of the best particles are examined as centers of a mode, and poses within this distance
-# [m], [rad] of one another are of the same mode: 0.5 m as in `relocalization`.
+# [m], [rad] of one another are of the same mode: 0.5 m as a robot is wide.
 _CENTERS, _MODE_WIDTH = 50, 0.5
 # So many modes of a search are examined again by the next one.
 _KEPT = 16

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 _EXPLAINED_M = 0.12
 # A beam within so many deviations of an obstacle measures it, and nothing else: 99.7 % of them do.
 _NEAR_SD = 3.0
+# A beam passes an obstacle if it meets one more than this before its end [m]: a beam along a wall
+# meets it early if the pose is a little off. So far from the robot's center [m] it begins.
+_BEYOND_M, _NEARER_M = 0.5, 0.3
 
 
 # Rows of which a field is computed at once, to limit the memory for a large map.
@@ -104,7 +107,27 @@ class LikelihoodField:
         """
         if not len(starts):
             return math.nan
-        met = _met(
+        return 1.0 - float(np.mean(self._meet(pose, starts, ends)))
+
+    def through_walls(self, pose: Pose, points: Array) -> float:
+        """Return by how much beams that pass an obstacle before they end (m, 2) [m] explain less.
+
+        Their ends may lie at obstacles, but from this pose those are hidden: such a beam measures
+        something else. The sum of log-likelihoods that `log_likelihood` counts too much, at most 0.
+        """
+        far = np.hypot(points[:, 0], points[:, 1])
+        some = points[far > _BEYOND_M + _NEARER_M]
+        if not len(some):
+            return 0.0
+        far = far[far > _BEYOND_M + _NEARER_M, None]
+        met = self._meet(pose, some * (_NEARER_M / far), some * (1.0 - _BEYOND_M / far))
+        each = self._each(pose, some[met])
+        return float(np.sum(math.log(self.stray) - each))
+
+    def _meet(self, pose: Pose, starts: Array, ends: Array) -> NDArray[np.bool_]:
+        """Return which rays (m,) meet an obstacle."""
+        met = np.empty(len(starts), np.bool_)
+        _met(
             pose[0],
             pose[1],
             pose[2],
@@ -113,8 +136,9 @@ class LikelihoodField:
             self._obstacles,
             self.frame.resolution,
             *self.frame.origin,
+            met,
         )
-        return 1.0 - met / len(starts)
+        return met
 
     def _each(self, pose: Pose, points: Array) -> NDArray[np.float32]:
         """Return the log-likelihood (m,) of each end point (m, 2) [m]."""
@@ -226,8 +250,8 @@ def _gather(
 
 
 @compiled(
-    "int64(float64, float64, float64, float64[:, ::1], float64[:, ::1], boolean[:, ::1], float64,"
-    " float64, float64, float64)"
+    "void(float64, float64, float64, float64[:, ::1], float64[:, ::1], boolean[:, ::1], float64,"
+    " float64, float64, float64, boolean[::1])"
 )
 def _met(
     x: float,
@@ -240,16 +264,17 @@ def _met(
     origin_x: float,
     origin_y: float,
     origin_theta: float,
-) -> int:
-    """Return how many rays meet an obstacle, checked once per length of a cell."""
+    met: NDArray[np.bool_],
+) -> None:
+    """Put into `met` which rays meet an obstacle, checked once per length of a cell."""
     rows, columns = obstacles.shape
     dx, dy = x - origin_x, y - origin_y
     across, along = math.sin(origin_theta), math.cos(origin_theta)
     base_x = (along * dx + across * dy) / resolution
     base_y = (along * dy - across * dx) / resolution
     cosine, sine = math.cos(theta - origin_theta), math.sin(theta - origin_theta)
-    count = 0
     for i in range(starts.shape[0]):
+        met[i] = False
         from_x, from_y = starts[i, 0] / resolution, starts[i, 1] / resolution
         far_x, far_y = ends[i, 0] / resolution - from_x, ends[i, 1] / resolution - from_y
         steps = int(math.hypot(far_x, far_y)) + 1
@@ -258,9 +283,8 @@ def _met(
             column = math.floor(base_x + cosine * px - sine * py)
             row = math.floor(base_y + sine * px + cosine * py)
             if 0 <= row < rows and 0 <= column < columns and obstacles[int(row), int(column)]:
-                count += 1
+                met[i] = True
                 break
-    return count
 
 
 class FreeSpace:

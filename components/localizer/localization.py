@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +12,24 @@ from numpy.typing import NDArray
 from cairn.components.localizer.absence_detector import AbsenceDetector
 from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
-from cairn.components.localizer.global_search import RecentMeasurements
+from cairn.components.localizer.global_search import SEARCH_SHARE, RecentMeasurements
+from cairn.components.localizer.hypotheses import (
+    ELSEWHERE_M,
+    GOOD_FIT,
+    MOST_DOUBT,
+    Alternative,
+    PoseHypotheses,
+)
 from cairn.components.localizer.landmark_evidence import LandmarkEvaluator
 from cairn.components.localizer.leave_one_out import LeaveOneOutFilters
 from cairn.components.localizer.likelihood_field import ScanMap
-from cairn.components.localizer.observations import CameraView, Landmark, as_certain, associate
+from cairn.components.localizer.observations import (
+    CameraView,
+    Landmark,
+    as_certain,
+    associate,
+    object_log_likelihood,
+)
 from cairn.components.localizer.odometry import OdometryTrack
 from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
 from cairn.components.localizer.pose_health import (
@@ -26,25 +39,22 @@ from cairn.components.localizer.pose_health import (
     contradiction,
     limit_unconfirmed,
 )
-from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
-from cairn.components.localizer.relocalization import ConfirmationHistory, Relocalizer
+from cairn.components.localizer.recent_observations import (
+    ConfirmationHistory,
+    PoseSupport,
+    RecentObservations,
+)
 from cairn.components.localizer.scan_fit import BeamSelector, RecentScans, ScanFit
-from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import move_pose
 from cairn.planar.odometry import OdometryChange
-from cairn.planar.poses import Pose
+from cairn.planar.poses import Pose, distance
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# A global search counts less of a scan: things that no map holds (people, furniture that was moved)
-# fit some position or other by chance. From unknown starts on fr101 and fr079 (benchmark
-# `localization_logs`) 20 and 19 of 20 were located, after 3 and 2 s; with half 20 and 20 after 6
-# and 3 s, with double 20 and 19 after 3 and 1 s.
-_SEARCH_SHARE = 0.4
 # The parameter `scan_share` is of so many beams; of fewer beams than the second the share does not
 # grow further, as it is about 1 there.
 _SHARED_BEAMS, _LEAST_BEAMS = 60.0, 20
@@ -95,8 +105,7 @@ class Localization:
         self.evaluator = evaluator or LandmarkEvaluator(
             settings.mode, settings.ring_samples, random
         )
-        self.relocalizer = Relocalizer(settings.search_particles, random)
-        self.wheel_slip = WheelSlipDetector(random)
+        self.hypotheses = PoseHypotheses(settings.search_particles, settings.motion, random)
         self.landmarks: dict[int, Landmark] = {}
         self.map: ScanMap | None = None
         self.located = False
@@ -115,9 +124,8 @@ class Localization:
         self.filters.set_gaussian(pose, covariance)
         self._on_pose_replaced()
         self._forget_measurements()
-        self.wheel_slip.reset()
         self.located = True
-        self.relocalizer.accept()
+        self.hypotheses.clear()
 
     def continue_from(self, other: Localization, stamp: float) -> None:
         """Use the maps and the pose of another instance, at the time `stamp` [s] of this one."""
@@ -156,6 +164,8 @@ class Localization:
         self._reckoned = move_pose(self._reckoned, step)
         self._moved_s += step.moving_s
         self._beams.add_motion(step)
+        self._fit.add_motion(step)
+        self.hypotheses.move(step)
         if self.located:
             self.filters.move(step)
 
@@ -200,8 +210,14 @@ class Localization:
             return LOST
         pose = self.filters.estimate()
         health = assess_health(pose, self._support(pose, None), self._fit.value)
-        doubt = self.relocalizer.doubt(self.track.integrated_to)
+        doubt = self._position_doubt()
         return limit_unconfirmed(health, doubt) if doubt is not None else health
+
+    def alternatives(self) -> list[Alternative]:
+        """Return the other positions at which the robot may be, the most probable first."""
+        if not self.located:
+            return []
+        return self.hypotheses.alternatives(self._recent(), self.filters.estimate())
 
     def fuse_scan(self, stamp: float, points: Array, misses: tuple[Array, Array] = NO_RAYS) -> bool:
         """Fuse a scan of `stamp` [s]; return True if the robot was lost and has been found.
@@ -220,21 +236,37 @@ class Localization:
             return False
         selected = self._beams.select(points)
         self._scans.add(selected, self._reckoned)
+        share = self._scan_share(len(selected))
+        new = self._beams.take_share_of_new()
+        field = self.map.field
+
+        def likelihood(poses: Array) -> Array:
+            return share * field.log_likelihood(poses, selected)
+
+        current = self.filters.particles if self.located else None
+        self.hypotheses.add_scan(
+            likelihood, lambda pose: share * field.through_walls(pose, selected), current
+        )
+        self.hypotheses.fuse(lambda poses: new * likelihood(poses))
         if not self.located:
             return self._find(stamp)
-        pose = self._weigh_by_scan(selected, self.map)
-        pose = self._handle_wheel_slip(stamp, pose, selected, self.map)
-        field = self.map.field
+        before = self.filters.estimate()
+        self.filters.fuse_scan(lambda poses: new * likelihood(poses))
+        pose = self.filters.estimate()
+        self._calibrator.add_correction(before, pose, new)
         self._calibrator.add_deviation(field.deviation(pose.mean, selected), field.frame.resolution)
+        was_lost = self._fit.lost
         self._fit.update(stamp, field, pose.mean, selected, len(points), *misses)
-        if self._fit.value is not None and self.relocalizer.update_fit(self._fit.value):
+        if self._fit.lost and not was_lost:
             # If the robot was carried, the earlier measurements are of another position.
             self._scans.clear()
             self._observations.clear()
             self._scans.add(selected, self._reckoned)
-        if self.relocalizer.search_due(stamp, contradicted=False):
-            return self._relocalize(stamp)
-        return False
+        if field.fit(pose.mean, selected) < GOOD_FIT:
+            self.hypotheses.search_near(
+                pose, likelihood, lambda pose: self._fit.as_usual(field.fit(pose, selected))
+            )
+        return self._judge_hypotheses(stamp, pose, contradicted=False)
 
     def fuse_objects(
         self, stamp: float, observed: Sequence[Observation], view: CameraView | None = None
@@ -251,6 +283,7 @@ class Localization:
         self._observations.add(observations, self._reckoned, self._moved_s)
         if not self.located:
             if live:
+                self.hypotheses.fuse(self._likelihood_of(live))
                 self._find(stamp)
             return None
         for observation in live:
@@ -271,38 +304,41 @@ class Localization:
             evidence += tuple(self.evaluator.unseen(before, *one) for one in missing)
         if live:
             self.filters.fuse_objects(live, self._fused_landmarks(), self.settings.independence)
-        relocalized = False
-        if self.relocalizer.search_due(stamp, contradicted=contradicted):
-            relocalized = self._relocalize(stamp)
+            self.hypotheses.fuse(self._likelihood_of(live))
+        relocalized = self._judge_hypotheses(stamp, self.filters.estimate(), contradicted)
         return EvidenceFrame(before, healthy, doubt or NO_REASON, evidence, relocalized)
 
-    def _weigh_by_scan(self, selected: Array, scan_map: ScanMap) -> PoseEstimate:
-        """Fuse the selected beams; return the new pose."""
-        new = self._beams.take_share_of_new()
-        share = self._scan_share(len(selected)) * new
-        before = self.filters.estimate()
-        self.filters.fuse_scan(lambda poses: share * scan_map.field.log_likelihood(poses, selected))
-        pose = self.filters.estimate()
-        self._calibrator.add_correction(before, pose, new)
-        return pose
+    def _judge_hypotheses(self, stamp: float, here: PoseEstimate, contradicted: bool) -> bool:
+        """Search for hypotheses if that is due, and change to a better one.
 
-    def _handle_wheel_slip(
-        self, stamp: float, pose: PoseEstimate, selected: Array, scan_map: ScanMap
-    ) -> PoseEstimate:
-        """Replace the pose if wheels slipped; return the pose."""
-        # A robot that may be somewhere else altogether is searched for in the whole map.
-        if not self.relocalizer.confirmed(stamp):
-            return pose
-        share = self._scan_share(len(selected))
-        slipped = self.wheel_slip.detect(pose, selected, scan_map.field, share, self._reckoned)
-        if slipped is None:
-            return pose
+        Return whether the robot was lost and has been found: a slip of the wheels does not count.
+        """
+        recent = self._recent()
+        if self.hypotheses.search_due(stamp, self._fit, contradicted):
+            self.hypotheses.search(stamp, recent, here, self._fit.lost_at_once)
+        self.hypotheses.drop_near(recent, here)
+        better = self.hypotheses.take_better(recent, here, self.filters.particles, self._fit)
+        if better is None:
+            return False
+        self._replace_pose(better)
+        if distance(here.mean, self.filters.estimate().mean) >= ELSEWHERE_M:
+            self.hypotheses.on_found()
+            return True
         # Odometry relates the earlier measurements to now by a motion that was not made.
-        self._forget_measurements()
-        self._replace_pose(slipped)
-        self.relocalizer.start_probation(stamp, self._reckoned)
-        self._scans.add(selected, self._reckoned)
-        return self.filters.estimate()
+        self._scans.clear()
+        self._observations.clear()
+        return False
+
+    def _likelihood_of(self, live: Sequence[Observation]) -> Callable[[Array], Array]:
+        """Return the log-likelihood of observations of live objects, as they are fused."""
+        landmarks, share = self._fused_landmarks(), self.settings.independence
+
+        def total(poses: Array) -> Array:
+            each = [object_log_likelihood(poses, one, landmarks[one.object_id]) for one in live]
+            result: Array = share * np.sum(each, axis=0)
+            return result
+
+        return total
 
     def _fused_landmarks(self) -> Mapping[int, Landmark]:
         """Return the objects as they are fused."""
@@ -320,7 +356,7 @@ class Localization:
             scans=self._scans,
             landmarks=self.landmarks,
             map=self.map,
-            scan_share=_SEARCH_SHARE * self._scan_share(self.settings.beams),
+            scan_share=SEARCH_SHARE * self._scan_share(self.settings.beams),
             now=self._reckoned,
             moved_s=self._moved_s,
         )
@@ -342,7 +378,26 @@ class Localization:
         # Where several objects were moved, more may contradict than agree. The same holds for a
         # robot that is lost where the map looks alike; but a search does not find that one here.
         few = support.contradicting <= max(1, support.agreeing)
-        return few or self.relocalizer.found_here(self.track.integrated_to)
+        here = self.filters.estimate()
+        return few or self.hypotheses.found_here(self.track.integrated_to, here)
+
+    def _position_doubt(self) -> Reason | None:
+        """Return why the robot may be at another position; None if nothing indicates that."""
+        fit = self._fit
+        if fit.lost:
+            return Reason(
+                ReasonCode.SCAN_MISMATCH,
+                f"scans fit the map by {fit.value or 0.0:.0%}, usually by {fit.usual or 0.0:.0%}",
+            )
+        others = self.alternatives()
+        if sum(one.probability for one in others) < MOST_DOUBT:
+            return None
+        x, y, _ = others[0].pose
+        return Reason(
+            ReasonCode.UNCONFIRMED,
+            f"the robot may also be at ({x:.1f} m, {y:.1f} m), with a probability of "
+            f"{others[0].probability:.0%}",
+        )
 
     def _doubt(self, pose: PoseEstimate, support: PoseSupport) -> Reason | None:
         """Return why a pose is not healthy; None if it is."""
@@ -382,17 +437,11 @@ class Localization:
         return self.settings.scan_share * _SHARED_BEAMS / max(beams, _LEAST_BEAMS)
 
     def _find(self, stamp: float) -> bool:
-        found = self.relocalizer.find(stamp, self._recent())
+        found = self.hypotheses.find(stamp, self._recent())
         if found is None:
             return False
         self._replace_pose(found)
-        return True
-
-    def _relocalize(self, stamp: float) -> bool:
-        found = self.relocalizer.recover(stamp, self._recent(), self.filters.estimate())
-        if found is None:
-            return False
-        self._replace_pose(found)
+        self.hypotheses.on_found()
         return True
 
     def _replace_pose(self, poses: Array) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from cairn import SECOND, from_ns
+from cairn.components.localizer.hypotheses import Alternative
 from cairn.components.localizer.localization import EvidenceFrame
 from cairn.components.localizer.observations import CameraView, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
@@ -19,7 +21,11 @@ from cairn.schemas.cairn_msgs import (
     VisualMap,
     VisualObject,
 )
-from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, Relocalization
+from cairn.schemas.cairn_nav_msgs import (
+    AlternativePose,
+    LocalizationEstimate,
+    Relocalization,
+)
 from cairn.schemas.geometry_msgs import (
     PoseWithCovariance,
     Quaternion,
@@ -32,6 +38,8 @@ from cairn.schemas.tf2_msgs import TFMessage
 
 # The limits of the reliability, as the map builder keeps them (`map_builder/pose_reliability.py`).
 _LEAST_RELIABILITY, _MOST_RELIABILITY = 0.02, 0.98
+# Less probable positions are not published.
+_LEAST_PROBABILITY = 0.001
 
 
 def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
@@ -71,7 +79,11 @@ def transform_message(header: Header, pose: Pose, in_odometry: Pose) -> TFMessag
 
 
 def estimate_message(
-    header: Header, pose: PoseWithCovariance | None, health: PoseHealth, particles: int
+    header: Header,
+    pose: PoseWithCovariance | None,
+    health: PoseHealth,
+    particles: int,
+    alternatives: Sequence[Alternative],
 ) -> LocalizationEstimate:
     """Return the message of a pose with its health; `pose` is None if the robot is not located."""
     covariance = planar_covariance(pose) if pose else np.zeros((3, 3))
@@ -86,6 +98,11 @@ def estimate_message(
         objects_agreeing=health.support.agreeing,
         objects_contradicting=health.support.contradicting,
         particles=particles if pose else 0,
+        alternatives=tuple(
+            AlternativePose(*one.pose, probability=one.probability)
+            for one in alternatives
+            if one.probability >= _LEAST_PROBABILITY
+        ),
         reason=health.reason.text,
         reason_code=int(health.reason.code),
     )

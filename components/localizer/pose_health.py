@@ -1,6 +1,6 @@
 """The health of the pose: how far it can be relied on, from 0 (not located) to 1.
 
-`relocalization.py` decides whether the robot is lost.
+`hypotheses.py` decides where else the robot may be.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,9 +134,10 @@ class RecentObservations:
         moved_s: float,
         landmarks: Mapping[int, Landmark],
         left_out: int | None = None,
+        worth: float = OBJECT_WORTH,
     ) -> Array:
         """Return the log-likelihood (n,) of all observations but `left_out`'s if the robot were
-        now at `poses`.
+        now at `poses`; those of one object count as `worth` observations at most.
         """
         entries = self.usable(landmarks, left_out)
         total = np.zeros(poses.shape[1])
@@ -150,7 +151,7 @@ class RecentObservations:
                 key = entry.observation.object_id
                 reliability = landmarks[key].reliability
                 stray = (1.0 - reliability) * math.exp(STRAY)
-                weight = min(1.0, OBJECT_WORTH / count[key])
+                weight = min(1.0, worth / count[key])
                 total[block] += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
         return total
 
@@ -248,6 +249,41 @@ class RecentObservations:
         nis: Array = (np.sqrt(dx * dx + dy * dy) - range_m) ** 2 / range_variance
         nis += error**2 / bearing_variance
         return nis
+
+
+class ConfirmationHistory:
+    """Keeps when each object was last observed where a pose that did not rely on it expected it.
+
+    At a wrong pose one object may be observed as expected by chance, two at different positions
+    hardly are.
+    """
+
+    def __init__(self) -> None:
+        self._agreed_at: dict[int, float] = {}
+        self.confirmed_until = -math.inf
+        """Until when [s] the robot was certainly not lost before its pose was replaced."""
+
+    def add(self, stamp: float, objects: Iterable[int]) -> None:
+        """Add the objects that agreed at `stamp` [s]."""
+        self._agreed_at |= dict.fromkeys(objects, stamp)
+
+    def on_pose_replaced(self, landmarks: Mapping[int, Landmark]) -> None:
+        """Note that the robot was found elsewhere: agreements with the earlier pose end here."""
+        self.confirmed_until = max(self.confirmed_until, self._last_confirmed(landmarks))
+        self._agreed_at.clear()
+
+    def _last_confirmed(self, landmarks: Mapping[int, Landmark]) -> float:
+        """Return the last time [s] since which objects at two positions agreed; -inf if none."""
+        newest: Landmark | None = None
+        for object_id, stamp in sorted(self._agreed_at.items(), key=lambda one: -one[1]):
+            landmark = landmarks.get(object_id)
+            if landmark is None:
+                continue
+            if newest is None:
+                newest = landmark
+            elif math.hypot(landmark.x - newest.x, landmark.y - newest.y) > TOGETHER_M:
+                return stamp
+        return -math.inf
 
 
 def _distinct_positions(objects: Sequence[Landmark]) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,13 @@ _TRACED_RAYS = 60
 # So many poses are compared with a scan at a time, so that intermediate results take 0.5 MB and not
 # several for all poses of a global search. No result depends on it.
 _BLOCK = 8192
+# A turn of one radian shows as much that is new as so many meters of the way.
+_TURN_M = 0.5
+# Scans indicate that the robot is lost if they fit less than the first share, or less than the
+# second share of their usual fit; they fit well from the third share of it on.
+_LOST_FIT, _LOST_OF_USUAL, _WELL_OF_USUAL = 0.5, 0.65, 0.9
+# They stopped fitting at once if the robot drove less than this since they fitted well [m].
+_AT_ONCE_M = 0.3
 # So many scans, so far apart [m], [rad], are kept for the search: they cover 2.4 m of the way, or
 # nearly half a turn. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
 _KEPT, _APART_M, _TURNED_RAD = 8, 0.3, 0.35
@@ -74,10 +82,9 @@ class BeamSelector:
         return min(1.0, max(_ON_THE_SPOT, share))
 
 
-def usual_fit(usual: float, fit: float) -> float:
-    """Return how well scans usually fit the map, with one more scan that fits it by `fit`."""
-    newest = _USUAL_NEWEST if fit >= _USUAL_BAD * usual else _USUAL_NEWEST_OF_BAD
-    return usual + newest * (fit - usual)
+def way_of(step: OdometryStep) -> float:
+    """Return by how many meters a step of odometry changes what the scanner sees."""
+    return math.hypot(step.ahead, step.aside) + _TURN_M * abs(step.turned)
 
 
 class RecentScans:
@@ -106,6 +113,13 @@ class RecentScans:
         elif len(self._scans) == self.keep:
             self._scans.popleft()
         self._scans.append((points, at))
+
+    @property
+    def way_m(self) -> float:
+        """By how many meters what the scanner saw has changed from the first scan to the last."""
+        poses = [at for _, at in self._scans]
+        steps = [relative(a, b) for a, b in pairwise(poses)]
+        return sum(math.hypot(x, y) + _TURN_M * abs(turn) for x, y, turn in steps)
 
     def log_likelihood(
         self, poses: Array, now: Pose, each: Callable[[Array, Array], Array], newest: int | None
@@ -139,18 +153,41 @@ class ScanFit:
 
     def __init__(self) -> None:
         self.value: float | None = None
-        self._updated_at = -math.inf
+        self.usual: float | None = None
+        """The same over more scans, and hardly changed by scans that fit badly."""
         self.contradicted = False
         """Whether the newest scan hit nothing where the map has obstacles."""
+        self._updated_at = -math.inf
+        self._way_m = 0.0  # since scans fitted well
 
     def supports(self, now: float) -> bool:
         """Whether scans fit well enough to support a pose at `now` [s], and still arrive."""
         fits = self.value is not None and self.value >= FITS
         return fits and now - self._updated_at <= SILENT_S
 
+    @property
+    def lost(self) -> bool:
+        """Whether scans indicate that the robot is lost."""
+        limit = max(_LOST_FIT, _LOST_OF_USUAL * (self.usual or 0.0))
+        return self.value is not None and self.value < limit
+
+    @property
+    def lost_at_once(self) -> bool:
+        """Whether scans stopped fitting at once, as when the robot is carried away."""
+        return self.lost and self._way_m < _AT_ONCE_M
+
     def reset(self) -> None:
         """Start again: the robot is somewhere else."""
-        self.value = None
+        self.value, self._way_m = None, 0.0
+
+    def as_usual(self, fit: float) -> bool:
+        """Whether scans that fit by this share fit about as well as they usually do."""
+        return fit >= _WELL_OF_USUAL * (self.usual or 0.0)
+
+    def add_motion(self, step: OdometryStep) -> None:
+        """Add a step of odometry."""
+        if not self.lost:
+            self._way_m += way_of(step)
 
     def update(
         self,
@@ -176,3 +213,8 @@ class ScanFit:
             fit = (explained + clear) / (count + clear)
             before = fit if self.value is None else self.value
             self.value = before + _NEWEST * (fit - before)
+            usual = fit if self.usual is None else self.usual
+            newest = _USUAL_NEWEST if fit >= _USUAL_BAD * usual else _USUAL_NEWEST_OF_BAD
+            self.usual = usual + newest * (self.value - usual)
+            if self.as_usual(self.value):
+                self._way_m = 0.0

@@ -75,4 +75,3 @@ def test_robot_is_found_in_an_office_building(fr101: LogAndMap, begin_s: float) 
 
     assert not math.isnan(outcome.error[-1])
     assert outcome.error[-1] < 0.5
-    assert robot.health().value < 0.5  # as long as it is not confirmed

@@ -94,23 +94,27 @@ def test_person_who_stays_on_the_goal_fails_the_mission(drive: RobotFactory) -> 
     assert robot.stands()
 
 
+ENCLOSURE = (
+    ("east", 0.7, 0.0, [0.2, 1.2]),
+    ("north", 0.0, 0.75, [1.6, 0.2]),
+    ("west", -0.7, 0.0, [0.2, 1.2]),
+    ("south", 0.0, -0.75, [1.6, 0.2]),
+)
+
+
 def walled_in(robot: LockstepRobot) -> None:
     robot.go(1.2, 1.4)
     robot.assert_arrives((1.2, 1.4))
     x, y, _ = robot.truth
-    for name, dx, dy, size in [
-        ("east", 0.7, 0.0, [0.2, 1.2]),
-        ("north", 0.0, 0.75, [1.6, 0.2]),
-        ("west", -0.7, 0.0, [0.2, 1.2]),
-        ("south", 0.0, -0.75, [1.6, 0.2]),
-    ]:
+    for name, dx, dy, size in ENCLOSURE:
         robot.request("world", "furniture", name=name, x=x + dx, y=y + dy, size=size)
 
 
 @pytest.mark.accuracy
-def test_enclosed_robot_fails_with_the_nearest_position(drive: RobotFactory) -> None:
+def test_enclosed_goal_fails_with_the_nearest_position(drive: RobotFactory) -> None:
     robot = drive(FEW_RECOVERIES)
-    walled_in(robot)
+    for name, dx, dy, size in ENCLOSURE:
+        robot.request("world", "furniture", name=name, x=7.0 + dx, y=3.0 + dy, size=size)
 
     robot.go(7.0, 3.0)
     end = robot.await_end(200.0)

@@ -4,6 +4,12 @@ const LABELS = ["loading", "localizing", "planning", "driving", "recovering", "a
 const TONES = ["accent", "accent", "accent", "ok", "warning", "ok", "bad", ""];
 const FIRST_END_STATE = 5;
 
+const ALTERNATIVE = 0.01, MOST_ALTERNATIVES = 3; // how probable positions must be to be shown, and how many
+
+/** Return the other positions at which a robot may be, of a LocalizationEstimate; older recordings have none. */
+export const alternativesOf = (estimate) =>
+  (estimate.alternatives ?? []).filter((one) => one.probability >= ALTERNATIVE).slice(0, MOST_ALTERNATIVES);
+
 /** Return whether a NavigationStatus is that of a mission under way. */
 export const isUnderWay = (status) => Boolean(status) && status.mission_id > 0 && status.state < FIRST_END_STATE;
 

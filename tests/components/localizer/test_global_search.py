@@ -16,7 +16,6 @@ from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.localizer.recent_observations import RecentObservations
 from cairn.components.localizer.scan_fit import RecentScans
-from cairn.components.localizer.wheel_slip import WheelSlipDetector
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import MotionModel
 from cairn.planar.poses import Pose, compose, relative, wrap
@@ -138,7 +137,7 @@ def test_robot_in_a_symmetric_room_is_not_located(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", sampled(range(3)))
-def test_found_robot_is_confirmed_by_further_searches(seed: int) -> None:
+def test_found_robot_is_confirmed_when_nothing_else_is_probable(seed: int) -> None:
     grid = room()
     one = robot(grid, seed)
     values: list[float] = []
@@ -149,12 +148,12 @@ def test_found_robot_is_confirmed_by_further_searches(seed: int) -> None:
             values.append(one.health().value)
             assert apart(one.pose().mean, moment.pose)[0] < 0.4
 
-    assert max(values[:20]) < 0.5
+    assert values[0] < 0.5
     assert values[-1] > 0.9
 
 
 @pytest.mark.parametrize("slip", [(0.4, 0.1, 0.0), (0.0, 0.0, 0.5), (-0.3, 0.2, -0.4)])
-def test_wheel_slip_is_detected_by_two_scans(slip: Pose) -> None:
+def test_wheel_slip_is_corrected_at_once(slip: Pose) -> None:
     grid = room()
     one = robot(grid)
     one.set_pose(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
@@ -171,24 +170,24 @@ def test_wheel_slip_is_detected_by_two_scans(slip: Pose) -> None:
     away, turned = apart(one.pose().mean, slipped)
     assert away < 0.08
     assert turned < 0.05
-    assert "not ruled out" in one.health().reason.text
+    assert "may also be" not in one.health().reason.text
 
 
 def test_people_around_the_robot_do_not_count_as_wheel_slip() -> None:
     grid = room()
-    watch = WheelSlipDetector(np.random.default_rng(0))
-    scan_map = ScanMap(grid, 0.1, 0.05)
     random = np.random.default_rng(2)
     one = robot(grid)
     one.set_pose(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
-    here = one.pose()
 
-    for _ in range(20):
+    for k in range(20):
         points = scanned(grid, START, random, beams=60)
         hidden = random.random(len(points)) < 0.5
         points[hidden] *= random.uniform(0.2, 0.8, (int(hidden.sum()), 1))
-        found = watch.detect(here, points, scan_map.field, 0.35, (0.0, 0.0, 0.0))
-        assert found is None
+        one.add_odometry(0.1 * k, (0.0, 0.0, 0.0), 0.0, 0.0)
+        one.fuse_scan(0.1 * k, points)
+        away, turned = apart(one.pose().mean, START)
+        assert away < 0.08
+        assert turned < 0.05
 
 
 @pytest.mark.parametrize("seed", sampled(range(3)))
@@ -262,7 +261,7 @@ def test_scans_decide_against_objects_that_were_exchanged(start: Pose | None, se
 def test_exchanged_objects_in_a_symmetric_room_locate_no_robot() -> None:
     grid = room(SYMMETRIC)
     one = robot(grid)
-    one.set_pose(START, np.diag([0.01**2, 0.01**2, 0.01**2]))
+    one.set_pose((4.5, 1.0, 0.0), np.diag([0.01**2, 0.01**2, 0.01**2]))
 
     for _ in through_exchanged_objects(one, grid, seed=0):
         pass

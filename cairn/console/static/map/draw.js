@@ -1,5 +1,6 @@
 // Drawing of scenes on the map's canvas, layer by layer.
 
+import { alternativesOf } from "../navigation.js";
 import { ellipseOf, scaleBar, yawOf } from "./geometry.js";
 import { isArea, middleOf } from "./zones.js";
 
@@ -272,6 +273,8 @@ export class Painter {
       const covariance = estimate.pose.covariance;
       this.#ellipse(pose[0], pose[1], ellipseOf(covariance[0], covariance[1], covariance[7], SIGMAS), this.colors.robot, 0.2);
       this.#headingFan(pose, SIGMAS * Math.sqrt(Math.max(0, covariance[35])));
+      for (const one of alternativesOf(estimate))
+        this.robot([one.x, one.y, one.theta], scene, this.colors.other, `or here: ${Math.round(100 * one.probability)} %`);
     }
     this.robot(scene.drawnPose, scene, this.colors.robot, isNamed ? scene.robot : "");
   }

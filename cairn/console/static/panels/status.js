@@ -1,7 +1,7 @@
 // The state of navigation at a glance: pose, navigator, velocity gate, each with its reason.
 
 import { html } from "../vendor/preact-htm.js";
-import { isUnderWay, navigationState } from "../navigation.js";
+import { alternativesOf, isUnderWay, navigationState } from "../navigation.js";
 import { Badge, Empty, Meter, duration, healthTone } from "../ui.js";
 import { ErrorNote, Facts, degrees, heading, useComponents, useFresh, useOpenPanel } from "./shared.js";
 import { failureOf, isFailed } from "./components.js";
@@ -68,6 +68,8 @@ function PoseCard({ message: estimate, age }) {
         ["Landmarks agree", `${estimate.objects_agreeing} of ${estimate.objects_agreeing + estimate.objects_contradicting}`,
           estimate.objects_contradicting > 0 ? "warning" : ""],
         ["Particles", estimate.particles],
+        ...alternativesOf(estimate).map((one) =>
+          [`Or at [m], ${Math.round(one.probability * 100)} %`, `${one.x.toFixed(2)}, ${one.y.toFixed(2)}`, "warning"]),
       ]} />
     </section>`;
 }
