@@ -91,10 +91,17 @@ class RecentMeasurements:
         return result
 
     def object_worth(self, poses: Array) -> Array:
-        """Return what the recent observations say for poses (3, n): (n,)."""
-        return self.observations.log_likelihood(
+        """Return what the recent observations say for poses (3, n): (n,).
+
+        Where fewer than half of the objects agree, they may all have been moved, and one of them
+        agrees by chance: if there are scans, these decide.
+        """
+        total = self.observations.log_likelihood(
             poses, self.now, self.moved_s, self.landmarks, worth=1.0
         )
+        if self.scanned:
+            total = np.maximum(total, 0.5 * self.observations.log_stray(self.landmarks))
+        return total
 
     @property
     def scanned(self) -> bool:

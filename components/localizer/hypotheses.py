@@ -52,12 +52,15 @@ GOOD_FIT = 0.8
 _SAME_M, _SAME_RAD, ELSEWHERE_M = 0.25, 0.2, 1.0
 # So many hypotheses are kept besides the current one, of so many particles each.
 _MOST, _PARTICLES = 12, 100
-# A pose is replaced when another one is so much likelier (logarithm of odds), and accepted, if it
-# was unknown, when all others together are so much less probable. Those that are less likely than
-# the best by more than the third are dropped.
-_BETTER, _LIKELY, _UNLIKELY = math.log(9.0), 0.9, 12.0
-MOST_DOUBT = 0.02
-"""From this probability of other positions on, the pose is not confirmed."""
+# A pose is replaced when another one is so much likelier (logarithm of odds) and has so much of the
+# probability of all others. From the third on the robot is certainly not there: any likely position
+# is a better one to go on from. Those less likely than the best by more than the last are dropped.
+_BETTER, _LIKELY, _REFUTED, _UNLIKELY = math.log(9.0), 0.9, 15.0, 12.0
+MOST_DOUBT = 0.01
+"""From this probability of other positions on, the pose is not confirmed.
+
+One object that agrees by chance does not suffice to confirm it.
+"""
 # Periods of the search [s]: of a robot that is not located; that is probably lost; that was found
 # just now; and of one whose scans fit by less than `GOOD_FIT`.
 _UNKNOWN_EVERY_S, _LOST_EVERY_S, _FOUND_EVERY_S, _DOUBTFUL_EVERY_S = 0.5, 1.0, 2.0, 3.0
@@ -294,15 +297,18 @@ class PoseHypotheses:
     ) -> Array | None:
         """Return the poses (3, n) of a hypothesis that is clearly likelier than the current pose.
 
-        And likelier than all other positions together; elsewhere the recent scans must fit as they
-        usually did (`fit`): otherwise the robot may be where no search has looked. The current
-        pose, with its `particles`, becomes a hypothesis in its place.
+        And likelier than all other positions together, unless the current pose is refuted;
+        elsewhere the recent scans must fit as they usually did (`fit`): otherwise the robot may be
+        where no search has looked. The current pose, with its `particles`, becomes a hypothesis in
+        its place.
         """
         if not self.others:
             return None
         odds = self._odds(recent, here)
         best = int(np.argmax(odds))
-        if odds[best] < _BETTER or self._share(odds, best) < _LIKELY:
+        if odds[best] < _BETTER:
+            return None
+        if odds[best] < _REFUTED and self._share(odds, best) < _LIKELY:
             return None
         pose = self.others[best].particles.estimate()
         elsewhere = distance(pose.mean, here.mean) >= ELSEWHERE_M

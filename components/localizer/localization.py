@@ -256,7 +256,7 @@ class Localization:
         self._calibrator.add_correction(before, pose, new)
         self._calibrator.add_deviation(field.deviation(pose.mean, selected), field.frame.resolution)
         was_lost = self._fit.lost
-        self._fit.update(stamp, field, pose.mean, selected, len(points), *misses)
+        self._fit.update(stamp, field, pose.mean, selected, len(points), *misses, new)
         if self._fit.lost and not was_lost:
             # If the robot was carried, the earlier measurements are of another position.
             self._scans.clear()

@@ -155,6 +155,11 @@ class RecentObservations:
                 total[block] += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
         return total
 
+    def log_stray(self, landmarks: Mapping[int, Landmark]) -> float:
+        """Return the log-likelihood if no object stood where the map says, each counted once."""
+        seen = {entry.observation.object_id for entry in self.usable(landmarks)}
+        return sum(math.log1p(-landmarks[key].reliability) + STRAY for key in seen)
+
     def support(
         self,
         pose: PoseEstimate,

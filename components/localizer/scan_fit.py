@@ -198,8 +198,9 @@ class ScanFit:
         count: int,
         starts: Array,
         ends: Array,
+        new: float = 1.0,
     ) -> None:
-        """Add a scan of `stamp` [s] taken from a pose.
+        """Add a scan of `stamp` [s] taken from a pose, of which the share `new` is new.
 
         `hits` (m, 2) [m] are a selection of `count` end points; `starts` and `ends` (k, 2) [m] are
         those of the rays that hit nothing.
@@ -215,6 +216,6 @@ class ScanFit:
             self.value = before + _NEWEST * (fit - before)
             usual = fit if self.usual is None else self.usual
             newest = _USUAL_NEWEST if fit >= _USUAL_BAD * usual else _USUAL_NEWEST_OF_BAD
-            self.usual = usual + newest * (self.value - usual)
+            self.usual = usual + new * newest * (self.value - usual)
             if self.as_usual(self.value):
                 self._way_m = 0.0

@@ -146,13 +146,31 @@ def test_lookalike_positions_are_reported_and_not_believed(monkeypatch: pytest.M
     better = Measurements({THERE: 30.0, BEHIND: 30.0})
     robot.search(better)
 
-    assert robot.drive(better, 15.0) is None
-    others = robot.hypotheses.alternatives(Measurements({}), robot.particles.estimate())  # type: ignore[arg-type]
-    assert [one.probability for one in others] == pytest.approx([0.5, 0.5], abs=0.1)
+    assert robot.drive(better, 8.0) is None
+    assert probabilities(robot) == pytest.approx([0.5, 0.5], abs=0.1)
     # Where they differ, one of them is believed.
     moved = robot.drive(Measurements({THERE: 30.0}), 10.0)
     assert moved is not None
     assert moved[1] == pytest.approx(THERE[1], abs=2.0)
+
+
+def test_robot_goes_on_from_a_likely_position_when_its_own_is_refuted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = Robot(monkeypatch, THERE, BEHIND)
+    better = Measurements({THERE: 30.0, BEHIND: 30.0})
+    robot.search(better)
+
+    moved = robot.drive(better, 20.0)
+
+    assert moved is not None
+    assert probabilities(robot)[0] == pytest.approx(0.5, abs=0.1)
+
+
+def probabilities(robot: Robot) -> list[float]:
+    seen: Any = Measurements({})
+    others = robot.hypotheses.alternatives(seen, robot.particles.estimate())
+    return [one.probability for one in others]
 
 
 def test_position_where_scans_fit_less_than_usual_is_not_believed(
