@@ -90,13 +90,18 @@ class RecentMeasurements:
         result: Array = worth * total
         return result
 
-    def by_object(self, poses: Array) -> dict[int, Array]:
-        """Return what each recently observed object says for poses (3, n): (n,) each."""
-        return self.observations.by_object(poses, self.now, self.moved_s, self.landmarks)
+    def object_worth(self, poses: Array) -> Array:
+        """Return what the recent observations say for poses (3, n): (n,).
 
-    def newest_objects(self) -> set[int]:
-        """Return the objects that were observed just now."""
-        return self.observations.newest(self.moved_s)
+        Where fewer than half of the objects agree, they may all have been moved, and one of them
+        agrees by chance: if there are scans, these decide.
+        """
+        total = self.observations.log_likelihood(
+            poses, self.now, self.moved_s, self.landmarks, worth=1.0
+        )
+        if self.scanned:
+            total = np.maximum(total, 0.5 * self.observations.log_stray(self.landmarks))
+        return total
 
     @property
     def scanned(self) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from cairn.components.localizer.global_search import (
     RecentMeasurements,
     search,
 )
-from cairn.components.localizer.observations import STRAY
 from cairn.components.localizer.particle_set import (
     ParticleSet,
     PoseEstimate,
@@ -75,14 +74,12 @@ class Hypothesis:
     """Where the robot may be.
 
     `odds` is the logarithm of how much likelier than the current pose scans make it; of a robot
-    that is not located, than the likeliest. `searches` have found it so often; `objects` is the
-    log-likelihood there of each object that was observed since it arose.
+    that is not located, than the likeliest. `searches` have found it so often.
     """
 
     particles: ParticleSet
     odds: float
     searches: int = 1
-    objects: dict[int, float] = field(default_factory=dict)
 
     @property
     def pose(self) -> Pose:
@@ -118,14 +115,12 @@ class PoseHypotheses:
         self._last: GlobalSearchResult | None = None
         self._searched_at = -math.inf
         self._first_measured = math.inf
-        self._objects: dict[int, float] = {}  # the same of the current pose
         self._way_m = 0.0  # since the last scan
         self._settled_m = math.inf  # the way since the pose was found
 
     def clear(self) -> None:
         """Forget all hypotheses: the robot's pose is known."""
         self.others.clear()
-        self._objects.clear()
         self._last = None
         self._settled_m = math.inf
 
@@ -323,7 +318,6 @@ class PoseHypotheses:
         for one in self.others:
             one.odds -= taken.odds
         self._add(particles.sample(_PARTICLES, self.random), -taken.odds)
-        self.others[-1].objects, self._objects = self._objects, taken.objects
         return taken.particles.sample(particles.least, self.random)
 
     def drop_near(self, recent: RecentMeasurements, here: PoseEstimate) -> None:
@@ -362,7 +356,6 @@ class PoseHypotheses:
         del self.others[best]
         for one in self.others:
             one.odds -= taken.odds
-        self._objects = taken.objects
         return taken.particles.poses
 
     def _base(self, recent: RecentMeasurements, by_scans: Array) -> float:
@@ -374,39 +367,12 @@ class PoseHypotheses:
 
     def _odds(self, recent: RecentMeasurements, here: PoseEstimate | None) -> Array:
         """Return the log-odds (n,) of the hypotheses by scans and objects."""
-        poses = [one.pose for one in self.others]
-        known = [one.objects for one in self.others]
+        poses = np.array([one.pose for one in self.others]).T
+        odds = np.array([one.odds for one in self.others]) + recent.object_worth(poses)
         if here is not None:
-            poses.append(here.mean)
-            known.append(self._objects)
-        newest = recent.newest_objects()
-        for key, values in recent.by_object(np.array(poses).T).items():
-            for objects, value in zip(known, values.tolist(), strict=True):
-                if key in newest or key not in objects:
-                    objects[key] = value
-        return np.array(
-            [
-                one.odds
-                + self._by_objects(one.objects, one.objects, recent)
-                - (self._by_objects(self._objects, one.objects, recent) if here else 0.0)
-                for one in self.others
-            ]
-        )
-
-    def _by_objects(
-        self, objects: dict[int, float], keys: Iterable[int], recent: RecentMeasurements
-    ) -> float:
-        """Return what objects of these keys say for a position.
-
-        Where fewer than half of them agree, they may all have been moved, and one of them agrees by
-        chance: if there are scans, these decide.
-        """
-        marks = [recent.landmarks.get(key) for key in keys]
-        agreeing = sum(objects.get(key, 0.0) for key in keys)
-        if not recent.scanned:
-            return agreeing
-        moved = sum(math.log1p(-mark.reliability) + STRAY for mark in marks if mark is not None)
-        return max(agreeing, 0.5 * moved)
+            odds -= recent.object_worth(np.array([here.mean]).T)[0]
+        result: Array = odds
+        return result
 
     def _share(self, odds: Array, best: int) -> float:
         """Return how probable one is against all elsewhere: nearby it is the same place."""

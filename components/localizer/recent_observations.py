@@ -41,7 +41,6 @@ _CONFUSED_SHARE, _CONFUSED_IMAGES, _MOST_IMAGES = 0.1, 20, 200
 # 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],
 # [rad/sqrt(s)]: a little more than those of the parameter `base`.
 _HORIZON_S, _PER_OBJECT, _DRIFT, _TURN_DRIFT = 30.0, 4, 0.03, 0.05
-_JUST_NOW_S = 1.0
 # So many poses are compared with the observations at a time. The intermediate results, about ten
 # numbers for each pose and observation, then take about 1 MB; for all poses of a global search
 # together (up to 200,000) they took hundreds. No result depends on it.
@@ -135,9 +134,10 @@ class RecentObservations:
         moved_s: float,
         landmarks: Mapping[int, Landmark],
         left_out: int | None = None,
+        worth: float = OBJECT_WORTH,
     ) -> Array:
         """Return the log-likelihood (n,) of all observations but `left_out`'s if the robot were
-        now at `poses`.
+        now at `poses`; those of one object count as `worth` observations at most.
         """
         entries = self.usable(landmarks, left_out)
         total = np.zeros(poses.shape[1])
@@ -151,36 +151,14 @@ class RecentObservations:
                 key = entry.observation.object_id
                 reliability = landmarks[key].reliability
                 stray = (1.0 - reliability) * math.exp(STRAY)
-                weight = min(1.0, OBJECT_WORTH / count[key])
+                weight = min(1.0, worth / count[key])
                 total[block] += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
         return total
 
-    def by_object(
-        self, poses: Array, now: Pose, moved_s: float, landmarks: Mapping[int, Landmark]
-    ) -> dict[int, Array]:
-        """Return the log-likelihoods (n,) of each object if the robot were now at `poses`.
-
-        An object counts as one observation: whether it was moved is one question.
-        """
-        entries = self.usable(landmarks)
-        if not entries:
-            return {}
-        nis = self._nis(poses, entries, now, moved_s, landmarks, None)
-        each: defaultdict[int, list[Array]] = defaultdict(list)
-        for row, entry in zip(nis, entries, strict=True):
-            key = entry.observation.object_id
-            reliability = landmarks[key].reliability
-            stray = (1.0 - reliability) * math.exp(STRAY)
-            each[key].append(np.log(reliability * np.exp(-0.5 * row) + stray))
-        return {key: np.mean(rows, axis=0) for key, rows in each.items()}
-
-    def newest(self, moved_s: float) -> set[int]:
-        """Return the objects that were observed just now: odometry has not drifted since."""
-        return {
-            entry.observation.object_id
-            for entry in self.entries
-            if moved_s - entry.moved_s <= _JUST_NOW_S
-        }
+    def log_stray(self, landmarks: Mapping[int, Landmark]) -> float:
+        """Return the log-likelihood if no object stood where the map says, each counted once."""
+        seen = {entry.observation.object_id for entry in self.usable(landmarks)}
+        return sum(math.log1p(-landmarks[key].reliability) + STRAY for key in seen)
 
     def support(
         self,

@@ -1,7 +1,7 @@
 """Hypotheses of where the robot is: what makes them arise, and when one of them is believed."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,6 @@ class Measurements:
     places: float = 1000.0
     scanned: bool = True
     fits: float = 0.9
-    landmarks: dict[int, Landmark] = field(default_factory=dict)
 
     def fit(self, _: PoseEstimate) -> float:
         return self.fits
@@ -49,11 +48,8 @@ class Measurements:
     def scan_worth(self, poses: np.ndarray) -> np.ndarray:
         return 0.1 * self.log_likelihood(poses)
 
-    def by_object(self, _: np.ndarray) -> dict[int, np.ndarray]:
-        return {}
-
-    def newest_objects(self) -> set[int]:
-        return set()
+    def object_worth(self, poses: np.ndarray) -> np.ndarray:
+        return np.zeros(poses.shape[1])
 
     def log_likelihood(self, poses: np.ndarray) -> np.ndarray:
         # The robot drives along x: it stays nearest in y to the place where it began.
