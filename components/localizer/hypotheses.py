@@ -52,9 +52,10 @@ GOOD_FIT = 0.8
 _SAME_M, _SAME_RAD, ELSEWHERE_M = 0.25, 0.2, 1.0
 # So many hypotheses are kept besides the current one, of so many particles each.
 _MOST, _PARTICLES = 12, 100
-# A pose is replaced when another one is so much likelier (logarithm of odds) and has so much of the
-# probability of all others. From the third on the robot is certainly not there: any likely position
-# is a better one to go on from. Those less likely than the best by more than the last are dropped.
+# A pose is replaced when another one is so much likelier (logarithm of odds), and when that one is
+# so probable (0 to 1) against all others. From the third on the robot is certainly not there: any
+# likely position is a better one to go on from. Those less likely than the best by more than the
+# last are dropped.
 _BETTER, _LIKELY, _REFUTED, _UNLIKELY = math.log(9.0), 0.9, 15.0, 12.0
 MOST_DOUBT = 0.01
 """From this probability of other positions on, the pose is not confirmed.
