@@ -245,7 +245,7 @@ def test_clock_is_the_time_and_set_back_it_clears_the_buffer(network: Network) -
 
         assert eventually(lambda: shown(100.0))
         assert eventually(lambda: shown(2.0))  # more than the length of the buffer before
-        assert transforms.buffer.can_transform("odom", "laser")
+        assert transforms.lookup("odom", "laser", timeout_s=LIMIT_S)
 
 
 def test_clock_of_the_robot_counts_before_that_of_ros(network: Network) -> None:
@@ -294,7 +294,7 @@ def test_message_that_is_not_valid_does_not_end_the_listener(
     robot: Robot, setting: Setting
 ) -> None:
     transforms = robot.transforms()
-    transforms.await_transforms(LIMIT_S)
+    transforms.lookup("odom", "base_link", timeout_s=LIMIT_S)
     for topic in ("/robot/tf", "/robot/tf_static"):
         key = keys.message_key(0, topic, TFMessage)
         setting[0].router.session.put(key, b"no CDR")
