@@ -35,7 +35,8 @@ class MotionModel:
             + self.turn_per_meter**2 * far
         )
         aside = self.forward_slip**2 * far if step.measured else 0.0
-        return math.sqrt(ahead), math.sqrt(aside), math.sqrt(turn)
+        times = step.uncertain
+        return times * math.sqrt(ahead), times * math.sqrt(aside), times * math.sqrt(turn)
 
 
 MEASURED: Final = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
@@ -48,7 +49,8 @@ COMMANDED: Final = MotionModel(0.025, 0.04)
 @dataclass(frozen=True)
 class OdometryStep:
     """Motion over a period, along the middle heading: meters forward and to the left, radians to
-    the left, seconds in motion; `measured` by the wheels, or only commanded.
+    the left, seconds in motion; `measured` by the wheels, or only commanded. Its deviations are
+    `uncertain` times those of the motion model.
     """
 
     ahead: float
@@ -56,6 +58,7 @@ class OdometryStep:
     turned: float
     moving_s: float
     measured: bool = True
+    uncertain: float = 1.0
 
 
 def move_pose(pose: Pose, step: OdometryStep) -> Pose:

@@ -46,8 +46,9 @@ from cairn.components.localizer.recent_observations import (
 )
 from cairn.components.localizer.scan_fit import BeamSelector, RecentScans, ScanFit
 from cairn.planar.grid import OccupancyCells
-from cairn.planar.motion_model import move_pose
+from cairn.planar.motion_model import move_pose, odometry_step
 from cairn.planar.odometry import OdometryChange
+from cairn.planar.odometry_gains import SHOWN_M, GainEstimator
 from cairn.planar.poses import Pose, distance
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
@@ -113,6 +114,8 @@ class Localization:
         self._scans = RecentScans()
         self._fit = ScanFit()
         self._calibrator = CovarianceCalibrator()
+        self._gains = GainEstimator(settings.motion)
+        self._stated: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
         self._beams = BeamSelector(settings.beams)
@@ -160,7 +163,9 @@ class Localization:
 
     def advance(self, stamp: float) -> None:
         """Move all particles to the time `stamp` [s]."""
-        step = self.track.advance(stamp)
+        stated = self.track.advance(stamp)
+        self._stated = move_pose(self._stated, stated)
+        step = self._gains.corrected(stated)
         self._reckoned = move_pose(self._reckoned, step)
         self._moved_s += step.moving_s
         self._beams.add_motion(step)
@@ -171,6 +176,7 @@ class Localization:
 
     def widen(self, deviation_m: float, deviation_rad: float) -> None:
         """Spread the particles, as odometry was interrupted."""
+        self._gains.interrupt()
         if self.located:
             self.filters.widen(deviation_m, deviation_rad)
 
@@ -202,7 +208,7 @@ class Localization:
 
     def predict(self, pose: Pose, stamp: float) -> Pose:
         """Return where a robot that is at `pose` now is expected at the later time `stamp` [s]."""
-        return move_pose(pose, self.track.preview(stamp))
+        return move_pose(pose, self._gains.corrected(self.track.preview(stamp)))
 
     def health(self) -> PoseHealth:
         """Return how far the pose can be relied on."""
@@ -253,6 +259,8 @@ class Localization:
         before = self.filters.estimate()
         self.filters.fuse_scan(lambda poses: new * likelihood(poses))
         pose = self.filters.estimate()
+        self._gains.add(odometry_step(self._stated), pose.mean, pose.widest < SHOWN_M)
+        self._stated = (0.0, 0.0, 0.0)
         self._calibrator.add_correction(before, pose, new)
         self._calibrator.add_deviation(field.deviation(pose.mean, selected), field.frame.resolution)
         was_lost = self._fit.lost
@@ -453,7 +461,8 @@ class Localization:
         self.located = True
 
     def _on_pose_replaced(self) -> None:
-        """Drop the conclusions about objects that were observed from a wrong pose."""
+        """Drop the conclusions about motion and objects from a wrong pose."""
+        self._gains.interrupt()
         self.evaluator.clear()
         self._confirmations.on_pose_replaced(self.landmarks)
 

@@ -64,6 +64,12 @@ class PoseEstimate:
         """The standard deviation of the position [m]: the root of the trace of its covariance."""
         return math.sqrt(max(0.0, float(self.covariance[0, 0] + self.covariance[1, 1])))
 
+    @property
+    def widest(self) -> float:
+        """The largest standard deviation of the position in any direction [m]."""
+        xx, yy, xy = self.covariance[0, 0], self.covariance[1, 1], self.covariance[0, 1]
+        return math.sqrt(max(0.0, 0.5 * float(xx + yy + math.hypot(xx - yy, 2.0 * xy))))
+
 
 class ParticleSet:
     """Poses (3, n) with log-weights (n,); n lies between `least` and `most`."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.alignment import Alignment, Reference
-from cairn.components.slam.correlation import CorrelationMap, Peak
+from cairn.components.slam.correlation import MOST_NODES, CorrelationMap, Peak
 from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap, placed_together
 from cairn.components.slam.point_cloud import PointCloud, joined
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
@@ -67,8 +67,11 @@ _COMPLETE_SD_M = 0.3
 _REMEMBERED = 48  # matches that wait for others
 # Submaps that are searched for a new one.
 _MOST_CANDIDATES = 24
-# Of other islands, one submap in this distance [m] is searched, and at most so many.
-_PLACES_M, _MOST_PLACES = 3.0, 100
+# Of other islands, one submap in each cell of this size [m] is searched. Of more cells than
+# `_MOST_CANDIDATES`, half are the nearest ones, as by odometry, and half are others each time.
+_PLACES_M = 5.0
+# A search of other islands ends after so many nodes, a tenth of a second: it is too ambiguous.
+_MOST_NODES_ANYWHERE = 100_000
 # Matches that are enough for one submap.
 _ENOUGH = 3
 
@@ -190,8 +193,9 @@ class LoopCloser:
             return None
         least = _LEAST_SCORE_ANYWHERE if task.anywhere else _LEAST_SCORE
         center = (0.0, 0.0, 0.0) if task.anywhere else relative(base, at)
+        nodes = _MOST_NODES_ANYWHERE if task.anywhere else MOST_NODES
         peaks = CorrelationMap(cloud.points).search(
-            query.points, center, task.reach, task.turn, least, _MOST_PEAKS
+            query.points, center, task.reach, task.turn, least, _MOST_PEAKS, nodes=nodes
         )
         if peaks and not task.anywhere:
             peaks.append(Peak(center, least))  # along a corridor it may be best
@@ -362,16 +366,20 @@ def _near_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]
 def _anywhere_tasks(
     new: Submap, olds: list[Submap], islands: NDArray[np.int64], graph: PoseGraph
 ) -> list[Task]:
-    """Return the comparisons with submaps of other islands: one for each place, newest first."""
-    chosen: list[Submap] = []
-    for old in reversed(olds):
-        at, island = graph.pose(old.middle), islands[old.middle]
-        if all(
-            islands[other.middle] != island or distance(at, graph.pose(other.middle)) > _PLACES_M
-            for other in chosen
-        ):
-            chosen.append(old)
-    return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in chosen[:_MOST_PLACES]]
+    """Return the comparisons with submaps of other islands: one for each place, nearest first."""
+    at = graph.pose(new.middle)
+    by_cell: dict[tuple[int, int, int], Submap] = {}
+    for old in olds:
+        x, y, _ = graph.pose(old.middle)
+        cell = int(islands[old.middle]), math.floor(x / _PLACES_M), math.floor(y / _PLACES_M)
+        by_cell[cell] = old
+    places = sorted(by_cell.values(), key=lambda old: distance(graph.pose(old.middle), at))
+    half = _MOST_CANDIDATES // 2
+    if len(places) > _MOST_CANDIDATES:
+        others = places[half:]
+        first = new.number * half % len(others)
+        places = places[:half] + (others + others)[first : first + half]
+    return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in places]
 
 
 def turned(matrix: Array, heading: float) -> Array:
@@ -384,7 +392,7 @@ def turned(matrix: Array, heading: float) -> Array:
 
 def _is_complete(edge: Edge) -> bool:
     """Return whether a match shows the position in all directions."""
-    covariance = np.linalg.inv(edge.information + 1e-9 * np.eye(3))
+    covariance = np.linalg.inv(edge.information)
     return bool(np.linalg.eigvalsh(covariance[:2, :2])[-1] < _COMPLETE_SD_M**2)
 
 

@@ -24,8 +24,8 @@ _LEVELS = 6  # the coarsest cells are 2^5 times larger: 3.2 m
 _TURN = math.radians(1.0)  # between the headings that are tried
 # Two poses nearer than this [m], [rad] are one peak of the likelihood.
 _PEAK_M, _PEAK_RAD = 0.4, math.radians(12.0)
-# A search that has expanded so many nodes ends without a result: the window is too ambiguous.
-_MOST_NODES = 400_000
+MOST_NODES = 400_000
+"""A search that has expanded so many nodes ends without a result: the window is too ambiguous."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ class CorrelationMap:
         least: float,
         most: int = 1,
         share: float = 0.8,
+        nodes: int = MOST_NODES,
     ) -> list[Peak]:
         """Return the best poses of the points (n, 2) [m], the best one first.
 
@@ -81,18 +82,19 @@ class CorrelationMap:
             least: scores below this count as none.
             most: largest number of peaks.
             share: scores below this share of the best one count as none.
+            nodes: largest number of nodes that are searched.
 
         Returns:
             The peaks of the likelihood, 0.4 m or 12 degrees apart, whose score is at least `least`
             and `share` times the best one. Empty if none is found; `most` times the best one if
-            others remained unknown because more than 400,000 nodes would have to be searched.
+            others remained unknown because more than `nodes` would have to be searched.
 
         """
         steps = min(math.ceil(turn / _TURN), math.ceil(math.pi / _TURN) - 1)
         turns = np.asarray(center[2] + _TURN * np.arange(-steps, steps + 1), np.float64)
         found = _search(
             np.ascontiguousarray(points), turns, self._levels, self._origin,
-            center[0], center[1], math.ceil(reach / _CELL), least, most, share,
+            center[0], center[1], math.ceil(reach / _CELL), least, most, share, nodes,
         )  # fmt: skip
         return [
             Peak((float(x), float(y), wrap(float(theta))), float(score))
@@ -114,7 +116,7 @@ def _score(
 
 @compiled(
     "float64[:, ::1](float64[:, ::1], float64[::1], float32[:, :, ::1], float64[::1],"
-    " float64, float64, int64, float64, int64, float64)"
+    " float64, float64, int64, float64, int64, float64, int64)"
 )
 def _search(
     points: Array,
@@ -127,6 +129,7 @@ def _search(
     least: float,
     most: int,
     share: float,
+    most_nodes: int,
 ) -> Array:
     count, rotations = len(points), len(turns)
     height, rows, columns = levels.shape
@@ -177,7 +180,7 @@ def _search(
             floor = max(least, share * found[0, 3])
             continue
         nodes += 1
-        if nodes > _MOST_NODES:
+        if nodes > most_nodes:
             if peaks == 0:
                 break
             # What was not searched may be as good.

@@ -28,12 +28,14 @@ from cairn.components.slam.odometry_calibration import (
     CalibrationEstimate,
     estimate_calibration,
     odometry_edge,
+    with_gains,
 )
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
-from cairn.planar.motion_model import MEASURED, MotionModel
+from cairn.planar.motion_model import MEASURED, MotionModel, move_pose, odometry_step
+from cairn.planar.odometry_gains import GainEstimator
 from cairn.planar.poses import Pose, apart, compose, distance, relative
 from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
@@ -138,9 +140,11 @@ class Mapper:
         self._builder = LandmarkBuilder(self.graph)
         self._contradicted = False  # by an observation since the last optimization
         self._optimized = 0  # number of keyframes then
-        as_stated, deviations = OdometryCalibration(), OdometryCalibration(0.1, 0.1, 0.1)
+        as_stated, deviations = OdometryCalibration(), OdometryCalibration(0.1, 0.1, 0.1, 0.01)
         self.calibration = CalibrationEstimate(as_stated, deviations)
-        """How the robot moves when odometry states a motion, estimated when the map is finished."""
+        """How the robot moves when odometry states a motion: its gains are estimated while driving
+        by scans; and with the lag, by all, when the map is finished."""
+        self._gains = GainEstimator(model)
         self._continues = False  # the next scan is the first since the map was read
         # Closures since the last optimization, and the number of keyframes then.
         self._unsolved, self._solved_at = 0, 0
@@ -170,8 +174,11 @@ class Mapper:
         elif self._odometry is None:
             tracked = Tracked(self.pose, np.zeros((3, 3)), None)
         else:
-            step = relative(self._odometry, odometry)
-            tracked = self.tracker.track(self.pose, step, cloud)
+            step = odometry_step(relative(self._odometry, odometry))
+            moved = move_pose((0.0, 0.0, 0.0), self._gains.corrected(step))
+            tracked = self.tracker.track(self.pose, moved, cloud)
+            if self._gains.add(step, tracked.pose, tracked.is_shown):
+                self.calibration = with_gains(self.calibration, self._gains)
         self._odometry = odometry
         self.pose = tracked.pose
         if tracked.is_lost:
@@ -375,6 +382,7 @@ class Mapper:
         last = self.graph.pose(len(self.keyframes) - 1)
         self.graph.optimize_quickly()
         self.pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self.pose))
+        self._gains.interrupt()
         # The next scan is aligned to where the keyframes are now.
         self._set_surroundings()
 
@@ -397,6 +405,7 @@ class Mapper:
             self._close_submap()
         self._island = len(self.keyframes)
         self.tracker.start()
+        self._gains.interrupt()
 
     def _move_steps(self, count: int, keyframe: int) -> None:
         """Attach the last steps to another keyframe: the robot was moved before them."""

@@ -1,4 +1,4 @@
-"""The calibration of odometry: its lag and gains, estimated together with the map."""
+"""The calibration of odometry: its lag, gains and veer, estimated together with the map."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from cairn.components.slam.landmarks import LandmarkBuilder
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Prior, relative_all
 from cairn.planar.motion_model import MotionModel
+from cairn.planar.odometry_gains import GainEstimator
 
 Array = NDArray[np.float64]
 
-# Bounds of the calibration: gains, lag [s].
-_LOW, _HIGH = (0.5, 0.5, -0.3), (1.5, 1.5, 0.5)
-# How far a calibration usually is from the one that is configured: gains, lag [s].
-_USUAL = (0.1, 0.1, 0.1)
-# Steps of the numeric derivatives: gains, lag [s].
-_STEPS = (0.02, 0.02, 0.05)
+# Of gains, lag [s] and veer [rad/m]: bounds, how far they usually are from those that are
+# configured, and steps of the numeric derivatives.
+_LOW, _HIGH = (0.5, 0.5, -0.3, -0.1), (1.5, 1.5, 0.5, 0.1)
+_USUAL = (0.1, 0.1, 0.1, 0.01)
+_STEPS = (0.02, 0.02, 0.05, 0.005)
 # The estimate is complete after a change below this, or after so many.
-_ENOUGH, _MOST_CHANGES = (0.001, 0.001, 0.003), 8
+_ENOUGH, _MOST_CHANGES = (0.001, 0.001, 0.003, 0.0001), 8
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,16 @@ class CalibrationEstimate:
 
     calibration: OdometryCalibration
     deviations: OdometryCalibration
+
+
+def with_gains(before: CalibrationEstimate, gains: GainEstimator) -> CalibrationEstimate:
+    """Return a calibration with gains that were estimated while driving, and its lag."""
+    (forward,), (turn, veer) = gains.forward.tolist(), gains.turn.tolist()
+    forward_sd, turn_sd, veer_sd = gains.deviations
+    return CalibrationEstimate(
+        OdometryCalibration(forward, turn, before.calibration.lag_s, veer),
+        OdometryCalibration(forward_sd, turn_sd, before.deviations.lag_s, veer_sd),
+    )
 
 
 def odometry_edge(

@@ -32,12 +32,14 @@ class OdometryCalibration:
         forward_gain: distance driven per distance of odometry [1].
         turn_gain: angle turned per angle of odometry [1].
         lag_s: how much later the robot moves than odometry states [s].
+        veer: angle turned per distance of odometry [rad/m], besides.
 
     """
 
     forward_gain: float = 1.0
     turn_gain: float = 1.0
     lag_s: float = 0.0
+    veer: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ class OdometryLog:
             np.array(values[first:])
             for values in (self._time, self._ahead, self._aside, self._turned)
         )
-        turned *= calibration.turn_gain
+        turned = calibration.turn_gain * turned + calibration.veer * ahead
         theta = np.cumsum(turned)
         cosine, sine = np.cos(theta - 0.5 * turned), np.sin(theta - 0.5 * turned)
         x = calibration.forward_gain * np.cumsum(cosine * ahead - sine * aside)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cairn.components.slam.alignment import Reference
 from cairn.components.slam.correlation import CorrelationMap
 from cairn.components.slam.point_cloud import PointCloud
+from cairn.planar.odometry_gains import SHOWN_M
 from cairn.planar.poses import Pose, apart, compose
 
 Array = NDArray[np.float64]
@@ -67,6 +68,7 @@ class Tracked:
             [m] and heading [rad] in the map's frame.
         fit: how well the scan fits, from 0 to 1; None if it shows too little, or nothing that was
             seen before.
+        is_shown: whether the scan shows the position in all directions.
         is_misfit: whether the scan fits nowhere near, and the pose is that of odometry.
         is_lost: whether so many scans in a row did that the robot was moved by hand: one did not
             fit the scan before it either, or the wheels stood still.
@@ -76,6 +78,7 @@ class Tracked:
     pose: Pose
     information: Array
     fit: float | None
+    is_shown: bool = False
     is_misfit: bool = False
     is_lost: bool = False
 
@@ -200,10 +203,14 @@ class ScanTracker:
         """Return the result of a step with `noise` (3, 3) and of an alignment, if there is one."""
         self._covariance = self._covariance + noise
         known = _inverse(self._covariance)
+        is_shown = False
         if information is not None:
             known += information
             self._covariance = _inverse(known)
-        return Tracked(pose, known, fit, self._misfits > 0, self._since_jump >= _NO_FIT_IN_A_ROW)
+            position = np.linalg.eigvalsh(_inverse(information)[:2, :2])
+            is_shown = bool(position[-1] < SHOWN_M**2)
+        is_lost = self._since_jump >= _NO_FIT_IN_A_ROW
+        return Tracked(pose, known, fit, is_shown, self._misfits > 0, is_lost)
 
     def locate(self, pose: Pose, cloud: PointCloud, reach: float) -> Tracked:
         """Search for where a scan was taken: up to `reach` [m] around a pose, facing anywhere."""

@@ -28,6 +28,7 @@ from cairn.planar.mount_estimation import estimate_mount_yaw, seems_upside_down
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, between, compose, relative, wrap
 from cairn.planar.scans import rays_of
+from cairn.schemas.nav_msgs import MOST_CELLS
 from cairn.system.files import explained, replace_file
 from cairn.visual_map.observations import Observation, observations_of
 
@@ -39,6 +40,9 @@ _MOST_PREDICTED = 2.0
 _FARTHEST_LANDMARK_M = 50.0  # surfaces are irrelevant for a map without scans
 # A map whose scans fit worse, from 0 to 1, may be of a scanner with a wrong mount.
 _POOR_FIT = 0.6
+# Cells that are drawn beside what scans show, in each direction; and the largest size of cells [m]
+# to which a map is made coarser by itself.
+_AROUND, _COARSEST_M = 256, 0.5
 # So far from the yaw by motion [rad] the yaw of a mount is wrong, as in `cairn recording info`.
 _OFF_RAD = math.radians(5.0)
 
@@ -132,7 +136,8 @@ def build_map(
     mapper.finish(progress)
     if earlier:
         _check_joined(mapper, earlier, name)
-    drawing = MapGrid(settings.resolution, settings.reach)
+    resolution = _resolution(mapper, settings)
+    drawing = MapGrid(resolution, settings.reach)
     drawing.renew(mapper.renewals)
     try:
         drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
@@ -153,7 +158,33 @@ def build_map(
         stamps = [recorded[stamp] for stamp in stamps]
     quality = quality_of(mapper, drawing)
     hint = _mount_hint(name, quality, mount, scans, odometry)
+    if resolution > settings.resolution:
+        hint = (
+            f"{name}: the map is drawn with cells of {resolution:g} m: of {settings.resolution:g} "
+            f"m, they would be more than {MOST_CELLS}" + (f"\n{hint}" if hint else "")
+        )
     return BuiltMap(mapper, grid, mapper.landmarks(), stamps, poses[kept], quality, hint)
+
+
+def _resolution(mapper: Mapper, settings: BuildSettings) -> float:
+    """Return the size of cells [m] of the map: doubled until it has not too many of them."""
+    resolution = settings.resolution
+    inside = np.flatnonzero(mapper.in_map())
+    if not inside.size:
+        return resolution
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for number in inside.tolist():
+        position = mapper.graph.poses[number, :2]
+        rays = mapper.keyframes[number].rays
+        ranges = rays.rays().ranges if rays is not None else np.zeros(0)
+        far = float(ranges[ranges <= settings.reach].max(initial=0.0))
+        low, high = np.minimum(low, position - far), np.maximum(high, position + far)
+    while (
+        2.0 * resolution <= _COARSEST_M
+        and np.prod((high - low) / resolution + _AROUND) > MOST_CELLS
+    ):
+        resolution *= 2.0
+    return resolution
 
 
 def _check_joined(mapper: Mapper, earlier: int, name: str) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from cairn import CairnError
 from cairn.components.slam.pose_graph import EdgeKind
@@ -15,7 +17,10 @@ from cairn.planar.grid import OCCUPIED_FROM, UNKNOWN, OccupancyCells
 from cairn.tools.mapping.build import BuiltMap
 
 _WIDTH = 12.0  # of the picture [in]
+_MOST_PIXELS = 2640  # along a side: several cells are one pixel, an obstacle before a free cell
 _WAY, _LOOPS = "#1f6fb4", "#d98200"
+_UNSEEN, _FREE, _OBSTACLE = 0, 1, 2
+_SHADES = np.repeat(np.array([[217], [255], [26]], np.uint8), 3, axis=1)
 
 
 def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
@@ -62,9 +67,15 @@ def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
 
 
 def _draw_grid(axes: Axes, grid: OccupancyCells) -> None:
-    picture = np.full((*grid.values.shape, 3), 1.0)
-    picture[grid.values == UNKNOWN] = 0.85
-    picture[grid.values >= OCCUPIED_FROM] = 0.1
-    (x, y, _), (width, height) = grid.frame.origin, grid.size_m
-    extent = (x, x + width, y, y + height)
-    axes.imshow(picture, origin="lower", extent=extent, interpolation="nearest")
+    rank: NDArray[np.uint8] = np.full(grid.values.shape, _FREE, np.uint8)
+    rank[grid.values == UNKNOWN] = _UNSEEN
+    rank[grid.values >= OCCUPIED_FROM] = _OBSTACLE
+    # Matplotlib makes several copies of all pixels, of 32 bytes each.
+    size = math.ceil(max(rank.shape) / _MOST_PIXELS)
+    rank = np.pad(rank, [(0, -length % size) for length in rank.shape])
+    rows, columns = rank.shape
+    x, y, _ = grid.frame.origin
+    rank = rank.reshape(rows // size, size, columns // size, size).max(axis=(1, 3))
+    meters = grid.frame.resolution
+    extent = (x, x + columns * meters, y, y + rows * meters)
+    axes.imshow(_SHADES[rank], origin="lower", extent=extent, interpolation="nearest")

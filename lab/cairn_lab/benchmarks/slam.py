@@ -1,9 +1,11 @@
 """Maps that SLAM builds: simulated drives in several worlds with four scanners, and real logs.
 
     python -m cairn_lab.benchmarks.slam [--worlds W,W] [--scanners UST-10LX] [LOG.clf.gz RELATIONS]
+    python -m cairn_lab.benchmarks.slam --open-hall 3
 
 Without a log, all worlds are driven with all scanners. A log of the SLAM benchmark (Kuemmerle
-et al. 2009) is judged by its relations.
+et al. 2009) is judged by its relations. `--open-hall` drives through an open hall with so many
+seeds.
 """
 
 from __future__ import annotations
@@ -13,11 +15,13 @@ import math
 import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from cairn.components.replay_devices.carmen import CarmenRecording
+from cairn.components.simulation.scanner import MODELS
 from cairn.components.slam.mapping import Mapper
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import rays_of
@@ -25,7 +29,7 @@ from cairn_lab.benchmarks.result import Metric
 from tests.components.slam import courses
 from tests.components.slam.courses import Course
 from tests.components.slam.map_errors import map_errors
-from tests.components.slam.recordings import SCANNERS, record
+from tests.components.slam.recordings import SCANNERS, OdometryErrors, Scanner, record
 
 WORLDS: dict[str, Callable[[], Course]] = {
     "office": lambda: courses.shipped("office"),
@@ -66,6 +70,28 @@ def measure_world(world: str, scanner: str, seed: int = 0) -> list[Metric]:
         Metric(f"{name}: speed", recording.seconds / spent, "x real time", at_least=20.0,
                note=f"{recording.seconds / live:.0f} while driving;"
                f" {len(mapper.keyframes)} keyframes"),
+    ]  # fmt: skip
+
+
+def measure_open_hall(reach_m: float, seed: int = 0) -> list[Metric]:
+    """Return the metrics of an open hall, with a scanner of that reach and odometry 3 % too long.
+
+    Of a reach of 4 m, a scan shows a bare wall, a pillar, or nothing.
+    """
+    scanner = Scanner(replace(MODELS["UST-10LX"], most=reach_m, noise_m=0.01), 2, 10.0)
+    recording = record(courses.open_hall(), scanner, seed, OdometryErrors(scale=0.03))
+    mapper = Mapper(FARTHEST_M)
+    for stamp, odometry, rays in zip(
+        recording.stamps, recording.odometry, recording.rays, strict=True
+    ):
+        mapper.add_scan(stamp, odometry, rays)
+    mapper.finish()
+    errors = map_errors(mapper, recording)
+    name = f"open hall, reach of {reach_m:.0f} m, seed {seed}"
+    least = 0.97 if reach_m >= 10.0 else 0.9
+    return [
+        Metric(f"{name}: cells within 10 cm of a wall", errors.walls_10cm, "", at_least=least,
+               note=f"largest position error {errors.worst_m:.2f} m"),
     ]  # fmt: skip
 
 
@@ -144,6 +170,11 @@ def _metrics(arguments: argparse.Namespace) -> Iterator[Metric]:
         log, relations = arguments.log
         yield from measure_log(log, relations)
         return
+    if arguments.open_hall:
+        for reach_m in (10.0, 4.0):
+            for seed in range(arguments.open_hall):
+                yield from measure_open_hall(reach_m, seed)
+        return
     for world in arguments.worlds.split(","):
         for scanner in arguments.scanners.split(","):
             yield from measure_world(world, scanner)
@@ -154,6 +185,7 @@ def main() -> None:
     parser.add_argument("log", nargs="*", type=Path, help="a log and its relations")
     parser.add_argument("--worlds", default=",".join(WORLDS))
     parser.add_argument("--scanners", default=",".join(SCANNERS))
+    parser.add_argument("--open-hall", type=int, metavar="SEEDS", help="an open hall instead")
     for f in _metrics(parser.parse_args()):
         verdict = "" if not f.limit else ("kept" if f.kept else "MISSED")
         print(f"{f.name}: {f.value:.3g} {f.unit} ({f.limit} {verdict}) {f.note}", flush=True)

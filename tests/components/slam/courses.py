@@ -120,6 +120,18 @@ def large_hall(width: float = 36.0, depth: float = 28.0) -> Course:
     return Course(_world(lines, corners[0]), stops)
 
 
+def open_hall() -> Course:
+    """Return a hall of 30 m by 20 m with six pillars and bare walls; driven around and across."""
+    width, depth, margin = 30.0, 20.0, 2.0
+    lines = [_box(0.0, 0.0, width, depth)]
+    pillars = [(x, y) for x in (7.5, 15.0, 22.5) for y in (6.5, 13.5)]
+    lines += [_box(x - 0.25, y - 0.25, x + 0.25, y + 0.25) for x, y in pillars]
+    right, upper = width - margin, depth - margin
+    corners = [(margin, margin), (right, margin), (right, upper), (margin, upper)]
+    stops = (*corners, corners[0], corners[2], corners[1], corners[3], corners[0])
+    return Course(_world(lines, corners[0]), stops)
+
+
 def two_wings(seed: int = 1) -> Course:
     """Return an office of two wings at a right angle, with rooms of different sizes and furniture.
 

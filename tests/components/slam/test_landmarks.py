@@ -91,7 +91,7 @@ def test_calibration_leaves_right_odometry_as_it_is() -> None:
 def test_odometry_without_observations_stays_as_configured() -> None:
     mapper = mapped(20.0, camera=lambda _step, _pose, _seen: ())
     calibration = mapper.calibration.calibration
-    assert astuple(calibration) == pytest.approx((1.0, 1.0, 0.0))
+    assert astuple(calibration) == pytest.approx((1.0, 1.0, 0.0, 0.0))
     assert mapper.landmarks().landmarks == ()
 
 

@@ -192,7 +192,7 @@ def test_full_disk_leaves_the_whole_map_before(short: Path, tmp_path: Path) -> N
     for ending in (".yaml", ".pgm", ".graph", ".png"):
         file(out, ending).write_text("the map before")
 
-    with room_for(400_000):
+    with room_for(600_000):
         answer = cairn("map", "build", str(short), str(out), "--force")
 
     assert answer.code == 1
@@ -287,3 +287,15 @@ def test_wrong_mount_is_named_with_the_yaw_that_motion_shows(short: Path, tmp_pa
 
     assert "is the mount of the scanner, (0, 0, 1.57), right?" in answer.err
     assert re.search(r"Try --scanner 0,0,-?0\.0\d$", answer.err, re.MULTILINE)
+
+
+def test_map_with_too_many_cells_is_drawn_with_larger_ones(
+    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.tools.mapping.build.MOST_CELLS", 600_000)
+
+    answer = cairn("map", "build", str(short), str(tmp_path / "map"))
+
+    assert answer.code == 0, answer.err
+    assert "cells of 0.1 m: of 0.05 m, they would be more than 600000" in answer.err
+    assert read_map(tmp_path / "map.yaml").frame.resolution == 0.1
