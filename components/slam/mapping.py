@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,7 +37,7 @@ from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel, move_pose, odometry_step
 from cairn.planar.odometry_gains import GainEstimator
-from cairn.planar.poses import Pose, apart, compose, distance, relative
+from cairn.planar.poses import Pose, apart, compose, distance, relative, wrap
 from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
 from cairn.visual_map.observations import Observation
@@ -75,6 +76,11 @@ _NEAR_M, _CONTINUED_FIT = 2.5, 0.6
 # observed, and else.
 _SILENT_NS, _TRAJECTORY_NS = 1_000_000_000, 100_000_000
 _LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
+# Where scans changed at once while the robot drove, odometry may be off by this [m], [rad].
+_JUMP_M, _JUMP_RAD = 1.0, 0.5
+# It drove if it was not slower than half of its usual speed in so many scans, and that was at least
+# this [m/s].
+_SPEEDS, _SLOWEST = 15, 0.05
 # Observations that contradict the map wait for so many keyframes, and for this share of all (1 in
 # ...), until the map is optimized.
 _LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
@@ -133,6 +139,8 @@ class Mapper:
         self._odometry: Pose | None = None
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
+        self._driven_on: list[int] = []  # first keyframes of islands to which the robot drove
+        self._speeds: deque[float] = deque(maxlen=_SPEEDS)  # by odometry, of the last scans [m/s]
         self._way = 0.0
         self._model = model
         self._log = OdometryLog()
@@ -166,6 +174,9 @@ class Mapper:
 
         """
         self._log.add(stamp_ns, odometry)
+        if self._odometry is not None and self._scanned_ns is not None:
+            seconds = max(1, stamp_ns - self._scanned_ns) / SECOND
+            self._speeds.append(distance(self._odometry, odometry) / seconds)
         self._scanned_ns = stamp_ns
         cloud = scan_cloud(rays, self.farthest)
         if self._continues:
@@ -183,6 +194,8 @@ class Mapper:
         self.pose = tracked.pose
         if tracked.is_lost:
             self._start_island()
+            if self._is_driving(self._misfits + 1):
+                self._driven_on.append(len(self.keyframes))
         last = len(self.keyframes) - 1
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self.pose)
@@ -316,7 +329,8 @@ class Mapper:
             compared, loops = planned - self.closer.pending, self.closer.counts.accepted
             done = f"{compared:,} of {planned:,} pairs of places compared, {loops:,} loops closed"
             report("loops", compared / planned, done)
-        if self._unsolved:
+        joined = self._join_driven()
+        if self._unsolved or joined:
             self._unsolved = 0
             self.graph.optimize()
         if self.graph.depends_on_odometry:
@@ -328,6 +342,24 @@ class Mapper:
             self._align_neighbors(reach, partial(_report_round, report, number))
             self.graph.optimize()
         self._use_landmarks()
+
+    def _join_driven(self) -> bool:
+        """Join islands to which the robot drove, and of which no place was recognized, by odometry.
+
+        Return whether there are any.
+        """
+        islands, stamps = self.graph.islands(), self._stamps()
+        path = self._log.path(self.calibration.calibration)
+        for number in self._driven_on:
+            before = number - 1
+            if islands[before] != islands[number] and path.covers(stamps[[before]]).all():
+                start, end = path.at(stamps[[before, number]]).tolist()
+                x, y, turn = relative(start, end)
+                known = np.diag(np.array([_JUMP_M, _JUMP_M, _JUMP_RAD]) ** -2.0)
+                edge = Edge(EdgeKind.JUMP, before, number, (x, y, wrap(turn)), known)
+                self.graph.edges.append(edge)
+        self._driven_on = []
+        return any(edge.kind is EdgeKind.JUMP for edge in self.graph.edges)
 
     def _use_landmarks(self) -> None:
         """Estimate the odometry; optimize with it, and with observations that became clear."""
@@ -399,6 +431,13 @@ class Mapper:
             tracked = self.tracker.locate(self.pose, cloud, _NEAR_M)
         is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
         return replace(tracked, is_lost=is_lost)
+
+    def _is_driving(self, scans: int) -> bool:
+        """Return whether the wheels turned in the last scans as in those before them."""
+        speeds = list(self._speeds)
+        before = sorted(speeds[:-scans])
+        usual = before[len(before) // 2] if before else 0.0
+        return usual > _SLOWEST and min(speeds[-scans:]) > 0.5 * usual
 
     def _start_island(self) -> None:
         if self._open.last >= self._open.first:

@@ -55,6 +55,8 @@ class EdgeKind(IntEnum):
     """A place that was recognized."""
     ODOMETRY = 3
     """Odometry alone, as no scan supports it."""
+    JUMP = 4
+    """Odometry where scans changed at once: it may be far off."""
 
 
 @dataclass(frozen=True, slots=True)

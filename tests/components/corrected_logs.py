@@ -21,7 +21,7 @@ from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.odometry import MeasuredTrack
 from cairn.components.replay_devices.carmen import CarmenRecording
 from cairn.planar.grid import OccupancyCells
-from cairn.planar.poses import Pose, wrap
+from cairn.planar.poses import Pose, compose, inverse, wrap
 from cairn.planar.scan_grid import build_grid
 from cairn.planar.scans import beams_of
 from cairn.schemas.sensor_msgs import LaserScan
@@ -76,6 +76,8 @@ def load_log(path: Path) -> CorrectedLog:
         raise ValueError(f"{path} has no odometry or no corrected poses")
     posed = list(recording.posed_scans())
     begin = truth.stamps[0]
+    # What was corrected is the pose of the laser: fr101 states the same one for the robot.
+    base = inverse(MOUNT)
     return CorrectedLog(
         (np.array(odometry.stamps) - begin) / 1e9,
         odometry.poses,
@@ -83,7 +85,7 @@ def load_log(path: Path) -> CorrectedLog:
         [scan for _, scan in posed],
         [beams_of(scan, MOUNT).points() for _, scan in posed],
         [pose for pose, _ in posed],
-        truth.poses,
+        np.array([compose(pose, base) for pose, _ in posed]),
     )
 
 
