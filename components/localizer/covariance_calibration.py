@@ -30,10 +30,9 @@ _LONGEST_LAG = 6.0
 # Random corrections leave the share w / (2 - w) = 0.026 of their mean square in a running mean of
 # weight w; eight times that is exceeded in 0.5 % of the cases (chi-square, 1 degree of freedom).
 _AT_RANDOM = 4.0 * _NEWEST_STEP
-# Exact beams deviate so much from a map of cells [cells]; what is beyond is the error of the map,
-# which turns the robot so much [rad / m]. Where in its cell an obstacle is, no map says: the pose
-# errs by 1 / sqrt(12) of a cell.
-_DEVIATION_OF_CELLS, _ERROR_OF_CELLS = 0.54, 0.29
+# Exact beams deviate so much from a map of cells, and move the pose so far [cells]; what is beyond
+# is the error of the map, which turns the robot so much [rad / m].
+_DEVIATION_OF_CELLS, _ERROR_OF_CELLS = 0.54, 0.125
 _TURN_PER_M = 0.1
 _LEAST_TURN = 0.002  # [rad], the heading's share of the error of cells
 

@@ -30,6 +30,7 @@ from cairn.planar.poses import Pose, between, compose, relative, wrap
 from cairn.planar.scans import rays_of
 from cairn.schemas.nav_msgs import MOST_CELLS
 from cairn.system.files import explained, replace_file
+from cairn.system.heap import return_free_memory
 from cairn.visual_map.observations import Observation, observations_of
 
 Array = NDArray[np.float64]
@@ -134,6 +135,7 @@ def build_map(
     mount = settings.mount or _recorded_mount(recording)
     _add_records(mapper, scans, seen, odometry, mount, progress)
     mapper.finish(progress)
+    return_free_memory()
     if earlier:
         _check_joined(mapper, earlier, name)
     resolution = _resolution(mapper, settings)

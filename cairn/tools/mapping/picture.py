@@ -17,7 +17,7 @@ from cairn.planar.grid import OCCUPIED_FROM, UNKNOWN, OccupancyCells
 from cairn.tools.mapping.build import BuiltMap
 
 _WIDTH = 12.0  # of the picture [in]
-_MOST_PIXELS = 2640  # along a side: several cells are one pixel, an obstacle before a free cell
+_MOST_PIXELS = 1320  # along a side: several cells are one pixel, an obstacle before a free cell
 _WAY, _LOOPS = "#1f6fb4", "#d98200"
 _UNSEEN, _FREE, _OBSTACLE = 0, 1, 2
 _SHADES = np.repeat(np.array([[217], [255], [26]], np.uint8), 3, axis=1)
