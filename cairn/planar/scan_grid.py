@@ -127,11 +127,16 @@ class ScanGrid:
 
         Wrong poses, moving things and glass reduce it; it is 0 without rays.
         """
-        obstacles = (self.whole().values == OCCUPIED).astype(np.uint8)
-        if not obstacles.any():
-            return 0.0
-        near = cv2.dilate(obstacles, np.ones((3, 3), np.uint8)) > 0
-        return float(self._ended[near].sum() / self._ended.sum())
+        rows, columns = self.shape
+        on, kernel = 0, np.ones((3, 3), np.uint8)
+        for first in range(0, rows, _BLOCK):
+            last = min(first + _BLOCK, rows)
+            around = slice(max(0, first - 1), min(last + 1, rows))
+            cells = self._cells((around, slice(0, columns)))
+            near = cv2.dilate((cells == OCCUPIED).astype(np.uint8), kernel) > 0
+            inner = near[first - around.start : last - around.start]
+            on += int(self._ended[first:last][inner].sum())
+        return on / max(1, int(self._ended.sum()))
 
     def evidence(self, passes: int) -> Grid[np.uint8]:
         """Return for each cell what the rays say of it: NOT_SEEN, SEEN or SEEN_FREE.
