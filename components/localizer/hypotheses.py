@@ -237,10 +237,9 @@ class PoseHypotheses:
         if here is not None:
             base = float(recent.scan_worth(np.array([here.mean]).T)[0])
             carried = _CARRIED_AT_ONCE if at_once else _CARRIED
-            brought = carried - math.log(recent.places)
-            prior = brought * min(1.0, self._settled_m / _SETTLED_M)
+            prior = (carried - math.log(recent.places)) * min(1.0, self._settled_m / _SETTLED_M)
         else:
-            base, prior, brought = self._base(recent, by_scans), 0.0, 0.0
+            base, prior = self._base(recent, by_scans), 0.0
         odds = prior + by_scans - base
         for mode, value in zip(modes.T, odds, strict=True):
             pose = (float(mode[0]), float(mode[1]), float(mode[2]))
@@ -253,7 +252,7 @@ class PoseHypotheses:
                 known_one.searches += 1
                 if here is not None:
                     # It could have been carried there just now.
-                    known_one.odds = max(known_one.odds, float(value) - prior + brought)
+                    known_one.odds = max(known_one.odds, float(value))
         self._keep_likely(recent, here)
 
     def search_near(
