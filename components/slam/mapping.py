@@ -78,9 +78,9 @@ _SILENT_NS, _TRAJECTORY_NS = 1_000_000_000, 100_000_000
 _LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
 # Where scans changed at once while the robot drove, odometry may be off by this [m], [rad].
 _JUMP_M, _JUMP_RAD = 1.0, 0.5
-# It drove if it was not slower than half of its usual speed in so many scans, and that was at least
-# this [m/s].
-_SPEEDS, _SLOWEST = 15, 0.05
+# It drove if its speed differed by at most this factor from the usual one of so many scans, which
+# was at least this [m/s].
+_STEADY, _SPEEDS, _SLOWEST = 2.0, 15, 0.05
 # Observations that contradict the map wait for so many keyframes, and for this share of all (1 in
 # ...), until the map is optimized.
 _LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
@@ -348,6 +348,9 @@ class Mapper:
 
         Return whether there are any.
         """
+        if not self._driven_on:
+            return False
+        joined = False
         islands, stamps = self.graph.islands(), self._stamps()
         path = self._log.path(self.calibration.calibration)
         for number in self._driven_on:
@@ -358,8 +361,9 @@ class Mapper:
                 known = np.diag(np.array([_JUMP_M, _JUMP_M, _JUMP_RAD]) ** -2.0)
                 edge = Edge(EdgeKind.JUMP, before, number, (x, y, wrap(turn)), known)
                 self.graph.edges.append(edge)
+                joined = True
         self._driven_on = []
-        return any(edge.kind is EdgeKind.JUMP for edge in self.graph.edges)
+        return joined
 
     def _use_landmarks(self) -> None:
         """Estimate the odometry; optimize with it, and with observations that became clear."""
@@ -433,11 +437,15 @@ class Mapper:
         return replace(tracked, is_lost=is_lost)
 
     def _is_driving(self, scans: int) -> bool:
-        """Return whether the wheels turned in the last scans as in those before them."""
+        """Return whether the wheels turned in the last scans as in those before them.
+
+        Odometry that jumps did not: its driver was restarted.
+        """
         speeds = list(self._speeds)
         before = sorted(speeds[:-scans])
         usual = before[len(before) // 2] if before else 0.0
-        return usual > _SLOWEST and min(speeds[-scans:]) > 0.5 * usual
+        least, most = usual / _STEADY, usual * _STEADY
+        return usual > _SLOWEST and all(least < speed < most for speed in speeds[-scans:])
 
     def _start_island(self) -> None:
         if self._open.last >= self._open.first:

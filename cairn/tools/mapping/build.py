@@ -162,8 +162,9 @@ def build_map(
     hint = _mount_hint(name, quality, mount, scans, odometry)
     if resolution > settings.resolution:
         hint = (
-            f"{name}: the map is drawn with cells of {resolution:g} m: of {settings.resolution:g} "
-            f"m, they would be more than {MOST_CELLS}" + (f"\n{hint}" if hint else "")
+            f"{name}: the map is drawn with cells of {resolution:g} m; with cells of "
+            f"{settings.resolution:g} m, it would have more than {MOST_CELLS:,}"
+            + (f"\n{hint}" if hint else "")
         )
     return BuiltMap(mapper, grid, mapper.landmarks(), stamps, poses[kept], quality, hint)
 

@@ -157,18 +157,30 @@ def test_a_robot_is_recognized_where_it_was_just_before_it_was_carried_away() ->
     assert len(large.scans) == len(mapper.trajectory) - 20
 
 
-def test_a_robot_that_drives_on_while_scans_change_at_once_stays_on_the_map() -> None:
+@pytest.mark.parametrize(("jump_m", "islands"), [(0.0, 1), (2.0, 2)])
+def test_a_robot_that_drives_on_while_scans_change_at_once_stays_on_the_map(
+    jump_m: float, islands: int
+) -> None:
+    """If odometry jumps as well, nothing says where the robot is."""
     mapper = Mapper(10.0)
     for k in range(40):
         size = 1.0 if k < 20 else 0.6
         rays = box_room.scan((0.1 * (k % 20) / size, 0.0, 0.0))
         rays = Rays(rays.starts, rays.angles, size * rays.ranges, rays.reach)
-        mapper.add_scan(k * box_room.SECOND, (0.1 * k, 0.0, 0.0), rays)
+        x = 0.1 * k + (jump_m if k >= 20 else 0.0)
+        mapper.add_scan(k * box_room.SECOND, (x, 0.0, 0.0), rays)
     assert len(mapper.islands) == 2
     mapper.finish()
 
-    assert len(mapper.islands) == 1
-    assert mapper.poses()[:, 0] == pytest.approx(0.1 * np.arange(40), abs=0.1)
+    assert len(mapper.islands) == islands
+    if not jump_m:
+        assert mapper.poses()[:, 0] == pytest.approx(0.1 * np.arange(40), abs=0.1)
+
+
+def test_a_map_of_nothing_is_finished() -> None:
+    mapper = Mapper(10.0)
+    mapper.finish()
+    assert not mapper.islands
 
 
 def test_scans_follow_a_map_that_an_object_has_corrected() -> None:

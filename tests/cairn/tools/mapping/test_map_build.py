@@ -297,5 +297,5 @@ def test_map_with_too_many_cells_is_drawn_with_larger_ones(
     answer = cairn("map", "build", str(short), str(tmp_path / "map"))
 
     assert answer.code == 0, answer.err
-    assert "cells of 0.1 m: of 0.05 m, they would be more than 600000" in answer.err
+    assert "cells of 0.1 m; with cells of 0.05 m, it would have more than 600,000" in answer.err
     assert read_map(tmp_path / "map.yaml").frame.resolution == 0.1
