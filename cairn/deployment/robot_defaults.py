@@ -59,7 +59,7 @@ def contradictions(root: DocumentNode) -> list[Problem]:
     return found
 
 
-class _Use(NamedTuple):
+class _SectionUse(NamedTuple):
     """A parameter that has a quantity of the robot by default; `own` is the value it is given."""
 
     path: KeyPath
@@ -68,7 +68,7 @@ class _Use(NamedTuple):
     own: DocumentNode | None
 
 
-def _uses(root: DocumentNode, problems: list[Problem]) -> Iterator[_Use]:
+def _uses(root: DocumentNode, problems: list[Problem]) -> Iterator[_SectionUse]:
     """Yield the parameters of all components, and of fallbacks with plugins of their own."""
     given = root.find(ROBOT) or DocumentNode({}, root.at)
     try:
@@ -98,7 +98,7 @@ def _uses(root: DocumentNode, problems: list[Problem]) -> Iterator[_Use]:
                         problems.append(problem)
                     continue
                 if value is not None:
-                    yield _Use(parameter, mark.quantity, value, root.find(*parameter))
+                    yield _SectionUse(parameter, mark.quantity, value, root.find(*parameter))
 
 
 def _marks(plugin: DocumentNode) -> list[tuple[str, FromRobot]]:

@@ -29,9 +29,9 @@ from cairn.recording.mcap_records import (
     MESSAGE,
     MESSAGE_OPCODE,
     RECORD,
-    Attachment,
     AttachmentIndex,
-    Channel,
+    AttachmentRecord,
+    ChannelRecord,
     Chunk,
     ChunkIndex,
     DataEnd,
@@ -210,7 +210,7 @@ class _Definitions:
             raise ValueError(f"schema {schema.id} is defined twice, differently")
 
     def add_channel(self, content: bytes) -> None:
-        found = Channel.read(content)
+        found = ChannelRecord.read(content)
         schema = self.schemas.get(found.schema_id)
         if schema is None and found.schema_id:
             raise ValueError(f"channel {found.id} has schema {found.schema_id}, which is missing")
@@ -346,10 +346,10 @@ class McapFile(Closing):
         """Return the content of an attachment; raise `RecordingError` if it is damaged."""
         try:
             record = self._record(attachment.at)
-            if record.kind != Attachment.OPCODE:
+            if record.kind != AttachmentRecord.OPCODE:
                 raise ValueError("there is another record")
             content = self._content(record)
-            found = Attachment.read(content)
+            found = AttachmentRecord.read(content)
             if len(found.data) != attachment.size or found.name != attachment.name:
                 raise ValueError("it is another one than the index describes")
             if found.crc and crc32(content[:-4]) != found.crc:
@@ -423,7 +423,7 @@ class McapFile(Closing):
         run: _Record | None = None
         try:
             for record in self._records(len(MAGIC), self.size):
-                if record.kind in (MESSAGE_OPCODE, Schema.OPCODE, Channel.OPCODE):
+                if record.kind in (MESSAGE_OPCODE, Schema.OPCODE, ChannelRecord.OPCODE):
                     if run is None:
                         run = _Record(MESSAGE_OPCODE, record.at, record.at, record.at)
                     run = run._replace(end=record.end)
@@ -513,7 +513,7 @@ class McapFile(Closing):
                     )
                 else:
                     self._note(f"messages belong to channel {channel}, which is not defined")
-            elif kind in (Schema.OPCODE, Channel.OPCODE):
+            elif kind in (Schema.OPCODE, ChannelRecord.OPCODE):
                 add = (
                     self._definitions.add_schema
                     if kind == Schema.OPCODE
@@ -568,10 +568,10 @@ class McapFile(Closing):
 
     def _describe(self, record: _Record) -> None:
         """Keep an attachment's description, or metadata."""
-        if record.kind == Attachment.OPCODE:
+        if record.kind == AttachmentRecord.OPCODE:
             size = record.end - record.begin
             content = self._read(record.begin, min(size, _ATTACHMENT_HEAD))
-            self._attach(record.at, *Fields(content).take(Attachment.HEAD))
+            self._attach(record.at, *Fields(content).take(AttachmentRecord.HEAD))
         elif record.kind == Metadata.OPCODE:
             if record.end - record.begin > _METADATA_BYTES:
                 raise ValueError(f"metadata of more than {megabytes(_METADATA_BYTES)} MB")
@@ -656,7 +656,7 @@ class McapFile(Closing):
             content = summary[begin:at]
             if kind == Schema.OPCODE:
                 self._definitions.add_schema(content)
-            elif kind == Channel.OPCODE:
+            elif kind == ChannelRecord.OPCODE:
                 self._definitions.add_channel(content)
             elif kind == Statistics.OPCODE:
                 statistics = Statistics.read(content)

@@ -31,7 +31,7 @@ class Fields:
         self._at = 0
 
     def take(self, layout: str) -> list[Any]:
-        """Return the next fields; `Record` explains the layout."""
+        """Return the next fields; `McapRecord` explains the layout."""
         return [self._field(kind) for kind in layout]
 
     def data(self, size: int) -> bytes:
@@ -70,7 +70,7 @@ class Fields:
 
 
 def packed_fields(layout: str, *values: Any) -> bytes:
-    """Return fields as bytes; `Record` explains the layout."""
+    """Return fields as bytes; `McapRecord` explains the layout."""
     return b"".join(map(_packed, layout, values))
 
 
@@ -89,7 +89,7 @@ def _packed(kind: str, value: Any) -> bytes:
 
 
 @dataclass(frozen=True)
-class Record:
+class McapRecord:
     """A record of one kind; `LAYOUT` has a letter for each field in the order of the file.
 
     B, H, I, Q: a number of 1, 2, 4, 8 bytes; s: text; d, D: bytes with a length of 4, 8 bytes;
@@ -115,7 +115,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Header(Record, opcode=1, layout="ss"):
+class HeaderRecord(McapRecord, opcode=1, layout="ss"):
     """The first record: which profile the file follows, and what wrote it."""
 
     profile: str
@@ -123,7 +123,7 @@ class Header(Record, opcode=1, layout="ss"):
 
 
 @dataclass(frozen=True)
-class Schema(Record, opcode=3, layout="Hssd"):
+class Schema(McapRecord, opcode=3, layout="Hssd"):
     """The definition of a message type."""
 
     id: int
@@ -133,7 +133,7 @@ class Schema(Record, opcode=3, layout="Hssd"):
 
 
 @dataclass(frozen=True)
-class Channel(Record, opcode=4, layout="HHssm"):
+class ChannelRecord(McapRecord, opcode=4, layout="HHssm"):
     """A topic and the schema of its messages; schema 0: none."""
 
     id: int
@@ -144,7 +144,7 @@ class Channel(Record, opcode=4, layout="HHssm"):
 
 
 @dataclass(frozen=True)
-class Chunk(Record, opcode=6, layout="QQQIsD"):
+class Chunk(McapRecord, opcode=6, layout="QQQIsD"):
     """Compressed records."""
 
     HEAD: ClassVar = "QQQIsQ"
@@ -166,7 +166,7 @@ class Chunk(Record, opcode=6, layout="QQQIsD"):
 
 
 @dataclass(frozen=True)
-class MessageIndex(Record, opcode=7, layout="Hl"):
+class MessageIndex(McapRecord, opcode=7, layout="Hl"):
     """Log time and position of each message of a channel in a chunk."""
 
     channel: int
@@ -174,7 +174,7 @@ class MessageIndex(Record, opcode=7, layout="Hl"):
 
 
 @dataclass(frozen=True)
-class ChunkIndex(Record, opcode=8, layout="QQQQcQsQQ"):
+class ChunkIndex(McapRecord, opcode=8, layout="QQQQcQsQQ"):
     """Where a chunk is, and for each channel where its index of messages is."""
 
     start_ns: int
@@ -189,7 +189,7 @@ class ChunkIndex(Record, opcode=8, layout="QQQQcQsQQ"):
 
 
 @dataclass(frozen=True)
-class Attachment(Record, opcode=9, layout="QQssDI"):
+class AttachmentRecord(McapRecord, opcode=9, layout="QQssDI"):
     """An attached file; `crc` is that of all other fields, 0 if there is none."""
 
     HEAD: ClassVar = "QQssQ"
@@ -204,7 +204,7 @@ class Attachment(Record, opcode=9, layout="QQssDI"):
 
 
 @dataclass(frozen=True)
-class AttachmentIndex(Record, opcode=10, layout="QQQQQss"):
+class AttachmentIndex(McapRecord, opcode=10, layout="QQQQQss"):
     """Where an attachment is."""
 
     at: int
@@ -217,7 +217,7 @@ class AttachmentIndex(Record, opcode=10, layout="QQQQQss"):
 
 
 @dataclass(frozen=True)
-class Metadata(Record, opcode=12, layout="sm"):
+class Metadata(McapRecord, opcode=12, layout="sm"):
     """Named texts."""
 
     name: str
@@ -225,7 +225,7 @@ class Metadata(Record, opcode=12, layout="sm"):
 
 
 @dataclass(frozen=True)
-class MetadataIndex(Record, opcode=13, layout="QQs"):
+class MetadataIndex(McapRecord, opcode=13, layout="QQs"):
     """Where metadata are."""
 
     at: int
@@ -234,7 +234,7 @@ class MetadataIndex(Record, opcode=13, layout="QQs"):
 
 
 @dataclass(frozen=True)
-class Statistics(Record, opcode=11, layout="QHIIIIQQc"):
+class Statistics(McapRecord, opcode=11, layout="QHIIIIQQc"):
     """How much a file holds, and how many messages of each channel."""
 
     messages: int
@@ -249,7 +249,7 @@ class Statistics(Record, opcode=11, layout="QHIIIIQQc"):
 
 
 @dataclass(frozen=True)
-class SummaryOffset(Record, opcode=14, layout="BQQ"):
+class SummaryOffset(McapRecord, opcode=14, layout="BQQ"):
     """Where the records of a kind are in the summary."""
 
     opcode: int
@@ -258,14 +258,14 @@ class SummaryOffset(Record, opcode=14, layout="BQQ"):
 
 
 @dataclass(frozen=True)
-class DataEnd(Record, opcode=15, layout="I"):
+class DataEnd(McapRecord, opcode=15, layout="I"):
     """After the last record of data; checksum 0: none."""
 
     crc: int = 0
 
 
 @dataclass(frozen=True)
-class Footer(Record, opcode=2, layout="QQI"):
+class Footer(McapRecord, opcode=2, layout="QQI"):
     """Where the summary begins; 0: there is none."""
 
     summary_at: int

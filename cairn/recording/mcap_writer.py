@@ -13,18 +13,18 @@ from cairn.recording.mcap_records import (
     MESSAGE,
     MESSAGE_OPCODE,
     RECORD,
-    Attachment,
     AttachmentIndex,
-    Channel,
+    AttachmentRecord,
+    ChannelRecord,
     Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
-    Header,
+    HeaderRecord,
+    McapRecord,
     MessageIndex,
     Metadata,
     MetadataIndex,
-    Record,
     Schema,
     Statistics,
     SummaryOffset,
@@ -53,7 +53,7 @@ class McapWriter:
         self._chunk_bytes = chunk_bytes
         self._at = 0
         self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
+        self._channels: list[ChannelRecord] = []
         self._chunk = bytearray()
         self._entries: dict[int, list[tuple[int, int]]] = {}
         self._chunks: list[ChunkIndex] = []
@@ -61,7 +61,7 @@ class McapWriter:
         self._metadata: list[MetadataIndex] = []
         self._counts: Counter[int] = Counter()
         self._write(MAGIC)
-        self._write(Header("ros2", library).packed())
+        self._write(HeaderRecord("ros2", library).packed())
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add the definition of a message type; return its number."""
@@ -74,7 +74,7 @@ class McapWriter:
         self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
     ) -> int:
         """Add a topic whose messages have a schema, 0 for none; return its number."""
-        channel = Channel(len(self._channels) + 1, schema, topic, encoding, dict(metadata))
+        channel = ChannelRecord(len(self._channels) + 1, schema, topic, encoding, dict(metadata))
         self._channels.append(channel)
         self._chunk += channel.packed()
         return channel.id
@@ -94,7 +94,7 @@ class McapWriter:
 
     def add_attachment(self, log_ns: int, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, which was created at `log_ns`."""
-        attachment = Attachment(log_ns, log_ns, name, media_type, data)
+        attachment = AttachmentRecord(log_ns, log_ns, name, media_type, data)
         content = attachment.packed()[RECORD.size : -4]
         at, length = self._write(replace(attachment, crc=crc32(content)).packed())
         self._attachments.append(
@@ -137,7 +137,7 @@ class McapWriter:
         self._write(DataEnd().packed())
         summary_at = self._at
         summary, offsets = bytearray(), bytearray()
-        groups: tuple[Sequence[Record], ...] = (
+        groups: tuple[Sequence[McapRecord], ...] = (
             self._schemas,
             self._channels,
             [self._statistics()],
