@@ -284,11 +284,11 @@ def test_closing_stops_all_threads() -> None:
     before = set(threading.enumerate())
     network = Network()
     buses = [network.bus(), network.bus()]
-    for bus in buses:
-        component = node(bus, "/robot/part")
-        for qos in (RELIABLE, LATCHED):
-            Reader(component, TOPIC, String, qos)
-            component.advertise(TOPIC, String, qos)
+    for number, bus in enumerate(buses):
+        component = node(bus, f"/robot/part_{number}")
+        for topic, qos in ((TOPIC, RELIABLE), ("/robot/kept", LATCHED)):
+            Reader(component, topic, String, qos)
+            component.advertise(topic, String, qos)
         bus.wait_for_peers(LIMIT_S)
         component.close()
     for bus in buses * 2:

@@ -157,12 +157,15 @@ def test_false_queryable_that_replies_without_end_does_not_reach_the_client(
         replied.set()
 
     queryable: Any = impostor.session.declare_queryable(control_key(0, NAME), reply)
-    with (
-        open_client([network.endpoint]) as session,
-        pytest.raises(ControlError, match="no reply"),
-    ):
-        request(session, 0, NAME, "echo", timeout_s=LIMIT_S)
-    assert replied.is_set()
+    with open_client([network.endpoint]) as session:
+
+        def is_asked() -> bool:
+            # Until the declaration has arrived, nothing answers either.
+            with pytest.raises(ControlError, match="no reply"):
+                request(session, 0, NAME, "echo", timeout_s=LIMIT_S)
+            return replied.is_set()
+
+        assert eventually(is_asked)
     queryable.undeclare()
 
 
