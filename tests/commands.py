@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import math
 import os
 import sys
 import time
@@ -47,6 +48,28 @@ def cairn(*arguments: str, connect: str = "") -> Answer:
         finally:
             logging.captureWarnings(False)
     return Answer(int(str(code or 0)), out.getvalue(), err.getvalue())
+
+
+def await_answer(ask: Callable[[], Answer], accept: Callable[[Answer], bool]) -> Answer:
+    """Return the first answer for which `accept` holds: a busy computer may not answer in time."""
+    deadline = time.monotonic() + LIMIT_S
+    while not accept(answer := ask()):
+        assert time.monotonic() < deadline, f"not accepted within {LIMIT_S:g} s: {answer}"
+    return answer
+
+
+def quick_answer(ask: Callable[[], Answer], limit_s: float) -> Answer:
+    """Return the first answer that takes less than this time: a busy computer may be slow."""
+    took_s = math.inf
+
+    def timed() -> Answer:
+        nonlocal took_s
+        began = time.monotonic()
+        answer = ask()
+        took_s = time.monotonic() - began
+        return answer
+
+    return await_answer(timed, lambda _: took_s < limit_s)
 
 
 def await_status(

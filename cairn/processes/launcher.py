@@ -516,11 +516,12 @@ class ProcessHandle:
                 self._process.signal(TRACEBACK_SIGNAL)
                 deadline += log_limit_s
             while self._process.wait(_TRACEBACK_POLL_S) is None and time.monotonic() < deadline:
+                has_begun = self._log.has_since(end, _TRACEBACK)  # before the threads are read
                 now = _threads_of(self._process.pid)
                 if now.stopped:
                     break
                 # The kernel blocks the signal in the thread that handles it.
-                if now.blocking <= before.blocking and self._log.has_since(end, _TRACEBACK):
+                if has_begun and now.blocking <= before.blocking:
                     break
             self._process.kill()
 

@@ -7,6 +7,7 @@ had no release for years (sdnotify), and leave the watchdog's timing, most of th
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 import time
@@ -23,7 +24,7 @@ class ServiceManager:
         """`address` is a path, or `@` with a name; `watchdog_s` is 0 without a watchdog."""
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._period_s = watchdog_s / _BEATS
-        self._last_beat_at = 0.0
+        self._last_beat_at = -math.inf
         self._ready = False
         self._stopping = False
         self._failed = False

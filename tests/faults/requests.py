@@ -7,6 +7,7 @@ from cairn.schemas.geometry_msgs import Point, Pose, PoseStamped
 from cairn.testing.launching import Run
 from tests.cairn.bus.network import eventually
 from tests.commands import cairn
+from tests.patience import LIMIT_S
 
 
 def set_fault(run: Run, fault: str, component: str = "base") -> None:
@@ -22,6 +23,8 @@ def send_goal(run: Run, x: float, y: float) -> None:
     try:
         node = bus.node("/operator", _fail)
         publisher = node.advertise("/robot/goal_pose", PoseStamped, RELIABLE)
+        # Messages take the direct links once these are there.
+        assert bus.wait_for_peers(LIMIT_S) == []
         # Components wait only briefly for a session that is not of their run, as this one is not.
         assert eventually(lambda: publisher.has_subscribers)
         publisher.publish(PoseStamped(pose=Pose(position=Point(x=x, y=y))))

@@ -193,7 +193,7 @@ def test_dora_serves_an_action(network: Network, dora: Dora) -> None:
     sent = caller.send(os.urandom(16), Fibonacci.Goal(order=400), LIMIT_S)
     assert eventually(lambda: len(sent.feedback) > 1)
     sent.cancel()
-    assert eventually(lambda: sent.has_ended)
+    assert eventually(lambda: sent.has_ended and sent.cancel_code is not None)
     assert (sent.status, sent.cancel_code) == (GoalStatus.STATUS_CANCELED, 0)
 
     sent = caller.send(os.urandom(16), Fibonacci.Goal(order=400), LIMIT_S)

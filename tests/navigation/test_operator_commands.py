@@ -11,7 +11,7 @@ import re
 import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -21,7 +21,8 @@ from cairn.planar.poses import distance
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.testing.launching import CAIRN, LIMIT_S
 from cairn.testing.robot import RunningDeployment
-from tests.commands import Answer, cairn
+from tests.cairn.bus.network import eventually
+from tests.commands import Answer, await_answer, cairn
 from tests.navigation.driving import ON_REQUEST
 from tests.navigation.processes import ObservedRobot, robot_in
 from tests.sweeps import sampled
@@ -68,7 +69,9 @@ def test_go_prints_each_step_and_exits_with_0(robot: ObservedRobot) -> None:
 
     assert going.await_end() == 0
 
-    printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines]
+    # On a busy computer a note may come first.
+    first = next(number for number, line in enumerate(going.lines) if "go to" in line)
+    printed = [re.sub(r"\d+(\.\d+)?", "N", line).strip() for line in going.lines[first:]]
     assert_words(printed[0], "go to", "(N, N, N deg)", "Ctrl-C")
     assert printed[1:5] == [
         "N s  loading: map_builder",
@@ -125,7 +128,8 @@ def test_named_place_is_reached_while_a_zone_is_added(robot: ObservedRobot) -> N
 
     assert going.await_end() == 0
 
-    assert_words(going.lines[0], "go to", "kitchen", "Ctrl-C")
+    begin = next(line for line in going.lines if "go to" in line)
+    assert_words(begin, "go to", "kitchen", "Ctrl-C")
     assert math.dist(robot.pose[:2], (3.0, 1.4)) < 0.25
     assert robot.collisions == []
 
@@ -210,16 +214,21 @@ def test_stop_command_works_while_the_supervisor_is_stopped(robot: ObservedRobot
     with connect(endpoint) as client, client.teleoperation("anna") as drive:
         assert isinstance(drive, Teleoperation)
         begin = robot.pose  # at the kitchen, which has room ahead
-        drive(0.3, 0.0, seconds=2.0)  # 0.6 m; on a busy computer commands are late, and it rests
-        assert distance(begin, robot.pose) > 0.05
-    stopped = _stop_while_suspended(robot, "mobile_supervisor")
-    assert stopped.code == 0, stopped.err
+
+        def has_moved() -> bool:
+            drive(0.3, 0.0, seconds=0.2)  # on a busy computer commands are late, and it rests
+            return distance(begin, robot.pose) > 0.05
+
+        assert eventually(has_moved)
+    stopped = await_answer(  # until the gate confirms within its second
+        lambda: _stop_while_suspended(robot, "mobile_supervisor"), lambda answer: answer.code == 0
+    )
     assert "emergency stop" in stopped.out
 
     failed = _stop_while_suspended(robot, "velocity_gate")
     assert failed.code == 1
     assert "press the robot's own emergency stop" in failed.err
-    assert cairn("stop", "--release", connect=endpoint).code == 0
+    assert eventually(lambda: cairn("stop", "--release", connect=endpoint).code == 0)
 
 
 def _stop_while_suspended(robot: ObservedRobot, component: str) -> Answer:
@@ -229,7 +238,8 @@ def _stop_while_suspended(robot: ObservedRobot, component: str) -> Answer:
     try:
         return cairn("stop", connect=robot.run.endpoint)
     finally:
-        os.kill(process, signal.SIGCONT)
+        with suppress(ProcessLookupError):  # of a supervisor that was restarted meanwhile
+            os.kill(process, signal.SIGCONT)
 
 
 @pytest.mark.parametrize(

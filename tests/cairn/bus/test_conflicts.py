@@ -122,7 +122,8 @@ def test_nodes_of_one_name_are_reported_and_receive_their_messages(
         writer = namesake.advertise(TOPIC, Twist, RELIABLE)
         strangers.announce(NodeEntity(0, "5e55", 0, "/robot/base"))
         strangers.announce(NodeEntity(0, "5e55", 1, "/ros/base"))
-        other_run.wait_for_peers(LIMIT_S)
+        # Of another run: `wait_for_peers` waits only shortly for it.
+        assert eventually(lambda: writer.has_subscribers)
         writer.publish(Twist())
 
         assert reader.next() == Twist()

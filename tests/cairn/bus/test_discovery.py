@@ -210,7 +210,7 @@ def test_false_description_of_a_router_names_no_peers(description: bytes) -> Non
 def test_router_that_does_not_answer_in_time_does_not_mean_that_a_process_has_left() -> None:
     with router_process() as (endpoint, router), open_peer([endpoint]) as session:
         links = PeerLinks(session)
-        assert links.has_left("0123", LIMIT_S)
+        assert eventually(lambda: links.has_left("0123", LIMIT_S))
         stop(router)
 
         assert not links.has_left("0123", 0.2)
@@ -322,10 +322,10 @@ def test_false_queryables_for_all_sessions_do_not_delay_discovery(network: Netwo
         pending = mute.declare_queryable(session_key("*"), FifoChannel(99))
         joiner = Participant(network.bus(), "joiner")
         began = time.monotonic()
-        unreached = joiner.bus.wait_for_peers(10.0)
+        unreached = joiner.bus.wait_for_peers(LIMIT_S)
 
         assert all("not of this run" in name for name in unreached)
-        assert time.monotonic() - began < 5.0
+        assert time.monotonic() - began < LIMIT_S / 4
         joiner.publish("received nevertheless")
         assert present.reader.next().data == "received nevertheless"
         pending.undeclare()
@@ -339,7 +339,7 @@ def test_stopped_process_does_not_delay_the_end_of_another(network: Network) -> 
         stop(peer)
         began = time.monotonic()
         bus.close()
-        assert time.monotonic() - began < 3.0, "zenoh has waited for the stopped process"
+        assert time.monotonic() - began < 8.0, "zenoh has waited for the stopped process"
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from cairn.bus.keys import Attachment, message_key
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.std_msgs import String
 from tests.cairn.bus.network import Network, Reader, eventually
+from tests.patience import LIMIT_S
 
 TOPIC, KEY = "/robot/word", message_key(0, "/robot/word", String)
 GATE = Exclusive("/robot/gate", bytes(range(32)))
@@ -153,7 +154,7 @@ def test_replayed_and_forged_messages_are_refused_and_displace_nothing() -> None
         base, gate, attack = network.bus(), network.bus(), Attack(network.bus())
         reader = Reader(base.node("/robot/base", reports.append), TOPIC, String, RELIABLE, GATE)
         writer = gate.node("/robot/gate", reports.append).advertise(TOPIC, String, RELIABLE, GATE)
-        assert attack.bus.wait_for_peers(10.0) == gate.wait_for_peers(10.0) == []
+        assert attack.bus.wait_for_peers(LIMIT_S) == gate.wait_for_peers(LIMIT_S) == []
         writer.publish(String(data="first"))
         writer.publish(String(data="second"))
         assert eventually(lambda: len(attack.recorded) == 2)
@@ -192,7 +193,7 @@ def test_late_reader_of_a_latched_exclusive_topic_receives_the_last_message() ->
         writer = gate.node("/robot/gate", reports.append).advertise(TOPIC, String, LATCHED, GATE)
         writer.publish(String(data="old"))
         writer.publish(String(data="last"))
-        assert base.wait_for_peers(10.0) == []
+        assert base.wait_for_peers(LIMIT_S) == []
 
         reader = Reader(base.node("/robot/base", reports.append), TOPIC, String, LATCHED, GATE)
 

@@ -167,7 +167,10 @@ def test_call_without_a_server_fails_at_once(pair: Pair) -> None:
     assert f"{SERVICE}: there is no server of this type" in str(error)
 
 
-def test_server_that_closes_refuses_its_pending_calls(pair: Pair) -> None:
+def test_server_that_closes_refuses_its_pending_calls(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.bus.services._LAST_ANSWERS_S", LIMIT_S / 4)
     serving = Serving(node(pair.servers, "/robot/adder"))
     calling = Calling(node(pair.clients, "/robot/asker"))
     pair.wait_for_peers()

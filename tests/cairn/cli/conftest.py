@@ -4,8 +4,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from cairn.client import connection
 from cairn.testing.launching import Run, launching
 from tests.commands import Answer, await_status, cairn
+from tests.patience import LIMIT_S
 
 Command = Callable[..., Answer]
 
@@ -20,6 +22,12 @@ ROVER = """
       beacon: {plugin: test_beacon}
       talker: {plugin: test_talker}
     """
+
+
+@pytest.fixture(autouse=True)
+def patient_graph(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands wait for the whole graph, however busy the router is."""
+    monkeypatch.setattr(connection, "_GRAPH_LIMIT_S", LIMIT_S)
 
 
 @pytest.fixture(scope="module")

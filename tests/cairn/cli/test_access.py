@@ -13,7 +13,7 @@ from cairn.bus.endpoints import socket_path
 from cairn.client import connect
 from cairn.schemas.geometry_msgs import Twist
 from cairn.testing.launching import Launching, Run, free_port, new_endpoint
-from tests.commands import Answer, cairn
+from tests.commands import Answer, await_answer, cairn
 from tests.disk import open_to_others
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
@@ -138,7 +138,10 @@ def test_user_on_the_network_does_what_the_role_allows(
     monkeypatch.setenv("CAIRN_USER", "vera")
     assert_words(remote("ps").err, "CAIRN_PASSWORD_FILE", "set both")
     monkeypatch.setenv("CAIRN_PASSWORD_FILE", str(password))
-    assert {row["component"] for row in remote("ps", "--json").json} == {
+    shown = await_answer(
+        lambda: remote("ps", "--json"), lambda answer: "no answer" not in answer.out
+    )
+    assert {row["component"] for row in shown.json} == {
         "/robot/root",
         "/robot/listener",
         "/robot/talker",

@@ -3,6 +3,7 @@
 import pytest
 
 from cairn.testing.launching import Run
+from tests.commands import await_status
 from tests.wording import assert_words
 
 from .conftest import Command
@@ -78,6 +79,5 @@ def test_component_is_loaded_restarted_and_unloaded_while_the_others_continue(
     assert rover.pid_of("reader") != reader
 
     assert command("unload", "reader").out == "reader: unloaded\n"
-    states = {row["component"]: row["state"] for row in command("ps", "--json").json}
-    assert states["/rover/reader"] == "not loaded"
+    await_status("/rover/reader", lambda row: row["state"] == "not loaded", rover.endpoint)
     assert [rover.pid_of(name) for name in ("mobile", "listener", "talker")] == others

@@ -56,6 +56,12 @@ def run_doctor(folder: Path, device: str) -> Answer:
     return cairn("doctor", str(file), "--json")
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes of other tests may take long to end."""
+    monkeypatch.setattr("cairn.cli.doctor.deployments._ENDING_LIMIT_S", LIMIT_S)
+
+
 @contextmanager
 def sleeping(**how: Any) -> Iterator["subprocess.Popen[bytes]"]:
     """A process that sleeps until the end of the context."""

@@ -14,8 +14,8 @@ from cairn.schemas.cairn_msgs import (
 )
 from cairn.schemas.cairn_nav_msgs import LocalizationEstimate, NavigationStatus
 from cairn.schemas.std_msgs import Header
-from tests.cairn.bus.network import Network, eventually, node
-from tests.commands import Answer, cairn
+from tests.cairn.bus.network import Network, node
+from tests.commands import Answer, await_answer, cairn
 
 pytestmark = pytest.mark.processes
 
@@ -59,24 +59,29 @@ def test_fleet_lists_robots_with_what_they_share(network: Network) -> None:
     driving = NavigationStatus(state=NavigationStatus.DRIVING)
     alone.advertise("/robot_3/navigation_status", NavigationStatus, LATCHED).publish(driving)
 
-    def is_complete() -> bool:
-        rows = fleet(network, "--json").json
-        return len(rows) == 3 and all(
-            row["health"] and row["map"] and row["grid"] for row in rows[:2]
-        )
-
-    assert eventually(is_complete)  # on a busy computer, some robots do not answer in time
-    shown = fleet(network)
-
-    assert (shown.code, shown.err) == (0, "")
-    assert [" ".join(row.split()) for row in shown.out.splitlines()] == [
+    expected = [
         "robot state health mission map version landmarks grid cells shared rejected",
         "robot_1 active 0.75 aaaaaaaa 12 10 bbbbbbbb 73 in sync 2",
         "robot_2 active 0.75 aaaaaaaa 12 10 bbbbbbbb 73"
         " behind robot_1 by 3; cells behind robot_2 2",
         "robot_3 not active: automove driving no",
     ]
-    rows = {row["robot"]: row for row in fleet(network, "--json").json}
+    # On a busy computer, some robots do not answer in time.
+    shown = await_answer(
+        lambda: fleet(network),
+        lambda answer: [" ".join(row.split()) for row in answer.out.splitlines()] == expected,
+    )
+
+    assert (shown.code, shown.err) == (0, "")
+
+    def is_complete(answer: Answer) -> bool:
+        rows = answer.json
+        return len(rows) == 3 and all(
+            row["health"] and row["map"] and row["grid"] for row in rows[:2]
+        )
+
+    answer = await_answer(lambda: fleet(network, "--json"), is_complete)
+    rows = {row["robot"]: row for row in answer.json}
     assert rows["robot_2"]["behind"] == {"robot_1": 3}
     assert rows["robot_2"]["cells_behind"] == ["robot_2"]
     assert rows["robot_1"]["health_reason"] == "it is turning"

@@ -18,6 +18,7 @@ from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces.srv import GetParameters
 from cairn.testing.launching import Run
 from tests.cairn.bus.network import eventually
+from tests.commands import await_answer
 
 from .conftest import Command
 
@@ -77,7 +78,8 @@ def test_ps_lists_foreign_nodes_after_the_components(command: Command) -> None:
 def test_component_whose_name_another_node_has_is_marked_and_still_reached(
     command: Command,
 ) -> None:
-    row = next(line for line in command("ps").out.splitlines() if "  talker " in line)
+    shown = await_answer(lambda: command("ps"), lambda answer: "no answer" not in answer.out)
+    row = next(line for line in shown.out.splitlines() if "  talker " in line)
     answer = command("param", "list", "talker", "--json")
     alike = command("node", "info", "talker").out
 

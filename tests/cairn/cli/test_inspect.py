@@ -9,6 +9,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 
+import psutil
 import pytest
 import zenoh
 
@@ -26,7 +27,7 @@ from cairn.schemas.rcl_interfaces import Log
 from cairn.terminal import completion
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.cairn.bus.network import eventually
-from tests.commands import Answer, await_status
+from tests.commands import Answer, await_answer, await_status, quick_answer
 from tests.wording import assert_words
 
 from .conftest import Command
@@ -35,7 +36,7 @@ pytestmark = pytest.mark.processes
 
 
 def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
-    shown = command("ps")
+    shown = await_answer(lambda: command("ps"), _is_complete)
 
     assert (shown.code, shown.err) == (0, "")
     header, *rows = shown.out.splitlines()
@@ -70,17 +71,20 @@ def test_ps_lists_what_does_not_answer_without_waiting_for_it(command: Command, 
             token = session.liveliness().declare_token(keys.token_key(end))
             stack.callback(token.undeclare)
         with connect(rover.endpoint) as robot:
-            assert eventually(lambda: len(robot.connection.endpoints()) >= 300)
-        began = time.monotonic()
-        answer = command("ps", "--json")
-        took_s = time.monotonic() - began
+
+            def are_announced() -> bool:
+                known = robot.connection.endpoints(topic)
+                return sum("ghost" in one.node.name for one in known) == 300
+
+            assert eventually(are_announced)
+        # 5 s and more, if it waited for each robot's.
+        answer = quick_answer(lambda: command("ps", "--json"), 4.0)
 
     rows = {row["component"]: row for row in answer.json}
     assert (rows["/rover/ghost"]["state"], rows["/rover/ghost"]["pid"]) == ("no answer", 1)
     assert rows["/rover/talker"]["state"] == "active"
     assert sum(row["state"] == "no answer" for row in rows.values()) == 100
     assert "200 more announced components do not answer" in answer.err
-    assert took_s < 4.0  # 5 s and more, if it waited for each robot's
 
 
 def test_statuses_do_not_wait_for_announced_publishers_that_do_not_exist(
@@ -93,7 +97,8 @@ def test_statuses_do_not_wait_for_announced_publishers_that_do_not_exist(
         token = session.liveliness().declare_token(keys.token_key(ghost))
         assert eventually(lambda: ghost in robot.connection.endpoints(topic))
         assert "/rover/ghost" in robot.connection.read_statuses().silent
-        monkeypatch.setattr(connection, "_CACHES_FIRST_S", LIMIT_S)  # on a busy computer, too
+        for limit in ("_CACHES_FIRST_S", "_STATUS_LIMIT_S"):  # on a busy computer, too
+            monkeypatch.setattr(connection, limit, LIMIT_S)
         monkeypatch.setattr(connection, "read_graph", _fail)
         assert "/rover/talker" in robot.connection.statuses()
         token.undeclare()
@@ -101,22 +106,31 @@ def test_statuses_do_not_wait_for_announced_publishers_that_do_not_exist(
 
 def test_ps_shows_the_other_components_beside_a_stopped_one(command: Command, rover: Run) -> None:
     talker = rover.pid_of("talker")
-    os.kill(talker, signal.SIGSTOP)
-    try:
-        rows = {row["component"]: row["state"] for row in command("ps", "--json").json}
-    finally:
-        os.kill(talker, signal.SIGCONT)
 
-    assert rows.pop("/rover/talker") == "no answer"
-    assert rows["/rover/listener"] == "active"
-    assert "no answer" not in rows.values()
+    def ps() -> Answer:
+        os.kill(talker, signal.SIGSTOP)
+        try:
+            # Until all of its threads have stopped, it may still answer.
+            status = psutil.Process(talker).status
+            assert eventually(lambda: status() == psutil.STATUS_STOPPED)
+            return command("ps", "--json")
+        finally:
+            os.kill(talker, signal.SIGCONT)  # after 8 s it would count as hung
+
+    def only_it_is_silent(answer: Answer) -> bool:
+        rows = {row["component"]: row["state"] for row in answer.json}
+        silent = [name for name, state in rows.items() if state == "no answer"]
+        return silent == ["/rover/talker"] and rows["/rover/listener"] == "active"
+
+    await_answer(ps, only_it_is_silent)
 
 
 def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: Run) -> None:
     await_status("/rover/listener", lambda row: row["received"] > 0, rover.endpoint)
 
-    rows = {row["component"]: row for row in command("ps", "--json").json}
+    answer = await_answer(lambda: command("ps", "--json"), _is_complete)
 
+    rows = {row["component"]: row for row in answer.json}
     listener = rows["/rover/listener"]
     assert listener["pid"] == rover.pid_of("listener")
     assert listener["plugin"] == "test_listener"
@@ -294,7 +308,9 @@ def test_logs_prints_the_last_messages(command: Command) -> None:
 
     assert "INFO    rover.root: child active: talker\n" in everything
     assert json.loads(one[0])["name"] == "rover.listener"
-    assert json.loads(one[0])["message"].startswith("received 1, the last was ")
+    # A warning of a slow start may come first.
+    messages = [json.loads(line)["message"] for line in one]
+    assert any(message.startswith("received 1, the last was ") for message in messages)
 
 
 def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: Run) -> None:
@@ -307,9 +323,8 @@ def test_logs_reports_a_component_that_does_not_answer(command: Command, rover: 
         QueryableWatcher(other, kept) as watcher,
     ):
         assert watcher.wait(LIMIT_S)
-        began = time.monotonic()
-        printed = command("logs")
-        assert time.monotonic() - began < 4.0, "one silent component has delayed the others' logs"
+        # One silent component does not delay the others' logs.
+        printed = quick_answer(lambda: command("logs"), 4.0)
         for query in unanswered:
             query.drop()
 
@@ -331,11 +346,13 @@ def test_logs_follow_continues_until_ctrl_c(rover: Run) -> None:
         printed = rover.await_line(r"received \d", after=len(rover.lines))
         now = count_in(rover.lines[printed - 1])
         for line in follower.stdout:
-            if count_in(line) > now:
+            if "received " in line and count_in(line) > now:
                 break
         follower.send_signal(2)
         assert follower.wait(LIMIT_S) == 130
-        assert follower.stderr.read() == ""
+        errors = follower.stderr.read().splitlines()
+        # On a busy computer, a component may not answer in time.
+        assert [line for line in errors if "a component does not answer" not in line] == []
 
 
 def count_in(line: str) -> int:
@@ -343,6 +360,11 @@ def count_in(line: str) -> int:
     received = re.search(r"received (\d+),", line)
     assert received is not None, line
     return int(received[1])
+
+
+def _is_complete(answer: Answer) -> bool:
+    """Whether all components have answered `cairn ps` in time."""
+    return "no answer" not in answer.out
 
 
 def _fail(*_: object, **__: object) -> None:

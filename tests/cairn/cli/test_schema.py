@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cairn import LATCHED
+from cairn.bus.keys import EndpointEntity
 from cairn.bus.type_hash import definition, type_description, type_hash
 from cairn.deployment.message_types import find_message, messages_of_plugins
 from cairn.deployment.plugins import installed_plugins
@@ -20,7 +21,7 @@ from cairn.schemas.interfaces import interface
 from cairn.schemas.message import classes_in, type_name
 from cairn.schemas.package_files import import_packages
 from cairn.system.compilation import deferred_compilation
-from tests.cairn.bus.network import Network, node
+from tests.cairn.bus.network import Network, eventually, node
 from tests.commands import cairn
 from tests.schemas.random_messages import HASHES
 from tests.wording import assert_words, words_in_order
@@ -324,6 +325,12 @@ def test_types_that_no_component_has_imported_are_echoed_and_recorded(
     ]
     publishers[0].publish(temperature(temperature=21.5))
     publishers[1].publish(feedback(feedback={"angular_distance_traveled": 0.5}))
+    assert eventually(
+        lambda: (
+            {"/rover/temperature", "/rover/spin/feedback"}
+            <= {one.topic for one in network.graph() if isinstance(one, EndpointEntity)}
+        )
+    )
     echo = ("--count", "1", "--json")
 
     shown = cairn("topic", "echo", "/rover/temperature", *echo, connect=endpoint)
@@ -332,7 +339,7 @@ def test_types_that_no_component_has_imported_are_echoed_and_recorded(
     assert shown.json["feedback"] == {"angular_distance_traveled": 0.5}
 
     file = tmp_path / "drive.mcap"
-    recorded = cairn("record", "--duration", "1", "-o", str(file), connect=endpoint)
+    recorded = cairn("record", "--duration", "3", "-o", str(file), connect=endpoint)
     assert recorded.code == 0, recorded.err
     with McapFile(file) as recording:
         recording.index()

@@ -9,13 +9,14 @@ from contextlib import contextmanager
 
 from cairn import LATCHED, RELIABLE, from_ns
 from cairn.bus.bus import Publisher
+from cairn.bus.keys import EndpointEntity
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import TransformStamped
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 from cairn.tf import Transform
-from tests.cairn.bus.network import Network
+from tests.cairn.bus.network import Network, eventually
 
 PERIOD_S = 0.02
 
@@ -70,6 +71,14 @@ def stamped(now: int, parent: str, child: str, transform: Transform) -> Transfor
     )
 
 
+def await_announced(network: Network, *robots: str) -> None:
+    """Wait until the router knows these robots: a client asks it once."""
+    topics = {f"/{robot}/component_status" for robot in robots}
+    assert eventually(
+        lambda: topics <= {one.topic for one in network.graph() if isinstance(one, EndpointEntity)}
+    )
+
+
 @contextmanager
 def frames_on_bus() -> Iterator[tuple[Network, PublishedFrames]]:
     """Yield a network and the robot on it."""
@@ -77,6 +86,7 @@ def frames_on_bus() -> Iterator[tuple[Network, PublishedFrames]]:
     try:
         frames = PublishedFrames(network.bus())
         try:
+            await_announced(network, "robot")
             yield network, frames
         finally:
             frames.stop()

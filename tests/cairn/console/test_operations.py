@@ -31,14 +31,16 @@ STOPPED_WITHIN_S = 0.3
 @pytest.fixture(scope="module")
 def endpoint(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     with launching(tmp_path_factory.mktemp("console")) as launch:
-        run = launch(Path("deploy/sim.yaml"))
+        run = launch(Path("deploy/sim.yaml"), "--set", "stop_limit_s=100")
         run.await_line("child active: vision_supervisor")
         yield run.endpoint
         assert run.stop() == 0
 
 
 @pytest.fixture
-def live(endpoint: str) -> Iterator[Running]:
+def live(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
+    monkeypatch.setattr("cairn.client.velocity_gate.CONFIRM_S", LIMIT_S)
+    monkeypatch.setattr("cairn.console.operations._PROBE_S", LIMIT_S)
     with running(LiveSource(endpoint)) as console:
         assert eventually(lambda: bool(console.call(lambda: console.hub.robots)))
         yield console
@@ -120,13 +122,13 @@ def test_goal_is_sent_and_canceled_and_the_map_explains_its_objects(live: Runnin
     assert len(value(page, "go", poses=[[7.5, 5.0, 0.0]])["goal_id"]) == 32
     assert len(value(page, "cancel")["goal_id"]) == 32
 
-    shown: Any = {"components": ()}
-    while "active" not in [
-        one["state"] for one in shown["components"] if one["name"] == "map_builder"
-    ]:
-        shown = page.event("components")
-    base = next(one for one in shown["components"] if one["name"] == "base")
-    assert base["memory_bytes"] > 1e6
+    rows: dict[str, Any] = {}
+    while (
+        rows.get("map_builder", {}).get("state") != "active"
+        or rows.get("base", {}).get("memory_bytes") is None
+    ):
+        rows = {one["name"]: one for one in page.event("components")["components"]}
+    assert rows["base"]["memory_bytes"] > 1e6
     known = value(page, "why", object_id=1)
     assert known["object"]["object_id"] == 1
     assert known["steps"]

@@ -11,6 +11,7 @@ import pytest
 from cairn import SECOND, CairnError
 from cairn.console.operator_lease import ANSWER_S, Operator, OperatorLeases
 from cairn.console.teleoperation import END_AFTER_NS, LATEST_NS, STOP_AFTER_NS, DeadMan, Driver
+from tests.cairn.bus.network import eventually
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -136,13 +137,12 @@ class Gate:
 
 def test_end_of_driving_stops_the_robot_before_the_lease_is_released() -> None:
     gate = Gate()
-    driver = Driver(ADA.id, gate.acquire)
+    driver = Driver(ADA.id, gate.acquire, now=lambda: 0)  # commands never cease
     driver.wait(LIMIT_S)
     stamp = driver.command(None, STILL)
 
     driver.command(stamp, AHEAD)
-    while AHEAD not in gate.sent:
-        driver.command(driver.command(None, STILL), AHEAD)
+    assert eventually(lambda: AHEAD in gate.sent)
     driver.end()
     driver.join(LIMIT_S)
 
@@ -152,7 +152,7 @@ def test_end_of_driving_stops_the_robot_before_the_lease_is_released() -> None:
 
 def test_next_operator_drives_when_the_one_before_has_released_the_gate() -> None:
     gate = Gate()
-    first = Driver(ADA.id, gate.acquire)
+    first = Driver(ADA.id, gate.acquire, now=lambda: 0)  # commands never cease
     first.wait(LIMIT_S)
 
     refused = Driver(BOB.id, gate.acquire)

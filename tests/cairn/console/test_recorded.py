@@ -113,6 +113,7 @@ def test_recording_plays_in_order_to_its_end_and_from_the_start_again(player: Ru
     state = page.event("playback")
     while state["playing"] or state["time_ns"] < BEGIN + (LENGTH_S - 1) * SECOND:
         state = page.event("playback")
+    value(page, "speed", factor=1.0)  # at 100, ten milliseconds later it would be word 1
     value(page, "play")
     assert words(page) == (2, "word 0")
     value(page, "pause")

@@ -16,6 +16,7 @@ from cairn.processes import process_run
 from cairn.processes.process_run import _Monitor
 from cairn.testing.launching import Launching
 from tests.cairn.bus.network import Network, eventually, fail_test
+from tests.patience import LIMIT_S
 
 pytestmark = pytest.mark.processes
 
@@ -96,7 +97,9 @@ def test_view_that_fails_is_logged_once_and_does_not_stop_the_robot(
     assert caplog.text.count("view ended: OSError: Input/output error") == 1
 
 
-def test_robots_name_is_taken_by_an_answer_and_not_by_a_ghost_token() -> None:
+def test_robots_name_is_taken_by_an_answer_and_not_by_a_ghost_token(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     network = Network()
     try:
         joining: Any = SimpleNamespace(
@@ -109,6 +112,7 @@ def test_robots_name_is_taken_by_an_answer_and_not_by_a_ghost_token() -> None:
         assert eventually(lambda: bool(network.graph()))
         process_run._check_robot_name_is_free(joining)
 
+        monkeypatch.setattr(process_run, "_ANSWER_LIMIT_S", LIMIT_S)
         server = ControlServer(bus.session, 0, "/robot/base", lambda call: call(), lambda *_: None)
         with open_client([network.endpoint]) as client:
             assert eventually(lambda: any(answering(client, 0, "robot", 1.0)))

@@ -20,6 +20,7 @@ from cairn.processes import launcher
 from cairn.processes.child import ChildUnavailable, ZygoteLost
 from cairn.processes.launcher import ZygoteProcess, start_zygote
 from cairn.processes.orphan_cleanup import kill_marked
+from tests.cairn.bus.network import eventually
 from tests.patience import LIMIT_S
 from tests.sweeps import sampled
 from tests.wording import words_in_order
@@ -125,6 +126,7 @@ def test_all_processes_end_with_a_killed_zygote(
     owner: Owner, zygote: ZygoteProcess, tree: Tree, tmp_path: Path, fresh: bool
 ) -> None:
     driver = owner.spawn_reporting("keep_helper", how="same group")
+    owner.reports.of("driver's helper")
     middle = owner.spawn_reporting("own", "middle", leaf_fresh=fresh)
     leaf = owner.reports.of("leaf")
     owner.reports.of("leaf's helper")
@@ -190,7 +192,7 @@ def test_killed_processes_that_are_not_reaped_count_as_ended() -> None:
 
         assert left.get(timeout=LIMIT_S) == []
 
-        assert child.status() == psutil.STATUS_ZOMBIE
+        assert eventually(lambda: child.status() == psutil.STATUS_ZOMBIE)
 
 
 def test_zygote_that_does_not_answer_is_reported_and_a_late_process_killed(

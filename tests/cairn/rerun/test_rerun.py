@@ -301,11 +301,14 @@ def test_component_that_hangs_while_it_is_re_run_is_ended_at_the_time_limit(
 ) -> None:
     monkeypatch.setenv(CHANGE, "hang")
 
-    answer = cairn("rerun", str(fragile_recording), "--time-limit", "5")
+    for limit_s in ("5", "20", "60"):  # a busy computer may not reach the handler in 5 s
+        answer = cairn("rerun", str(fragile_recording), "--time-limit", limit_s)
+        if "in hang" in answer.out:
+            break
 
     assert answer.code == 1
-    words = ("took longer than 5 s", "in a timer, at 1.5", "--time-limit", "walkers.py", "in hang")
-    assert_words(answer.out, "walker: not re-run completely", *words)
+    words = ("in a timer, at 1.5", "--time-limit", "walkers.py", "in hang")
+    assert_words(answer.out, "walker: not re-run completely", f"longer than {limit_s} s", *words)
 
 
 @pytest.mark.processes

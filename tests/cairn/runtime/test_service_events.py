@@ -93,14 +93,18 @@ def test_events_on_the_wire_are_those_that_ros2_service_echo_subscribes_to(
         return components[-1]
 
     try:
-        started(Adder, "adder")
+        adder = started(Adder, "adder")
         asker = started(Asker, "asker")
         tool = node(network.bus(), "/tool")
         events = Reader(tool, f"/robot/{EVENTS}", AddTwoInts.Event, RELIABLE)
         word = tool.advertise("/robot/word", String, RELIABLE)
         add = asker.runtime.component.add  # type: ignore[attr-defined]
-        ports = asker.runtime._ports._clients[0].events
-        assert eventually(lambda: word.has_subscribers and add.is_available and ports.are_received)
+        ends = (asker.runtime._ports._clients[0].events, adder.runtime._ports._servers[0].events)
+        assert eventually(
+            lambda: (
+                word.has_subscribers and add.is_available and all(one.are_received for one in ends)
+            )
+        )
         word.publish(String(data="1 2"))
 
         found = sorted(events.next_of(4), key=lambda event: event.info.event_type)

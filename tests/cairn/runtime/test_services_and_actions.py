@@ -98,7 +98,8 @@ class Counter(Component):
         elif len(self.numbers) > goal.goal.order:
             goal.succeed(result)
         else:
-            self.numbers.append(self.numbers[-1] + self.numbers[-2])
+            # In the range of the type, however long it counts.
+            self.numbers.append((self.numbers[-1] + self.numbers[-2]) % 1_000_000)
             goal.publish_feedback(Fibonacci.Feedback(sequence=self.numbers))  # type: ignore[arg-type]
             self.schedule(self.clock.now() + 100_000_000, lambda: self.step(goal))
 

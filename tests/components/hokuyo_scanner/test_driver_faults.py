@@ -91,15 +91,20 @@ def test_damaged_scan_is_dropped_and_counted(tmp_path: Path, fault: FrameFault) 
         setup.scans.wait(2)
         setup.emulator.inject(fault, 3)
         setup.scans.wait(10, after=len(setup.scans))
-        report = setup.health(lambda status: True)
+
+        def is_counted(status: Any) -> bool:
+            found = values(status)
+            counted = sum(
+                int(found.get(key, 0)) for key in ("damaged replies", "bytes of no reply")
+            )
+            return counted >= 1 or fault not in ("bad_sum", "cut")
+
+        # On a busy computer the scans before may all be older than the faults.
+        report = setup.health(is_counted)
 
     assert_all_were_sent(setup)
     assert setup.emulator.injected == {fault: 3}
     assert values(report)["connections"] == "1"
-    if fault in ("bad_sum", "cut"):
-        assert (
-            int(values(report)["damaged replies"]) + int(values(report)["bytes of no reply"]) >= 1
-        )
 
 
 def test_silent_sensor_gets_the_command_to_start_again(tmp_path: Path) -> None:

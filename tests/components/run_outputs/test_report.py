@@ -14,6 +14,7 @@ from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
 from cairn.testing.lockstep import ComponentHarness
 from tests.components.path_planner.rooms import pose_at, seconds
+from tests.patience import LIMIT_S
 
 BEGIN = 100.0
 
@@ -103,7 +104,10 @@ def test_journal_holds_only_objects_that_have_changed(report: Any, tmp_path: Pat
     assert [values["objects"][number]["reliability"] for number in (2, 3)] == [0.5, 0.699]
 
 
-def test_pictures_are_drawn_after_the_run(report: Any, tmp_path: Path) -> None:
+def test_pictures_are_drawn_after_the_run(
+    report: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cairn.components.run_outputs.drawing._LIMIT_S", LIMIT_S)
     report.publish("localization", pose_at((0.0, 0.1, 0.0), BEGIN))
 
     finished(report, tmp_path)
@@ -120,6 +124,7 @@ def test_report_without_matplotlib_says_what_installs_it(
     text = "raise ModuleNotFoundError(\"No module named 'matplotlib'\", name='matplotlib')"
     (hidden / "__init__.py").write_text(text, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(hidden.parent))
+    monkeypatch.setattr("cairn.components.run_outputs.drawing._LIMIT_S", LIMIT_S)
 
     finished(report, tmp_path)
 

@@ -37,10 +37,14 @@ COMPONENTS = """
 World = Callable[..., Answer]
 
 
-@pytest.fixture(autouse=True)
-def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Await replies of the world however long a busy computer takes."""
-    monkeypatch.setattr("cairn.components.simulation.cli._TIMEOUT_S", LIMIT_S)
+@pytest.fixture(autouse=True, scope="module")
+def patience() -> Iterator[None]:
+    """Await statuses and replies of the world however long a busy computer takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cairn.components.simulation.cli._TIMEOUT_S", LIMIT_S)
+        for limit in ("_GRAPH_LIMIT_S", "_STATUS_LIMIT_S", "_STATUS_PAUSE_S"):
+            patch.setattr(f"cairn.client.connection.{limit}", 20.0)
+        yield
 
 
 @pytest.fixture(scope="module")
