@@ -91,12 +91,13 @@ def test_components_that_use_too_much_memory_are_restarted_with_the_reason(
     failed = run.await_line("child failed: bulky: tick: MemoryError.*memory_max_mib", after=active)
     run.await_line("child active: bulky", after=failed)
 
-    for component, reason in (("growing", excess), ("bulky", "memory_max_mib")):
+    def await_reason(component: str, reason: str) -> None:
         await_status(
-            f"/robot/{component}",
-            lambda row, reason=reason: bool(re.search(reason, row["reason"] or "")),
-            run.endpoint,
+            component, lambda row: bool(re.search(reason, row["reason"] or "")), run.endpoint
         )
+
+    await_reason("/robot/growing", excess)
+    await_reason("/robot/bulky", "memory_max_mib")
     assert run.pid_of("talker") == talker
 
 
