@@ -18,6 +18,7 @@ pytestmark = pytest.mark.processes
 
 
 TREE = """
+    stop_limit_s: 60
     components:
       beacon: {plugin: test_beacon}
       mobile:

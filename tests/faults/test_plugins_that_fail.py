@@ -55,6 +55,7 @@ def test_components_that_fail_while_running_are_restarted_and_the_cause_is_logge
     )
     run = launch(
         f"""
+    stop_limit_s: 60
     supervision: {{max_restarts: 10}}
     components:
 {components}      fresh_abort: {{plugin: test_faulty, interpreter: fresh}}

@@ -7,6 +7,7 @@ import signal
 import pytest
 
 from cairn.testing.launching import Launching
+from tests.cairn.bus.network import eventually
 from tests.commands import cairn
 from tests.faults.requests import send_goal, set_fault
 
@@ -68,7 +69,7 @@ def test_supervisor_goes_on_while_a_child_starts(launch: Launching) -> None:
     os.kill(run.pid_of("first"), signal.SIGKILL)
     failed = run.await_line("child failed: first: killed by SIGKILL", after=seen)
     run.await_line("child active: first", after=failed)
-    assert cairn("restart", "first", connect=run.endpoint).code == 0
+    assert eventually(lambda: cairn("restart", "first", connect=run.endpoint).code == 0)
     assert not any("child active: slow" in line for line in run.lines[seen:])
 
     os.kill(slow, signal.SIGCONT)

@@ -36,6 +36,8 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ObservedRobot]:
     """A robot that all tests share, in their sequence: the first one needs it without a goal."""
     sets = (
         "components.mobile_supervisor.hang_timeout_s=2",
+        # A localizer that was killed is back in time, also on a busy computer.
+        "components.mobile_supervisor.children.automove.parameters.stopped=60",
         "components.velocity_gate.topics.teleoperation=joystick",
         ON_REQUEST,
     )

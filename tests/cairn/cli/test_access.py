@@ -4,6 +4,7 @@ import grp
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from cairn.bus.endpoints import socket_path
 from cairn.client import connect
 from cairn.schemas.geometry_msgs import Twist
 from cairn.testing.launching import Launching, Run, free_port, new_endpoint
-from tests.commands import Answer, await_answer, cairn
+from tests.commands import Answer, await_answer, await_status, cairn
 from tests.disk import open_to_others
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
@@ -52,11 +53,19 @@ def sockets_of(run: Run) -> list[Path]:
     inodes = {line.split()[6]: line.split()[-1] for line in listening if line.count("/")}
     found = set()
     for pid in run.pids():
-        for descriptor in Path(f"/proc/{pid}/fd").iterdir():
-            link = os.readlink(descriptor)
+        for link in links_of(pid):
             if link.startswith("socket:[") and (path := inodes.get(link[8:-1])):
                 found.add(Path(path))
     return sorted(found)
+
+
+def links_of(pid: int) -> list[str]:
+    """Return what the open files of a process are."""
+    links = []
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            links.append(os.readlink(descriptor))
+    return links
 
 
 def tcp_listeners(run: Run) -> list[str]:
@@ -66,12 +75,7 @@ def tcp_listeners(run: Run) -> list[str]:
         for line in Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]:
             if line.split()[3] == "0A":
                 listening.add(f"socket:[{line.split()[9]}]")
-    links = (
-        os.readlink(descriptor)
-        for pid in run.pids()
-        for descriptor in Path(f"/proc/{pid}/fd").iterdir()
-    )
-    return [link for link in links if link in listening]
+    return [link for pid in run.pids() for link in links_of(pid) if link in listening]
 
 
 @pytest.mark.accuracy
@@ -179,8 +183,8 @@ def test_deployment_joins_another_one_with_a_password(launch: Launching, tmp_pat
     second = launch(TALK, *user, robot="beta", connect=endpoint)
     second.await_line("received 1,")
 
-    rows = cairn("ps", "--json", connect=first.endpoint).json
-    assert {"/alpha/talker", "/beta/talker"} <= {row["component"] for row in rows}
+    for talker in ("/alpha/talker", "/beta/talker"):
+        await_status(talker, lambda row: row["state"] == "active", first.endpoint)
     for log in second.logs.iterdir():
         assert "WARNING" not in log.read_text(encoding="utf-8")
     assert second.stop() == 0
