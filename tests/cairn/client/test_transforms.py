@@ -117,9 +117,10 @@ def test_closed_listener_keeps_nothing_that_is_published(robot: Robot) -> None:
     ended = robot.transforms()
     ended.lookup("map", "laser", timeout_s=LIMIT_S)
     ended.close()
-    newest = ended.buffer.frames()["base_link"].newest_ns
-    assert newest is not None
     other = robot.transforms()
+    other.lookup("map", "laser", timeout_s=LIMIT_S)
+    newest = other.buffer.frames()["base_link"].newest_ns
+    assert newest is not None
     # What was under way at the end may still be put in.
     other.lookup("odom", "base_link", newest + SECOND // 10, timeout_s=LIMIT_S)
     waiting = ended._samples.qsize()
@@ -162,13 +163,15 @@ def test_second_parent_is_reported_with_the_publishers(robot: Robot, setting: Se
 
 
 def test_closed_robot_ends_its_listeners(robot: Robot, setting: Setting) -> None:
+    going_on = robot.transforms()
+    going_on.lookup("map", "laser", timeout_s=LIMIT_S)
     with cairn.client.connect(setting[0].endpoint) as other:
         ended = other.transforms()
         ended.lookup("map", "laser", timeout_s=LIMIT_S)
     newest = ended.buffer.frames()["base_link"].newest_ns
     assert newest is not None
 
-    robot.transforms().lookup("odom", "base_link", newest + SECOND // 10, timeout_s=LIMIT_S)
+    going_on.lookup("odom", "base_link", newest + SECOND // 10, timeout_s=LIMIT_S)
 
     assert ended.buffer.frames()["base_link"].newest_ns == newest
     with pytest.raises(UnknownFrameError, match="moon"):
