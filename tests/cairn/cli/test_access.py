@@ -14,7 +14,7 @@ from cairn.bus.endpoints import socket_path
 from cairn.client import connect
 from cairn.schemas.geometry_msgs import Twist
 from cairn.testing.launching import Launching, Run, free_port, new_endpoint
-from tests.commands import Answer, await_answer, await_status, cairn
+from tests.commands import Answer, all_answered, await_answer, await_status, cairn
 from tests.disk import open_to_others
 from tests.patience import LIMIT_S
 from tests.wording import assert_words
@@ -142,9 +142,7 @@ def test_user_on_the_network_does_what_the_role_allows(
     monkeypatch.setenv("CAIRN_USER", "vera")
     assert_words(remote("ps").err, "CAIRN_PASSWORD_FILE", "set both")
     monkeypatch.setenv("CAIRN_PASSWORD_FILE", str(password))
-    shown = await_answer(
-        lambda: remote("ps", "--json"), lambda answer: "no answer" not in answer.out
-    )
+    shown = await_answer(lambda: remote("ps", "--json"), all_answered)
     assert {row["component"] for row in shown.json} == {
         "/robot/root",
         "/robot/listener",

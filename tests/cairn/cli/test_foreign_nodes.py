@@ -18,7 +18,7 @@ from cairn.schemas.message import type_name
 from cairn.schemas.rcl_interfaces.srv import GetParameters
 from cairn.testing.launching import Run
 from tests.cairn.bus.network import eventually
-from tests.commands import await_answer
+from tests.commands import all_answered, await_answer
 
 from .conftest import Command
 
@@ -78,7 +78,7 @@ def test_ps_lists_foreign_nodes_after_the_components(command: Command) -> None:
 def test_component_whose_name_another_node_has_is_marked_and_still_reached(
     command: Command,
 ) -> None:
-    shown = await_answer(lambda: command("ps"), lambda answer: "no answer" not in answer.out)
+    shown = await_answer(lambda: command("ps"), all_answered)
     row = next(line for line in shown.out.splitlines() if "  talker " in line)
     answer = command("param", "list", "talker", "--json")
     alike = command("node", "info", "talker").out

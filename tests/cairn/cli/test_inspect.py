@@ -27,7 +27,7 @@ from cairn.schemas.rcl_interfaces import Log
 from cairn.terminal import completion
 from cairn.testing.launching import CAIRN, LIMIT_S, Run
 from tests.cairn.bus.network import eventually
-from tests.commands import Answer, await_answer, await_status, quick_answer
+from tests.commands import Answer, all_answered, await_answer, await_status, quick_answer
 from tests.wording import assert_words
 
 from .conftest import Command
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.processes
 
 
 def test_ps_shows_the_tree_of_components(command: Command, rover: Run) -> None:
-    shown = await_answer(lambda: command("ps"), _is_complete)
+    shown = await_answer(lambda: command("ps"), all_answered)
 
     assert (shown.code, shown.err) == (0, "")
     header, *rows = shown.out.splitlines()
@@ -128,7 +128,7 @@ def test_ps_shows_the_other_components_beside_a_stopped_one(command: Command, ro
 def test_ps_as_json_has_the_details_of_each_component(command: Command, rover: Run) -> None:
     await_status("/rover/listener", lambda row: row["received"] > 0, rover.endpoint)
 
-    answer = await_answer(lambda: command("ps", "--json"), _is_complete)
+    answer = await_answer(lambda: command("ps", "--json"), all_answered)
 
     rows = {row["component"]: row for row in answer.json}
     listener = rows["/rover/listener"]
@@ -360,11 +360,6 @@ def count_in(line: str) -> int:
     received = re.search(r"received (\d+),", line)
     assert received is not None, line
     return int(received[1])
-
-
-def _is_complete(answer: Answer) -> bool:
-    """Whether all components have answered `cairn ps` in time."""
-    return "no answer" not in answer.out
 
 
 def _fail(*_: object, **__: object) -> None:
