@@ -58,7 +58,7 @@ def run_doctor(folder: Path, device: str) -> Answer:
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processes of other tests may take long to end."""
+    """Wait for processes of other tests, which may take long to end."""
     monkeypatch.setattr("cairn.cli.doctor.deployments._ENDING_LIMIT_S", LIMIT_S)
 
 

@@ -126,7 +126,7 @@ def test_echo_of_a_static_transform_has_no_stamp(endpoint: str) -> None:
 def test_wrong_frame_is_an_error_with_a_remedy(
     endpoint: str, frames: tuple[str, str], words: tuple[str, ...]
 ) -> None:
-    answer = await_answer(  # until both the frame and its like have arrived
+    answer = await_answer(  # until the frame with a similar name has arrived
         lambda: cairn("tf", "echo", *frames, "--once", "--wait", "0.5", connect=endpoint),
         lambda answer: bool(re.search(words_in_order("cairn: ", *words), answer.err)),
     )

@@ -158,7 +158,7 @@ def test_a_robot_is_recognized_where_it_was_just_before_it_was_carried_away() ->
 
 
 @pytest.mark.parametrize(("jump_m", "islands"), [(0.0, 1), (2.0, 2)])
-def test_a_robot_that_drives_on_while_scans_change_at_once_stays_on_the_map(
+def test_a_robot_that_drives_on_while_scans_change_stays_on_the_map_unless_odometry_jumps(
     jump_m: float, islands: int
 ) -> None:
     """If odometry jumps as well, nothing says where the robot is."""
