@@ -9,11 +9,11 @@ from typing import Annotated
 
 import typer
 
-from cairn.console.companion import ADDRESS, DEFAULT_PORT
+from cairn.console.companion import ADDRESS
 from cairn.console.hub import Hub
 from cairn.console.live import LiveSource
 from cairn.console.recorded import RecordedOperations, RecordedSource
-from cairn.console.server import Address, Console, new_token, token_in
+from cairn.console.server import USUAL_PORT, Address, Console, new_token, token_in
 from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain
 from cairn.terminal.output import line
 
@@ -34,8 +34,15 @@ def console(
         str, typer.Option(help="Address to listen on; beyond loopback, TLS is needed.")
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any free one.")
-    ] = DEFAULT_PORT,
+        int | None,
+        typer.Option(
+            min=0,
+            max=65535,
+            help=f"Port to listen on; by default {USUAL_PORT} or, if that is taken, any free one, "
+            "as with 0.",
+            show_default=False,
+        ),
+    ] = None,
     certificate: Annotated[
         Path | None, typer.Option(help="Certificate for TLS (PEM).", metavar="FILE")
     ] = None,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -15,7 +14,6 @@ from typing import Final
 
 from cairn.system.files import explain_os_error
 
-DEFAULT_PORT: Final = 8765
 ADDRESS: Final = "console: "
 """Begins the line of `cairn console` with the address."""
 
@@ -83,7 +81,7 @@ def console_beside(
 
 
 def _started(endpoint: str, domain: int, log: Path) -> subprocess.Popen[str]:
-    command = ["console", "--connect", endpoint, "--domain", str(domain), "--port", str(_port())]
+    command = ["console", "--connect", endpoint, "--domain", str(domain)]
     with log.open("ab") as errors:
         return subprocess.Popen(
             [sys.executable, "-P", "-c", _BOOT, str(os.getpid()), *command],
@@ -93,14 +91,3 @@ def _started(endpoint: str, domain: int, log: Path) -> subprocess.Popen[str]:
             text=True,
             start_new_session=True,  # the terminal's Ctrl-C reaches `cairn up` only
         )
-
-
-def _port() -> int:
-    """Return the usual port, or 0 for any if another console has it."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", DEFAULT_PORT))
-        except OSError:
-            return 0
-    return DEFAULT_PORT

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import logging
 import os
 import secrets
@@ -41,6 +42,7 @@ TOKEN_REFUSED: Final = 4401
 """Close code: the token is missing or wrong."""
 TRY_LATER: Final = 1013
 """Close code: too many browsers, or one that does not read its answers."""
+USUAL_PORT: Final = 8765
 
 _SHORTEST_TOKEN: Final = 16  # characters
 _STATIC: Final = Path(__file__).with_name("static")
@@ -83,13 +85,13 @@ class Address:
 
     Attributes:
         host: an IP address, or a name such as localhost.
-        port: 0 for any that is free.
+        port: 0 for any that is free; None for `USUAL_PORT` or, if that is taken, any.
         certificate, key: files (PEM) of TLS.
         origins: of pages on other sites that may connect, `https://app.foxglove.dev`.
     """
 
     host: str = "127.0.0.1"
-    port: int = 0
+    port: int | None = 0
     certificate: Path | None = None
     key: Path | None = None
     origins: tuple[str, ...] = ()
@@ -385,7 +387,18 @@ def _is_loopback(host: str) -> bool:
 
 def _listening(address: Address) -> socket.socket:
     """Return the listening socket, whose connections have little room for what is unsent."""
-    family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
+    if address.port is not None:
+        return _listening_on(address.host, address.port)
+    try:
+        return _listening_on(address.host, USUAL_PORT)
+    except CairnError as error:
+        if not isinstance(error.__cause__, OSError) or error.__cause__.errno != errno.EADDRINUSE:
+            raise
+        return _listening_on(address.host, 0)
+
+
+def _listening_on(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -393,13 +406,13 @@ def _listening(address: Address) -> socket.socket:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _DEAD_AFTER_MS)
-        listening.bind((address.host, address.port))
+        listening.bind((host, port))
         listening.listen()  # who connects at once waits until it is served
     except (OSError, UnicodeError) as error:
         listening.close()
         reason = error.strerror if isinstance(error, OSError) else error
         raise CairnError(
-            f"console: cannot listen on {address.host}, port {address.port}: {reason}; give "
+            f"console: cannot listen on {host}, port {port}: {reason}; give "
             "another one by --port, or another address by --host"
         ) from error
     return listening

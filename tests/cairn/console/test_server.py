@@ -19,7 +19,7 @@ from websockets.typing import Subprotocol
 from cairn import CairnError
 from cairn.console import hub, server
 from cairn.console.protocol import CONSOLE, LONGEST_FRAME
-from cairn.console.server import Address, token_in
+from cairn.console.server import Address, Console, token_in
 from cairn.system import http_server
 from tests.cairn.console.conftest import TOKEN, FakeSource, Page, Running, running
 from tests.patience import LIMIT_S
@@ -187,6 +187,15 @@ def test_connection_that_sends_no_request_is_closed(
         slow.sendall(b"GET / HTTP/1.1\r\nHost: ")
 
         assert slow.recv(1) == b""
+
+
+def test_second_console_takes_another_port_unless_one_is_given() -> None:
+    usual = Address(port=None)
+    with running(FakeSource(), address=usual) as one, running(FakeSource(), address=usual) as two:
+        port = one.console.port
+        assert two.console.port != port
+        with pytest.raises(CairnError, match=words_in_order(str(port), "in use", "--port")):
+            Console(one.hub, Address(port=port), TOKEN)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.1", "robot.example"])
