@@ -38,8 +38,8 @@ def console(
         typer.Option(
             min=0,
             max=65535,
-            help=f"Port to listen on; by default {USUAL_PORT} or, if that is taken, any free one, "
-            "as with 0.",
+            help=f"Port to listen on; 0: any free one; by default {USUAL_PORT} or, on loopback if "
+            "that is taken, any free one.",
             show_default=False,
         ),
     ] = None,

@@ -85,7 +85,7 @@ class Address:
 
     Attributes:
         host: an IP address, or a name such as localhost.
-        port: 0 for any that is free; None for `USUAL_PORT` or, if that is taken, any.
+        port: 0 for any that is free; None for `USUAL_PORT` or, on loopback if that is taken, any.
         certificate, key: files (PEM) of TLS.
         origins: of pages on other sites that may connect, `https://app.foxglove.dev`.
     """
@@ -392,8 +392,10 @@ def _listening(address: Address) -> socket.socket:
     try:
         return _listening_on(address.host, USUAL_PORT)
     except CairnError as error:
-        if not isinstance(error.__cause__, OSError) or error.__cause__.errno != errno.EADDRINUSE:
-            raise
+        cause = error.__cause__
+        is_taken = isinstance(cause, OSError) and cause.errno == errno.EADDRINUSE
+        if not is_taken or not _is_loopback(address.host):
+            raise  # from other computers, it is looked for on the usual port
         return _listening_on(address.host, 0)
 
 
