@@ -23,8 +23,9 @@ from cairn.runtime.component import Component
 from cairn.runtime.parameters import Config
 from cairn.schemas.sensor_msgs import Image, LaserScan
 from cairn.schemas.std_msgs import Header, String
+from cairn.testing.launching import free_port
 from cairn_lab.benchmarks.result import Metric
-from cairn_lab.benchmarks.running import free_port, results, run_deployment
+from cairn_lab.benchmarks.running import results, run_deployment
 
 ROUNDS = 5
 LIMIT = 1.5

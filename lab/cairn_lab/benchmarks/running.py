@@ -1,7 +1,6 @@
 """Runs the deployment of a benchmark as a user does, with `cairn up`."""
 
 import json
-import socket
 import subprocess
 import sys
 import tempfile
@@ -10,14 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-
-
-def free_port() -> int:
-    """Return a free port of the loopback interface."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def run_deployment(

@@ -24,9 +24,10 @@ from cairn import (
 from cairn.bus.codec import Codec
 from cairn.schemas.example_interfaces.action import Fibonacci
 from cairn.schemas.example_interfaces.srv import AddTwoInts
+from cairn.testing.launching import free_port
 from cairn_lab.benchmarks.result import Metric
 from cairn_lab.benchmarks.roundtrip import raw_session, summary
-from cairn_lab.benchmarks.running import free_port, results, run_deployment
+from cairn_lab.benchmarks.running import results, run_deployment
 
 ROUNDS = 5
 LIMIT = 1.5

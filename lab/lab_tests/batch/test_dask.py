@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from cairn import CairnError
+from cairn.testing.launching import free_port
 from cairn_lab.batch.dask_workers import DaskWorkers
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.batch.runner import Batch, Outcome
@@ -25,8 +25,7 @@ class Cluster:
     """A scheduler with workers, all of them processes."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            self.port = server.getsockname()[1]
+        self.port = free_port()
         self.scheduler: subprocess.Popen[bytes] | None = None
         self.workers: list[subprocess.Popen[bytes]] = []
         self._folder = folder
@@ -131,8 +130,7 @@ def test_batch_survives_a_killed_worker_and_a_restarted_scheduler(
 
 def test_absent_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cairn_lab.batch.dask_workers._CONNECT_S", 0.2)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
+    port = free_port()
 
     with (
         pytest.raises(CairnError, match=f"tcp://127.0.0.1:{port}: no Dask scheduler answers"),

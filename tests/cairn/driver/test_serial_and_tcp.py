@@ -14,6 +14,7 @@ from serial.tools import list_ports
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import LinkLost
 from cairn.driver.serial_and_tcp import SerialLink, TcpLink, find_port
+from cairn.testing.launching import free_port
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order
 
@@ -100,9 +101,8 @@ def test_bytes_are_transferred_in_both_directions_over_tcp(server: socket.socket
     link.close()
 
 
-def test_refused_connection_raises_link_lost(server: socket.socket) -> None:
-    port = server.getsockname()[1]
-    server.close()
+def test_refused_connection_raises_link_lost() -> None:
+    port = free_port()
 
     with pytest.raises(LinkLost, match=rf"127.0.0.1:{port} cannot be connected: Connection refu"):
         TcpLink("127.0.0.1", port)

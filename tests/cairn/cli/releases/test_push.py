@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pwd
 import shutil
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from textwrap import dedent
 
 import pytest
 
+from cairn.testing.launching import free_port
 from tests.cairn.cli.releases.tiny_wheel import tiny_wheel
 from tests.commands import Answer, cairn
 
@@ -170,9 +170,7 @@ def _sshd(folder: Path, path: str) -> Iterator[Path]:
         subprocess.run(command, check=True)
     if os.geteuid() == 0:  # as its service does before it starts
         Path("/run/sshd").mkdir(exist_ok=True)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     (folder / "sshd_config").write_text(
         f"ListenAddress 127.0.0.1:{port}\nHostKey {folder}/host\nPidFile none\nUsePAM no\n"
         f"AuthorizedKeysFile {folder}/login.pub\nStrictModes no\nPasswordAuthentication no\n"
