@@ -53,8 +53,7 @@ BOOTSTRAP = (
 COMPILATION_LIMIT_S = 600.0
 """Limit for compiling all kernels [s]: they took 168 s on two cores with a load of 20."""
 
-_GROUP_LIMIT_S = 1.0  # killed helpers of an ended process may take this long to vanish
-_END_LIMIT_S = 5.0
+_END_LIMIT_S = 5.0  # killed processes may take so long to vanish, on a starved computer
 _TRACEBACK_LINES = 12
 _LONGEST_LINE = 16 << 20  # bytes; a deployment's largest argument is some kilobytes
 _LONGEST_LOG = 1_000_000  # bytes; a client that sends garbage again and again logs a line each time
@@ -421,7 +420,7 @@ class Zygote:
             reaped = True
             if spawned:
                 exited = Exited(pid, os.waitstatus_to_exitcode(status))
-                self._emptying[pid] = (exited, time.monotonic() + _GROUP_LIMIT_S)
+                self._emptying[pid] = (exited, time.monotonic() + _END_LIMIT_S)
             for connection in [one for one in self._connections if one.pid == pid]:
                 self._abandon(connection)  # even if a fork of the client holds it open
         if reaped:
