@@ -189,7 +189,7 @@ def remove_side_files(path: Path) -> None:
 TAKES_NO_DATA: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 """Errors of a disk that takes no data now: full, over quota, at a size limit, read-only."""
 
-_FREE_SPACE: Final = "free some space on its disk"
+_FREE_SPACE: Final = "free some space on {disk}"
 _PERMISSION: Final = "change its permissions, or give another path"
 _REMEDIES: Final = {
     errno.ENOSPC: _FREE_SPACE,
@@ -197,12 +197,12 @@ _REMEDIES: Final = {
     errno.EFBIG: "the limit on the size of a file is reached: raise it (`ulimit -f`)",
     errno.EACCES: _PERMISSION,
     errno.EPERM: _PERMISSION,
-    errno.EROFS: "its disk is read-only: give another path",
+    errno.EROFS: "{disk} is read-only: give another path",
     errno.EISDIR: "it is a folder: give a file",
     errno.ENOTDIR: "a part of the path is a file, not a folder: correct it",
     errno.EEXIST: "something else has this name: give another path",
     errno.ENOENT: "correct the path",
-    errno.EIO: "its disk fails: read the system's log",
+    errno.EIO: "{disk} fails: read the system's log",
 }
 
 
@@ -215,9 +215,20 @@ def explained(what: str, failure: type[CairnError] = CairnError) -> Iterator[Non
         raise failure(f"{what}: {explain_os_error(error)}") from error
 
 
-def explain_os_error(error: OSError) -> str:
-    """Return the system's message of a failed file operation, and a remedy."""
+def explain_os_error(error: OSError, path: Path | None = None) -> str:
+    """Return the system's message of a failed operation on a file, and a remedy.
+
+    It names the disk by where it is mounted, if the error or `path` says which file it was.
+    """
+    file = path or (Path(error.filename) if isinstance(error.filename, str) else None)
     remedy = getattr(error, "remedy", None) or _REMEDIES.get(
         error.errno or 0, "correct the path, or the file there"
     )
-    return f"{error.strerror or error}; {remedy}"
+    return f"{error.strerror or error}; {remedy.replace('{disk}', _disk_of(file))}"
+
+
+def _disk_of(file: Path | None) -> str:
+    if file is None:
+        return "its disk"
+    folders = file.resolve().parents
+    return f"the disk at {next(folder for folder in folders if folder.is_mount())}"

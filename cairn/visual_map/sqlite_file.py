@@ -295,7 +295,7 @@ def explained_errors(path: Path) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         refused = _writing_error(path.parent) if _is_of_the_disk(error) else None
-        why = _remedy(error) if refused is None else explain_os_error(refused)
+        why = _remedy(error) if refused is None else explain_os_error(refused, path)
         kind = MapFileError
         if refused is not None or getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL:
             kind = MapNotWritable
@@ -306,7 +306,7 @@ def explained_errors(path: Path) -> Iterator[None]:
         raise DamagedMap(f"{path}: {error}. {_DAMAGED}.") from error
     except OSError as error:
         kind = MapNotWritable if error.errno in TAKES_NO_DATA else MapFileError
-        raise kind(f"{error.filename or path}: {explain_os_error(error)}.") from error
+        raise kind(f"{error.filename or path}: {explain_os_error(error, path)}.") from error
 
 
 @contextmanager

@@ -656,7 +656,7 @@ def explained_errors(path: Path) -> Iterator[None]:
     except UnicodeDecodeError as error:  # of a text in the schema
         raise _damaged(path, str(error)) from error
     except OSError as error:
-        raise CairnError(f"{path}: {explain_os_error(error)}") from error
+        raise CairnError(f"{path}: {explain_os_error(error, path)}") from error
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """A file that is replaced holds the old content or the new, whatever happens meanwhile."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 from cairn.errors import CairnError
 from cairn.system.files import (
     complete_replacement,
+    explain_os_error,
     replace_file,
     replacing,
     replacing_together,
@@ -202,3 +204,10 @@ def test_replacement_removes_no_other_files(tmp_path: Path) -> None:
 
     assert (other.read_text(), outside.read_text()) == ("stays", "stays")
     assert names(folder) == ["room.yaml"]
+
+
+def test_remedy_names_the_disk_that_is_full() -> None:
+    full = OSError(errno.ENOSPC, "No space left on device")
+
+    assert "on the disk at /proc" in explain_os_error(full, Path("/proc/self/map.cairn"))
+    assert "on its disk" in explain_os_error(full)
