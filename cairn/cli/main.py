@@ -1,16 +1,18 @@
 """The `cairn` command: the table of its subcommands, and how it reports errors."""
 
+import contextlib
 import io
 import logging
 import os
 import sys
+import time
 from typing import Annotated
 
 import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
-from cairn.system.compilation import before_compilation
+from cairn.system.compilation import COMPILATION_LIMIT_S, before_compilation
 from cairn.system.extras import missing_library
 from cairn.system.files import allow_many_files, private_files
 
@@ -113,7 +115,6 @@ COMMANDS = (
 _OF_THE_LAB = dict.fromkeys(("campaign", "evaluate", "experiment"), "cairn-lab")
 
 _HELP = ["-h", "--help"]
-_KERNELS_PER_NOTE = 10  # of about 45
 
 
 def main() -> None:
@@ -123,7 +124,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):  # a test replaces them
             stream.reconfigure(errors="backslashreplace")  # no locale makes a run fail
     logging.captureWarnings(True)
-    before_compilation(_announce_compilation, _KernelCount())
+    before_compilation(_compile_in_helper)
     try:
         allow_many_files()
         with private_files():
@@ -190,24 +191,23 @@ def _check_folder() -> None:
         raise CairnError("the current folder has been removed; change to another one") from error
 
 
-def _announce_compilation() -> None:
+def _compile_in_helper() -> None:
+    """Have another process fill the cache with the kernels of what is being imported.
+
+    If it fails, this process compiles.
+    """
+    import subprocess
+
     from cairn.terminal.output import note
 
     note("compiling kernels, once after an installation or an update: up to a minute")
-
-
-class _KernelCount:
-    """Prints how many kernels this process has compiled, now and then."""
-
-    def __init__(self) -> None:
-        self._count = 0
-
-    def __call__(self, _kernel: str) -> None:
-        from cairn.terminal.output import note
-
-        self._count += 1
-        if self._count % _KERNELS_PER_NOTE == 0:
-            note(f"compiled {self._count} kernels")
+    began = time.monotonic()
+    ours = [name for name in sorted(sys.modules) if name.split(".")[0] in ("cairn", "cairn_lab")]
+    command = [sys.executable, "-m", "cairn.cli.compile_kernels", *ours]
+    nothing, limit_s = subprocess.DEVNULL, COMPILATION_LIMIT_S
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        subprocess.run(command, stdin=nothing, stdout=nothing, timeout=limit_s, check=False)
+    note(f"compiled kernels in {time.monotonic() - began:.0f} s")
 
 
 def _open_missing_streams() -> None:

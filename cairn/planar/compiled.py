@@ -24,7 +24,6 @@ from cairn.system.compilation import (
     add_deferred,
     is_compilation_deferred,
     prepare_compilation,
-    report_compiled,
 )
 
 # Numba's annotations cover its public interface only.
@@ -102,7 +101,6 @@ class _KernelCache(_caching.FunctionCache):  # type: ignore[misc]  # see `_cachi
         self._bind()
         super().save_overload(sig, data)
         self._remove_orphans()
-        report_compiled(f"{self._source.stem}.{self._py_func.__qualname__}")
 
     def _bind(self) -> None:
         """Open the index; only now, as a callee may be defined below the kernel in its file."""

@@ -48,12 +48,11 @@ from cairn.processes.machines import MachineMonitor
 from cairn.processes.prepared import CODEC
 from cairn.processes.run_plan import PLAN, REQUEST, PlanRequest, RunPlan, check_for_root
 from cairn.processes.systemd_notify import ServiceManager
-from cairn.processes.zygote import COMPILATION_LIMIT_S
 from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.process_exit import ExitLog, ExitReport
-from cairn.system.compilation import before_compilation
+from cairn.system.compilation import COMPILATION_LIMIT_S, before_compilation
 from cairn.system.heap import share_heap
 from cairn.system.runtime_folder import run_folder
 

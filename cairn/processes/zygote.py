@@ -40,7 +40,12 @@ from cairn.processes.orphan_cleanup import (
     set_parent_death_signal,
 )
 from cairn.runtime.process_exit import end_process
-from cairn.system.compilation import before_compilation, compile_deferred, defer_compilation
+from cairn.system.compilation import (
+    COMPILATION_LIMIT_S,
+    before_compilation,
+    compile_deferred,
+    defer_compilation,
+)
 from cairn.system.files import TAKES_NO_DATA
 
 BOOTSTRAP = (
@@ -49,9 +54,6 @@ BOOTSTRAP = (
     "getattr(import_module(module), function)()"
 )
 """Calls a function ("module:function") of a new interpreter, with the caller's search path."""
-
-COMPILATION_LIMIT_S = 600.0
-"""Limit for compiling all kernels [s]: they took 168 s on two cores with a load of 20."""
 
 _END_LIMIT_S = 5.0  # killed processes may take so long to vanish, on a starved computer
 _TRACEBACK_LINES = 12

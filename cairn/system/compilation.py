@@ -8,25 +8,24 @@ import os
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Final
+
+COMPILATION_LIMIT_S: Final = 600.0
+"""Limit for compiling all kernels [s]: they took 168 s on two cores with a load of 20."""
 
 _MOST_COMPILERS = 4  # each needs about 200 MiB
 
 _calls: list[Callable[[], None]] = []
-_on_compiled: list[Callable[[str], None]] = []
 _deferrals: list[None] = []
 _deferred: dict[str, list[Callable[[], None]]] = {}
 
 
-def before_compilation(
-    call: Callable[[], None], on_compiled: Callable[[str], None] | None = None
-) -> None:
+def before_compilation(call: Callable[[], None]) -> None:
     """Have `call` made once, before this process compiles a kernel that the cache does not have.
 
-    Afterwards the process looks for the kernel in the cache again. `on_compiled` is called with the
-    name of each kernel that this process has compiled.
+    Afterwards the process looks for the kernel in the cache again.
     """
     _calls[:] = [call]
-    _on_compiled[:] = [on_compiled] if on_compiled is not None else []
 
 
 def prepare_compilation() -> bool:
@@ -35,12 +34,6 @@ def prepare_compilation() -> bool:
         return False
     _calls.pop()()
     return True
-
-
-def report_compiled(kernel: str) -> None:
-    """Report that this process has compiled a kernel, which is in the cache now."""
-    for call in _on_compiled:
-        call(kernel)
 
 
 def defer_compilation() -> None:

@@ -126,7 +126,8 @@ def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> 
     prepare = (
         "import subprocess, sys\n"
         "from cairn.system.compilation import before_compilation\n"
-        "other = [sys.executable, '-B', '-c', 'import edited_package.caller']\n"
+        "module = ['-m', 'cairn.cli.compile_kernels', 'edited_package.caller']\n"
+        "other = [sys.executable, '-B', *module]\n"
         "before_compilation(lambda: subprocess.run(other, check=True))\n"
     )
 
