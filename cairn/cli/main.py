@@ -1,18 +1,16 @@
 """The `cairn` command: the table of its subcommands, and how it reports errors."""
 
-import contextlib
 import io
 import logging
 import os
 import sys
-import time
 from typing import Annotated
 
 import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
-from cairn.system.compilation import COMPILATION_LIMIT_S, before_compilation
+from cairn.system.compilation import before_compilation
 from cairn.system.extras import missing_library
 from cairn.system.files import allow_many_files, private_files
 
@@ -192,22 +190,9 @@ def _check_folder() -> None:
 
 
 def _compile_in_helper() -> None:
-    """Have another process fill the cache with the kernels of what is being imported.
+    from cairn.cli.compile_kernels import compile_in_helper
 
-    If it fails, this process compiles.
-    """
-    import subprocess
-
-    from cairn.terminal.output import note
-
-    note("compiling kernels, once after an installation or an update: up to a minute")
-    began = time.monotonic()
-    ours = [name for name in sorted(sys.modules) if name.split(".")[0] in ("cairn", "cairn_lab")]
-    command = [sys.executable, "-m", "cairn.cli.compile_kernels", *ours]
-    nothing, limit_s = subprocess.DEVNULL, COMPILATION_LIMIT_S
-    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-        subprocess.run(command, stdin=nothing, stdout=nothing, timeout=limit_s, check=False)
-    note(f"compiled kernels in {time.monotonic() - began:.0f} s")
+    compile_in_helper()
 
 
 def _open_missing_streams() -> None:

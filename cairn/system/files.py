@@ -220,15 +220,19 @@ def explain_os_error(error: OSError, path: Path | None = None) -> str:
 
     It names the disk by where it is mounted, if the error or `path` says which file it was.
     """
-    file = path or (Path(error.filename) if isinstance(error.filename, str) else None)
     remedy = getattr(error, "remedy", None) or _REMEDIES.get(
         error.errno or 0, "correct the path, or the file there"
     )
-    return f"{error.strerror or error}; {remedy.replace('{disk}', _disk_of(file))}"
+    if "{disk}" in remedy:
+        file = error.filename if isinstance(error.filename, str) else path
+        remedy = remedy.replace("{disk}", "its disk" if file is None else _disk_of(file))
+    return f"{error.strerror or error}; {remedy}"
 
 
-def _disk_of(file: Path | None) -> str:
-    if file is None:
-        return "its disk"
-    folders = file.resolve().parents
-    return f"the disk at {next(folder for folder in folders if folder.is_mount())}"
+def _disk_of(file: str | Path) -> str:
+    with suppress(OSError):  # the current folder may be gone
+        folder = os.path.realpath(file)
+        while not os.path.ismount(folder):
+            folder = os.path.dirname(folder)
+        return f"the disk at {folder}"
+    return "its disk"

@@ -108,7 +108,7 @@ def test_check_without_imports_reports_keys_names_and_missing_plugins(deployment
 
 
 def test_commands_that_only_read_start_no_program_and_change_no_file(tmp_path: Path) -> None:
-    """Not counted: what is cached for an import; a probe of `tempfile`; a signal 0, of `psutil`."""
+    """Not counted: what is cached for an import; files of `tempfile`; whether a process exists."""
     file = tmp_path / "robot.yaml"
     file.write_text("cairn: 1\ncomponents: {talker: {plugin: test_talker}}\n")
 

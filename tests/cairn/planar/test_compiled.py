@@ -124,11 +124,10 @@ def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> 
     package = Package(tmp_path)
     package.create()
     prepare = (
-        "import subprocess, sys\n"
+        "from cairn.cli import compile_kernels\n"
         "from cairn.system.compilation import before_compilation\n"
-        "module = ['-m', 'cairn.cli.compile_kernels', 'edited_package.caller']\n"
-        "other = [sys.executable, '-B', *module]\n"
-        "before_compilation(lambda: subprocess.run(other, check=True))\n"
+        "compile_kernels.PACKAGES = ('edited_package',)\n"
+        "before_compilation(compile_kernels.compile_in_helper)\n"
     )
 
     assert package.run(prepare) == (21.0, True)

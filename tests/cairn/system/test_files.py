@@ -211,3 +211,6 @@ def test_remedy_names_the_disk_that_is_full() -> None:
 
     assert "on the disk at /proc" in explain_os_error(full, Path("/proc/self/map.cairn"))
     assert "on its disk" in explain_os_error(full)
+    # What the error names is on it, whatever was to be written; `path` is only the next best.
+    named = OSError(errno.ENOSPC, "No space left on device", "/proc/self/log")
+    assert "on the disk at /proc" in explain_os_error(named, Path("/map.cairn"))
