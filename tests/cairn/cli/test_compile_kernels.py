@@ -56,7 +56,7 @@ def test_helper_ends_with_the_command(tmp_path: Path, number: int) -> None:
         # As Ctrl-C in a terminal: to all processes of the command.
         os.killpg(command.pid, number)
         await_any_end([helper], LIMIT_S)
-        with suppress(psutil.NoSuchProcess):  # or nobody has reaped it yet
+        with suppress(psutil.NoSuchProcess):  # else it is not reaped yet
             assert psutil.Process(helper).status() == psutil.STATUS_ZOMBIE
         _, printed = command.communicate(timeout=LIMIT_S)
 
