@@ -163,8 +163,8 @@ def write_map(file: Path, grid: OccupancyCells, mode: Mode = "trinary") -> None:
         replace_file(file, text.encode())
     except OSError as error:
         raise CairnError(
-            f"{file}: the map cannot be written: {error.strerror or error}; choose another folder "
-            "or free disk space"
+            f"{file}: the map cannot be written: {explain_os_error(error, file)}, or choose "
+            "another folder"
         ) from error
 
 

@@ -317,7 +317,7 @@ def _print_result(built: BuiltMap, files: list[Path], as_json: bool) -> None:
     else:
         cell = built.grid.frame.resolution
         line(f"{files[0]}: {width:.1f} m x {height:.1f} m, cells of {cell:g} m")
-        line(f"  scans      {quality.scans}, of which {quality.keyframes} are in the map; "
+        line(f"  scans      {quality.scans}, {quality.keyframes} of them kept as keyframes; "
              f"{quality.driven_m:.0f} m driven")  # fmt: skip
         if quality.left_out:
             line(f"  left out   {quality.left_out} scans: no place that they show was recognized")

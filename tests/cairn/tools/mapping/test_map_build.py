@@ -33,7 +33,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("map") / "fr079"
     answer = cairn("map", "build", str(LOG), str(out))
     assert answer.code == 0, answer.err
-    assert "1110, of which" in answer.out
+    assert "scans      1110, " in answer.out
     return out
 
 
