@@ -108,7 +108,7 @@ $(VENV)/ready: pyproject.toml lab/pyproject.toml requirements/dev.txt requiremen
 	$(LOCAL) . --editable lab
 	@echo "compiling the kernels, so that no robot waits for it, nor each test worker"
 	@$(BIN)/python -c "import sys; from cairn.deployment.plugins import installed_plugins; \
-	    from cairn.system.compilation import compile_deferred, defer_compilation; \
+	    from cairn.system.kernel_compilation import compile_deferred, defer_compilation; \
 	    defer_compilation(); installed_plugins(); sys.exit(not compile_deferred())"
 	@touch $@
 

@@ -8,7 +8,7 @@ from cairn.deployment.load import assemble, contradictions_of, read_sources
 from cairn.deployment.problems import DeploymentError, Problem
 from cairn.deployment.qos_mismatches import qos_mismatches
 from cairn.deployment.shipped import FOLDER, shipped
-from cairn.system.compilation import deferred_compilation
+from cairn.system.kernel_compilation import deferred_compilation
 from cairn.terminal.options import File, Json, Overlay, Set
 from cairn.terminal.output import line, print_json, print_problems, show
 

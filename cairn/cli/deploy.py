@@ -14,7 +14,7 @@ from cairn.cli.releases.packages import Packages, packages_of
 from cairn.cli.releases.push import Pushed, Target, push, roll_back, targets
 from cairn.deployment.load import load_deployment
 from cairn.errors import CairnError
-from cairn.system.compilation import deferred_compilation
+from cairn.system.kernel_compilation import deferred_compilation
 from cairn.terminal.options import File, Json, Overlay, Set
 from cairn.terminal.output import line, note, show
 

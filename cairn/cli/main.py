@@ -10,9 +10,9 @@ import typer
 
 from cairn.cli.command_groups import LazyCommand, lazy_group
 from cairn.errors import CairnError
-from cairn.system.compilation import before_compilation
 from cairn.system.extras import missing_library
 from cairn.system.files import allow_many_files, private_files
+from cairn.system.kernel_compilation import before_compilation
 
 COMMANDS_GROUP = "cairn.commands"
 """Entry points of this group add subcommands: a `typer.Typer`, or a function as typer takes it."""
@@ -190,7 +190,7 @@ def _check_folder() -> None:
 
 
 def _compile_in_helper() -> None:
-    from cairn.cli.compile_kernels import compile_in_helper
+    from cairn.cli.kernel_helper import compile_in_helper
 
     compile_in_helper()
 

@@ -13,7 +13,7 @@ from cairn.runtime.parameters import bounds_text
 from cairn.runtime.ports import ports_of
 from cairn.runtime.topic_ports import In, Out
 from cairn.schemas.message import type_name
-from cairn.system.compilation import deferred_compilation
+from cairn.system.kernel_compilation import deferred_compilation
 from cairn.terminal.options import Json
 from cairn.terminal.output import line, print_json, show
 

@@ -26,8 +26,8 @@ from cairn.processes.systemd_unit import (
     template_text,
     unit_name,
 )
-from cairn.system.compilation import deferred_compilation
 from cairn.system.files import explained, replace_file
+from cairn.system.kernel_compilation import deferred_compilation
 from cairn.system.user_folders import config_folder, state_folder
 from cairn.terminal.options import File, Json, Machine, Overlay, Set
 from cairn.terminal.output import line, note, show

@@ -40,7 +40,8 @@ from cairn.schemas.rcl_interfaces import Log
 from cairn.system.signal_handlers import signal_handlers
 from cairn.system.user_folders import state_folder
 from cairn.terminal.options import File, Machine, Overlay, Set
-from cairn.terminal.output import RunOutput, note
+from cairn.terminal.output import note
+from cairn.terminal.run_output import RunOutput
 
 _REPORT_SETTING = "report"
 _CLOSING_TABLE = "report.txt"

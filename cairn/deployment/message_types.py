@@ -12,7 +12,7 @@ from cairn.schemas.definitions import DefinitionError, full_type_name
 from cairn.schemas.interfaces import find_message as find_defined_message
 from cairn.schemas.interfaces import interface, interface_type_names
 from cairn.schemas.message import Action, Service, classes_in, type_name
-from cairn.system.compilation import deferred_compilation
+from cairn.system.kernel_compilation import deferred_compilation
 
 
 def find_type(name: str) -> type[Any]:

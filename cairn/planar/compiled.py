@@ -2,7 +2,7 @@
 
 A robot never waits for a compiler: modules are imported before any component's process is forked,
 and from the second start on the compiled code is read from the cache. The zygote does not compile
-either: at the first start a helper process fills the cache (`cairn.system.compilation`).
+either: at the first start a helper process fills the cache (`cairn.system.kernel_compilation`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numba.core import caching
 
-from cairn.system.compilation import (
+from cairn.system.kernel_compilation import (
     add_deferred,
     is_compilation_deferred,
     prepare_compilation,

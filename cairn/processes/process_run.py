@@ -52,8 +52,8 @@ from cairn.runtime.child_spec import ChildSpec
 from cairn.runtime.launch_request import LaunchRequest, RunContext
 from cairn.runtime.lifecycle import LifecycleState
 from cairn.runtime.process_exit import ExitLog, ExitReport
-from cairn.system.compilation import COMPILATION_LIMIT_S, before_compilation
 from cairn.system.heap import share_heap
+from cairn.system.kernel_compilation import COMPILATION_LIMIT_S, before_compilation
 from cairn.system.runtime_folder import run_folder
 
 _log = logging.getLogger("cairn.root")

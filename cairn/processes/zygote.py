@@ -40,13 +40,13 @@ from cairn.processes.orphan_cleanup import (
     set_parent_death_signal,
 )
 from cairn.runtime.process_exit import end_process
-from cairn.system.compilation import (
+from cairn.system.files import TAKES_NO_DATA
+from cairn.system.kernel_compilation import (
     COMPILATION_LIMIT_S,
     before_compilation,
     compile_deferred,
     defer_compilation,
 )
-from cairn.system.files import TAKES_NO_DATA
 
 BOOTSTRAP = (
     "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "

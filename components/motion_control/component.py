@@ -48,9 +48,10 @@ from cairn.components.motion_control.velocity_limits import STAND, Command, Comm
 from cairn.components.motion_control.zone_limits import ZoneLimits, slowed
 from cairn.planar.messages import packed_poses, planar_pose, planar_poses, twist_message
 from cairn.planar.odometry import OdometryChange, time_went_back
-from cairn.planar.pose_tracker import PoseTracker, WaitingScans
+from cairn.planar.pose_tracker import PoseTracker
 from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.scans import rays_of
+from cairn.planar.waiting_scans import WaitingScans
 from cairn.schemas.cairn_nav_msgs import (
     PLAN_REASON_CODES,
     LocalizationEstimate,

@@ -51,9 +51,10 @@ from cairn.planar.messages import (
     pose_message,
 )
 from cairn.planar.odometry import OdometryChange
-from cairn.planar.pose_tracker import PoseTracker, WaitingScans
+from cairn.planar.pose_tracker import PoseTracker
 from cairn.planar.poses import Pose
 from cairn.planar.scans import beams_of
+from cairn.planar.waiting_scans import WaitingScans
 from cairn.schemas.cairn_nav_msgs import (
     LocalizationEstimate,
     MotionStatus,

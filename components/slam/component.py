@@ -45,9 +45,10 @@ from cairn.planar.grid import OccupancyCells, map_message
 from cairn.planar.map_file import write_map
 from cairn.planar.messages import planar_pose, transform_message, with_covariance
 from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
-from cairn.planar.pose_tracker import WaitingScans, sweep_of
+from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose, inverse
 from cairn.planar.scans import rays_of
+from cairn.planar.waiting_scans import WaitingScans
 from cairn.schemas.cairn_msgs import RecognizedObjectArray
 from cairn.schemas.cairn_nav_msgs import NO_REASON, LocalizationEstimate, Reason, ReasonCode
 from cairn.schemas.geometry_msgs import PoseWithCovariance, PoseWithCovarianceStamped

@@ -36,11 +36,13 @@ from cairn.components.velocity_gate.sources import (
     OperatorLease,
     Selection,
     SourceSelector,
+    velocity_of,
 )
 from cairn.planar.messages import planar_pose, twist_message
 from cairn.planar.odometry import OdometryChange, time_went_back
-from cairn.planar.pose_tracker import PoseTracker, Sweep, WaitingScans
+from cairn.planar.pose_tracker import PoseTracker, Sweep
 from cairn.planar.scans import Rays, rays_of
+from cairn.planar.waiting_scans import WaitingScans
 from cairn.schemas.cairn_nav_msgs import ReasonCode, TeleoperationCommand, VelocityGateStatus
 from cairn.schemas.geometry_msgs import Point32, Polygon, PolygonStamped, Twist
 from cairn.schemas.nav_msgs import Odometry
@@ -360,12 +362,11 @@ class VelocityGate(Component):
 
     def _take(self, source: str, message: Twist) -> None:
         """Take a command of a source, unless the base cannot execute it."""
-        linear, angular = message.linear, message.angular
-        if any((linear.y, linear.z, angular.x, angular.y)):
+        velocity = velocity_of(message)
+        if velocity is None:
             self._refuse("invalid", f"a command of {source} that moves sideways, up, or tilts")
             return
         self._notice_pause()
-        velocity = linear.x, angular.z
         self._clamped += clamp(velocity, self._speeds) != velocity
         if not self._sources.set(source, self.clock.now(), velocity):
             self._refuse("late", f"a command of {source} that was queued while the gate was paused")

@@ -1,4 +1,4 @@
-"""Sources of velocity commands: which one drives, and the operator's lease.
+"""Sources of velocity commands: what they may command, which one drives, the operator's lease.
 
 Times are in nanoseconds of the component's clock.
 """
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from cairn import SECOND, CairnError
 from cairn.components.velocity_gate.limiter import Velocity
+from cairn.schemas.geometry_msgs import Twist
 
 NAVIGATOR, TELEOPERATION, EXTERNAL = "navigator", "teleoperation", "external"
 
@@ -33,6 +34,14 @@ class Selection:
 
     source: str
     command: Velocity
+
+
+def velocity_of(command: Twist) -> Velocity | None:
+    """Return a command's speed and turn rate; None if it moves sideways, up, or tilts."""
+    linear, angular = command.linear, command.angular
+    if any((linear.y, linear.z, angular.x, angular.y)):
+        return None
+    return linear.x, angular.z
 
 
 class SourceSelector:

@@ -12,7 +12,7 @@ from cairn.deployment.plugins import installed_plugins, load_plugin
 from cairn.runtime.ports import actions_of, ports_of, services_of
 from cairn.schemas.interfaces import interface
 from cairn.schemas.message import type_name
-from cairn.system.compilation import deferred_compilation
+from cairn.system.kernel_compilation import deferred_compilation
 from tests.attack.conftest import Cases
 from tests.attack.inputs import CODEC
 from tests.schemas.damage import decode_damaged

@@ -55,11 +55,13 @@ def test_supervisor_goes_on_while_a_child_starts(launch: Launching) -> None:
     """
     )
     # Also during its first start, in which the supervisor itself is not active yet.
-    run.pid_of("slow")
+    slow = run.pid_of("slow")
+    os.kill(slow, signal.SIGSTOP)
     os.kill(run.pid_of("first"), signal.SIGKILL)
     seen = run.await_line("child failed: first: killed by SIGKILL")
     seen = run.await_line("child active: first", after=seen)
     assert not any("child active: slow" in line for line in run.lines[:seen])
+    os.kill(slow, signal.SIGCONT)
     seen = run.await_line("root: child active: mobile", after=seen)
 
     os.kill(run.pid_of("slow"), signal.SIGKILL)

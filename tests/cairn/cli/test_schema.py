@@ -20,7 +20,7 @@ from cairn.schemas.interfaces import find_message as find_defined_message
 from cairn.schemas.interfaces import interface
 from cairn.schemas.message import classes_in, type_name
 from cairn.schemas.package_files import import_packages
-from cairn.system.compilation import deferred_compilation
+from cairn.system.kernel_compilation import deferred_compilation
 from tests.cairn.bus.network import Network, eventually, node
 from tests.commands import cairn
 from tests.schemas.random_messages import HASHES

@@ -124,10 +124,10 @@ def test_cache_that_is_filled_before_the_compilation_is_used(tmp_path: Path) -> 
     package = Package(tmp_path)
     package.create()
     prepare = (
-        "from cairn.cli import compile_kernels\n"
-        "from cairn.system.compilation import before_compilation\n"
-        "compile_kernels.PACKAGES = ('edited_package',)\n"
-        "before_compilation(compile_kernels.compile_in_helper)\n"
+        "from cairn.cli import kernel_helper\n"
+        "from cairn.system.kernel_compilation import before_compilation\n"
+        "kernel_helper.PACKAGES = ('edited_package',)\n"
+        "before_compilation(kernel_helper.compile_in_helper)\n"
     )
 
     assert package.run(prepare) == (21.0, True)
@@ -138,7 +138,7 @@ def test_deferred_kernel_is_compiled_by_its_first_call(tmp_path: Path) -> None:
     package = Package(tmp_path)
     package.create()
     prepare = (
-        "from cairn.system.compilation import deferred_compilation\n"
+        "from cairn.system.kernel_compilation import deferred_compilation\n"
         "with deferred_compilation():\n"
         "    from edited_package.caller import caller\n"
         "assert not caller.signatures\n"
@@ -153,7 +153,7 @@ def test_deferred_kernels_are_compiled_by_other_processes(tmp_path: Path) -> Non
     package = Package(tmp_path)
     package.create()
     prepare = (
-        "from cairn.system.compilation import compile_deferred, deferred_compilation\n"
+        "from cairn.system.kernel_compilation import compile_deferred, deferred_compilation\n"
         "with deferred_compilation():\n"
         "    from edited_package.caller import caller\n"
         "assert compile_deferred() and not caller.signatures\n"

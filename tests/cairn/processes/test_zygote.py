@@ -196,7 +196,7 @@ def test_kernels_are_compiled_in_a_process_that_ends_before_the_zygote_forks(
     (tmp_path / "has_kernels.py").write_text(
         "import os\n"
         "from pathlib import Path\n"
-        "from cairn.system.compilation import prepare_compilation\n"
+        "from cairn.system.kernel_compilation import prepare_compilation\n"
         "cached, zygote = Path(__file__).with_name('cached'), os.getpid()\n"
         "if not cached.exists():\n"
         "    prepare_compilation()\n"
@@ -216,7 +216,7 @@ def test_kernels_are_compiled_in_a_process_that_ends_before_the_zygote_forks(
 
 
 @pytest.mark.parametrize(
-    "first", ["", "import cairn.system.compilation as c; c.prepare_compilation()\n"]
+    "first", ["", "import cairn.system.kernel_compilation as c; c.prepare_compilation()\n"]
 )
 def test_module_that_hangs_when_imported_does_not_delay_a_stop(
     tree: Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: str

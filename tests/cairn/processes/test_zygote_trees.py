@@ -93,7 +93,7 @@ def test_fork_of_a_dead_owner_does_not_keep_its_processes_alive(owner: Owner) ->
     "slow",
     [
         "open(GATE).read()",
-        "from cairn.system.compilation import add_deferred, prepare_compilation\n"
+        "from cairn.system.kernel_compilation import add_deferred, prepare_compilation\n"
         "prepare_compilation()\n"
         "add_deferred('kernels', lambda: open(GATE).read())",
     ],

@@ -11,16 +11,16 @@ from pathlib import Path
 import psutil
 import pytest
 
-from cairn.cli import compile_kernels
+from cairn.cli import kernel_helper
 from cairn.testing.launching import await_any_end
 from tests.patience import LIMIT_S
 
 COMMAND = """\
 import sys
-from cairn.cli import compile_kernels
-compile_kernels.PACKAGES = ("slow",)
+from cairn.cli import kernel_helper
+kernel_helper.PACKAGES = ("slow",)
 sys.modules["slow"] = sys  # it is being imported
-compile_kernels.compile_in_helper()
+kernel_helper.compile_in_helper()
 """
 SLOW = """\
 import os, time
@@ -76,9 +76,9 @@ def test_no_module_of_the_current_folder_is_imported(tmp_path: Path) -> None:
 def test_helper_that_fails_is_reported(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(compile_kernels, "BOOTSTRAP", "raise SystemExit(3)")
+    monkeypatch.setattr(kernel_helper, "BOOTSTRAP", "raise SystemExit(3)")
 
-    compile_kernels.compile_in_helper()
+    kernel_helper.compile_in_helper()
 
     printed = capfd.readouterr().err
     assert "compiling kernels in this process: helper process: exit code 3" in printed

@@ -17,8 +17,12 @@ from functools import partial
 
 from cairn.processes.orphan_cleanup import set_parent_death_signal
 from cairn.processes.zygote import BOOTSTRAP
-from cairn.system.compilation import COMPILATION_LIMIT_S, compile_deferred, deferred_compilation
 from cairn.system.files import explain_os_error
+from cairn.system.kernel_compilation import (
+    COMPILATION_LIMIT_S,
+    compile_deferred,
+    deferred_compilation,
+)
 from cairn.terminal.output import note
 
 PACKAGES = ("cairn", "cairn_lab")
@@ -34,7 +38,7 @@ def compile_in_helper() -> None:
     began = time.monotonic()
     modules = [name for name in sorted(sys.modules) if name.split(".")[0] in PACKAGES]
     # Not from the current folder, and apart from the terminal, whose Ctrl-C this process receives.
-    bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path), "cairn.cli.compile_kernels:main"]
+    bootstrap = ["-P", "-c", BOOTSTRAP, json.dumps(sys.path), "cairn.cli.kernel_helper:main"]
     try:
         done = subprocess.run(
             [sys.executable, *bootstrap, str(os.getpid()), *modules],
