@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cairn.system import compilation
+from cairn.system import kernel_compilation
 
 
 @pytest.mark.parametrize("fails", [False, True])
@@ -15,7 +15,7 @@ def test_each_deferred_kernel_is_compiled_once_in_another_process(
     capfd: pytest.CaptureFixture[str],
     fails: bool,
 ) -> None:
-    monkeypatch.setattr(compilation, "_deferred", {})
+    monkeypatch.setattr(kernel_compilation, "_deferred", {})
     names = [f"module_{number}.kernel_{kernel}" for number in range(9) for kernel in range(3)]
 
     def compiler(name: str) -> Callable[[], None]:
@@ -27,8 +27,8 @@ def test_each_deferred_kernel_is_compiled_once_in_another_process(
         return compile_kernel
 
     for name in names:
-        compilation.add_deferred(name.partition(".")[0], compiler(name))
+        kernel_compilation.add_deferred(name.partition(".")[0], compiler(name))
 
-    assert compilation.compile_deferred() is not fails
+    assert kernel_compilation.compile_deferred() is not fails
     assert ("RuntimeError: no memory" in capfd.readouterr().err) == fails
     assert sorted(path.name for path in tmp_path.iterdir()) == names
