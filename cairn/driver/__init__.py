@@ -3,7 +3,8 @@
 - `device_thread`: the thread that talks with a device; reopens a device that failed or was
   unplugged; drops the oldest measurement if the component is busy
 - `errors`: `DeviceError`, `LinkLost`
-- `serial_and_tcp`: serial ports and TCP connections: finding, opening, reading, writing
+- `serial_and_tcp`: serial ports and TCP connections: opening, reading, writing
+- `usb_ports`: finds a serial port by USB numbers
 - `command_timeout`: the newest velocity command, until it is stale
 - `device_names`: which parameters name a device, for `cairn doctor`
 - `device_clock`: converts a device's own time to system time

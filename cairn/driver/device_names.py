@@ -16,7 +16,7 @@ from typing import Annotated
 
 from pydantic import BaseModel
 
-from cairn.driver.serial_and_tcp import find_port
+from cairn.driver.usb_ports import find_port
 from cairn.runtime.parameters import MarkedParameter, marked_parameters
 
 TCP = "tcp:"

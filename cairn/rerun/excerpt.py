@@ -12,7 +12,8 @@ from cairn.recording.reader import McapRecording
 from cairn.recording.rewrite import rewrite
 from cairn.rerun.call_logs import ComponentStart
 from cairn.rerun.files import ATTACHED
-from cairn.rerun.run import CALL_BATCH, EXCERPT_RECORD, add_uses
+from cairn.rerun.run import CALL_BATCH, EXCERPT_RECORD
+from cairn.rerun.streamed_messages import add_uses
 from cairn.runtime.input_files import LONGEST_FILE, file_digest
 from cairn.schemas.cairn_msgs import CallBatch
 from cairn.system.files import explained

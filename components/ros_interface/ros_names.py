@@ -10,6 +10,7 @@ from cairn.bus.bus import Subscription
 from cairn.bus.keys import ROS_NAMES, EndpointEntity
 from cairn.bus.zenoh_bus import ZenohBus
 from cairn.components.ros_interface.diagnostics import diagnostic_status
+from cairn.components.ros_interface.static_transforms import StaticTransforms
 from cairn.deployment.model import ROOT, Deployment
 from cairn.deployment.ros_name_mapping import (
     RosService,
@@ -21,12 +22,10 @@ from cairn.deployment.ros_name_mapping import (
 from cairn.runtime.component import ComponentContext
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.diagnostic_msgs import DiagnosticArray
-from cairn.schemas.geometry_msgs import TransformStamped
 from cairn.schemas.message import InvalidMessage
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-_MOST_FRAMES = 10_000  # as in a robot description
 _SILENT_NS = 5 * SECOND  # a component publishes its status four times a second
 
 
@@ -113,7 +112,7 @@ class _Topic:
         qos = topic.qos.with_depth(1) if self._merges else topic.qos
         self._publisher = context.node.advertise(topic.target, topic.message, qos)
         self._subscription: Subscription | None = None
-        self._static: dict[str, TransformStamped] = {}  # transforms, by their child frames
+        self._static = StaticTransforms()
 
     def follow(self) -> None:
         """Subscribe while there are subscribers."""
@@ -152,17 +151,7 @@ class _Topic:
             return
         if message is None:  # a newer one has displaced it
             return
-        self._publisher.publish(self._all_static(message) if self._merges else message)
-
-    def _all_static(self, message: TFMessage) -> TFMessage:
-        """Return the newest static transforms of all publishers.
-
-        A late subscriber of ROS gets the last message of a publisher alone.
-        """
-        for one in message.transforms:
-            if one.child_frame_id in self._static or len(self._static) < _MOST_FRAMES:
-                self._static[one.child_frame_id] = one
-        return TFMessage(transforms=tuple(self._static.values()))
+        self._publisher.publish(self._static.add(message) if self._merges else message)
 
 
 class _Service:

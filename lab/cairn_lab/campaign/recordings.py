@@ -12,7 +12,8 @@ from cairn.recording.recorder import McapRecorder, RecorderSettings
 from cairn.recording.run_attachments import MessageClasses, run_attachments, started_parameters
 from cairn.recording.tap import ZenohTap
 from cairn.rerun.files import input_attachments
-from cairn.rerun.run import needed_messages, starts_in
+from cairn.rerun.run import starts_in
+from cairn.rerun.streamed_messages import needed_messages
 from cairn_lab.campaign.robot import CampaignRobot
 
 

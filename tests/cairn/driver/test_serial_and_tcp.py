@@ -13,7 +13,8 @@ from serial.tools import list_ports
 
 from cairn.driver.emulator_lines import PtyEnd
 from cairn.driver.errors import LinkLost
-from cairn.driver.serial_and_tcp import SerialLink, TcpLink, find_port
+from cairn.driver.serial_and_tcp import SerialLink, TcpLink
+from cairn.driver.usb_ports import find_port
 from cairn.testing.launching import free_port
 from tests.patience import LIMIT_S
 from tests.wording import words_in_order

@@ -8,13 +8,13 @@ from hypothesis import strategies as st
 
 from cairn.components.map_builder.landmark_map import LandmarkMap
 from cairn.components.map_builder.landmark_registration import record_departure
-from cairn.components.map_builder.landmark_verdicts import (
+from cairn.components.map_builder.undo import MOST_ENTRIES, LandmarkJournal
+from cairn.components.map_builder.viewpoints import (
     add_absence,
     add_recognition,
     cell_of,
     similarity_of_absence,
 )
-from cairn.components.map_builder.undo import MOST_ENTRIES, LandmarkJournal
 from cairn.planar.poses import Pose
 from cairn.visual_map.landmarks import (
     NO_HISTORY,
