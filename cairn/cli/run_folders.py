@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from cairn.cli.runs import writing_report
 from cairn.errors import CairnError
 from cairn.limits.files import megabytes
 from cairn.runtime.child_spec import Storage
@@ -31,6 +30,22 @@ def check_report_option(folder: Path) -> None:
             raise CairnError(
                 f"--report {folder}: there is no folder {missing}; create it, or correct the path"
             )
+
+
+@contextmanager
+def writing_report(folder: Path, option: str = "--out") -> Iterator[None]:
+    """Raise `CairnError` instead of `OSError` if the report cannot be written.
+
+    `option` is the option by which the user names the folder.
+    """
+    try:
+        yield
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        raise CairnError(
+            f"the report's folder {folder} cannot be written: {where}{error.strerror or error}; "
+            f"name another one with {option}, or free some space there"
+        ) from error
 
 
 @contextmanager

@@ -18,9 +18,9 @@ import typer
 
 from cairn.bus.endpoints import DOMAIN_VARIABLE, default_domain, socket_path
 from cairn.bus.zenoh_bus import ZenohBus
-from cairn.cli.run_folders import check_report_option, reduce_old, used_folder
-from cairn.cli.runs import log_file, writing_report
-from cairn.cli.view import LogWatch, PlainView, View, Watch
+from cairn.cli.log_file import log_file
+from cairn.cli.run_folders import check_report_option, reduce_old, used_folder, writing_report
+from cairn.cli.up_messages import LogWatch, PlainView, View, Watch
 from cairn.deployment.load import SourceDocument, assemble, read_sources
 from cairn.deployment.machines import check_machine
 from cairn.deployment.model import Deployment, root_name, view_name

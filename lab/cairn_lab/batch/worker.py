@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from cairn.cli.runs import log_file
+from cairn.cli.log_file import log_file
 from cairn.deployment.model import Deployment
 from cairn.errors import CairnError
 from cairn.limits.files import megabytes, read_bounded

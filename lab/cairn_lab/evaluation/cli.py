@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from cairn import CairnError
-from cairn.cli.runs import writing_report
+from cairn.cli.run_folders import writing_report
 from cairn.deployment.shipped import FOLDER, deployment_file, world_file
 from cairn.planar.map_file import read_map
 from cairn.terminal.options import Json

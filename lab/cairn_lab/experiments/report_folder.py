@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from cairn import CairnError
-from cairn.cli.runs import writing_report
+from cairn.cli.run_folders import writing_report
 from cairn.limits.files import STATE_BYTES, read_bounded
 from cairn.system.files import replace_file
 from cairn.terminal.output import note

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from cairn.cli.runs import writing_report
+from cairn.cli.run_folders import writing_report
 from cairn.terminal.output import note
 from cairn_lab.batch.options import BatchOptions
 from cairn_lab.batch.packing import pack_deployment

@@ -10,7 +10,7 @@ from rich.console import Console
 from cairn import CairnError
 from cairn.cli.live_view import LiveView
 from cairn.cli.main import _print_error
-from cairn.cli.view import PlainView
+from cairn.cli.up_messages import PlainView
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header

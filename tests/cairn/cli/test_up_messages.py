@@ -7,7 +7,7 @@ import pytest
 
 from cairn import LATCHED
 from cairn.bus.lockstep_bus import LockstepBus
-from cairn.cli.view import LogWatch, Watch
+from cairn.cli.up_messages import LogWatch, Watch
 from cairn.deployment.model import ROOT
 from cairn.runtime.rosout import ROSOUT, ROSOUT_QOS
 from cairn.schemas.cairn_msgs import ComponentStatus
@@ -42,7 +42,7 @@ class RecordingView:
 def test_last_message_and_last_status_of_the_root_are_displayed_however_late(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("cairn.cli.view._FINISH_LIMIT_S", LIMIT_S)
+    monkeypatch.setattr("cairn.cli.up_messages._FINISH_LIMIT_S", LIMIT_S)
     network = Network()
     root = node(network.router, f"/rover/{ROOT}")
     log = root.advertise(ROSOUT, Log, ROSOUT_QOS)

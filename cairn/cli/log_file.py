@@ -1,4 +1,4 @@
-"""What commands that run robots share: report folder and log file."""
+"""The log file of a process that runs robots: limited in size, and it survives a full disk."""
 
 from __future__ import annotations
 
@@ -16,22 +16,6 @@ from cairn.runtime.log_output import LOG_FORMAT
 from cairn.system.clock import SECOND
 from cairn.system.files import TAKES_NO_DATA
 from cairn.terminal.output import note
-
-
-@contextmanager
-def writing_report(folder: Path, option: str = "--out") -> Iterator[None]:
-    """Raise `CairnError` instead of `OSError` if the report cannot be written.
-
-    `option` is the option by which the user names the folder.
-    """
-    try:
-        yield
-    except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        raise CairnError(
-            f"the report's folder {folder} cannot be written: {where}{error.strerror or error}; "
-            f"name another one with {option}, or free some space there"
-        ) from error
 
 
 @contextmanager

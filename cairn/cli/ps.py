@@ -1,31 +1,24 @@
-"""`cairn ps|graph|logs`: what runs, how it is connected, and what it logs."""
+"""`cairn ps`: the components that run, with state, counts of messages and memory."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import psutil
-import typer
 
-from cairn.bus.keys import is_infrastructure
-from cairn.cli.nodes import AllTopics, marked, note_on, uses
-from cairn.client import NodeInfo, Topic
+from cairn.cli.nodes import note_on, uses
+from cairn.client import NodeInfo
 from cairn.client import connect as connect_to
 from cairn.client.connection import check_robot
 from cairn.client.graph import read_nodes
 from cairn.client.machines import components_of_lost, machine_of_router
-from cairn.runtime.rosout import render
 from cairn.schemas.cairn_msgs import ComponentStatus, MachineLink
-from cairn.schemas.message import InvalidMessage
-from cairn.schemas.rcl_interfaces import Log
 from cairn.schemas.std_msgs import Header
-from cairn.terminal import completion
 from cairn.terminal.options import DEFAULT_CONNECT, Connect, Domain, Json, RobotName
-from cairn.terminal.output import line, note, print_problems, show
+from cairn.terminal.output import note, show
 
 _COLUMNS = {
     "robot": "robot", "tree": "component", "machine": "machine", "state": "state", "pid": "pid",
@@ -36,7 +29,7 @@ _COLUMNS = {
 _SLOW_HANDLER_S = 1.0  # shown when it runs longer, as in the console
 _MAX_ROWS = 1000
 _GRAPH_LIMIT_S = 1.0  # a robot's is read in some ms
-_MAX_NAMES = 50  # publishers or subscribers of one topic
+_MAX_INPUTS = 50  # that a lost machine misses
 _MAX_DEPTH = 50  # of the tree of components
 
 
@@ -116,80 +109,6 @@ def ps(
     show(rows, shown, as_json=json, nothing=f"no component runs{nothing}")
 
 
-def graph(
-    connect: Connect = DEFAULT_CONNECT,
-    domain: Domain = 0,
-    robot: RobotName = "",
-    all_: AllTopics = False,
-    json: Json = False,
-) -> None:
-    """List every topic with its message type, its publishers and its subscribers."""
-    with connect_to(connect, domain, robot) as client:
-        topics = client.topics()
-        elsewhere = "" if topics else client.connection.elsewhere()
-    rows = [
-        {
-            "topic": one.name,
-            "type": one.type_name,
-            "publishers": _listed(one.publishers, one, json=json),
-            "subscribers": _listed(one.subscribers, one, json=json),
-            "foreign": list(one.foreign),
-            "problems": list(one.problems),
-        }
-        for one in topics
-        if all_ or not is_infrastructure(one.name)
-    ]
-    if len(rows) > _MAX_ROWS:
-        note(f"{len(rows) - _MAX_ROWS} topics are left out; choose a robot with --robot")
-        del rows[_MAX_ROWS:]
-    columns = ("topic", "type", "publishers", "subscribers")
-    show(rows, columns, as_json=json, nothing=f"there is no topic{elsewhere}")
-    print_problems(problem for row in rows for problem in row["problems"])
-
-
-def logs(
-    component: Annotated[
-        str,
-        typer.Argument(
-            help="Only this component.", metavar="NAME", autocompletion=completion.components
-        ),
-    ] = "",
-    connect: Connect = DEFAULT_CONNECT,
-    domain: Domain = 0,
-    robot: RobotName = "",
-    follow: Annotated[
-        bool, typer.Option("--follow", "-f", help="Go on with new messages until Ctrl-C.")
-    ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print one line of JSON each.")] = False,
-) -> None:
-    """Print the last log messages of the running components in order of time."""
-    with (
-        connect_to(connect, domain, robot, notify=note) as client,
-        # The subscription comes first, so that no message is missed in between.
-        client.follow_logs(component) if follow else nullcontext() as messages,
-    ):
-        history = client.logs(component)
-        for entry in history:
-            line(render(entry, as_json=json))
-        if component and not history:
-            note(
-                f"{component} has logged nothing since it was started; earlier messages are in "
-                f"logs/{component}.log of the run's folder, which `cairn up` names"
-            )
-        printed = set(map(_identity, history))
-        while messages is not None:
-            try:
-                entry = messages.next()
-            except InvalidMessage:
-                continue  # of a foreign node
-            if _identity(entry) not in printed:
-                line(render(entry, as_json=json))
-
-
-def _identity(entry: Log) -> tuple[object, ...]:
-    return (entry.stamp.sec, entry.stamp.nanosec, entry.name, entry.msg)
-
-
 def _as_tree(statuses: Mapping[str, ComponentStatus | None]) -> Iterator[tuple[str, int]]:
     """Yield full name and depth of each component, below its supervisor in the order of start.
 
@@ -217,7 +136,7 @@ def _as_tree(statuses: Mapping[str, ComponentStatus | None]) -> Iterator[tuple[s
 
 
 def _described_link(machine: str, link: MachineLink) -> str:
-    missing = "; ".join(link.inputs[:_MAX_NAMES]) or "nothing"
+    missing = "; ".join(link.inputs[:_MAX_INPUTS]) or "nothing"
     return (
         f"machine {link.machine} cannot be reached from {machine}, for {link.silent_s:.1f} s; "
         f"missing there: {missing}"
@@ -303,15 +222,3 @@ def _load(pid: int | None) -> dict[str, float | None]:
         # On another machine, of another user, or just ended: its process cannot be read.
         return {"memory_mib": None, "cpu_s": None}
     return {"memory_mib": round(memory, 1), "cpu_s": round(times.user + times.system, 2)}
-
-
-def _listed(nodes: Sequence[str], topic: Topic, *, json: bool) -> list[str]:
-    foreign = () if json else topic.foreign
-    names = [marked(_short(name, topic.name), name in foreign) for name in nodes[:_MAX_NAMES]]
-    more = len(nodes) - len(names)
-    return [*names, f"... and {more} more"] if more else names
-
-
-def _short(node: str, topic: str) -> str:
-    """Return the name of a node of the topic's own robot without the robot."""
-    return node.removeprefix(f"/{topic.split('/')[1]}/")
