@@ -73,6 +73,7 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Record how long a case takes, and fail it after 5 s, unless this computer was too busy.
 
+    It is the time that the test takes, or that it has measured: the property `seconds`.
     The time that the test waits for periodic statuses, to read their counters, is not counted.
     """
     report = yield

@@ -2,8 +2,10 @@
 
 import resource
 import struct
+import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,14 @@ _COUNTS = (0, 1, 2, 255, 65_536, 2**24, 2**31 - 1, 2**31, 2**32 - 1)
 _NUMBERS = (float("nan"), float("inf"), -float("inf"), -1.0, 1e308, -1e308, 5e-324, 1e39)
 
 
+@dataclass
+class Decoded:
+    """How many buffers were "valid" and "rejected", and the processor time of the slowest [s]."""
+
+    outcomes: Counter[str] = field(default_factory=Counter)
+    slowest_s: float = 0.0
+
+
 def damaged(originals: Buffers, random: np.random.Generator) -> bytes:
     """Return one of the buffers with one to four faults."""
     data = bytearray(originals[random.integers(len(originals))])
@@ -25,25 +35,24 @@ def damaged(originals: Buffers, random: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def decode_damaged(codec: Codec, cls: type[Any], originals: Buffers, count: int) -> Counter[str]:
-    """Assert that damaged buffers are valid messages or rejected, in little memory.
-
-    Returns how many were "valid" and "rejected".
-    """
+def decode_damaged(codec: Codec, cls: type[Any], originals: Buffers, count: int) -> Decoded:
+    """Assert that damaged buffers are valid messages or rejected, in little memory."""
     random = np.random.default_rng(len(originals[0]))
     before = _peak_memory()
-    outcomes: Counter[str] = Counter()
+    decoded = Decoded()
     for _ in range(count):
         data = damaged(originals, random)
+        began = time.thread_time()
         try:
             message = codec.decode(cls, data)
         except InvalidMessage:
-            outcomes["rejected"] += 1
-            continue
-        outcomes["valid"] += 1
-        assert codec.decode(cls, codec.encode(message)) == message, data.hex()
+            message = None
+        decoded.slowest_s = max(decoded.slowest_s, time.thread_time() - began)
+        decoded.outcomes["rejected" if message is None else "valid"] += 1
+        if message is not None:
+            assert codec.decode(cls, codec.encode(message)) == message, data.hex()
     assert _peak_memory() - before < 32 * 2**20
-    return outcomes
+    return decoded
 
 
 def _peak_memory() -> int:
