@@ -64,11 +64,13 @@ class Statuses:
         silent: announced, but without an answer, by full name: the process id in the session id,
             which may be forged; None if it is not a session of Cairn.
         left_out: number of further ones that are not listed, because they are too many.
+        incomplete: the router was too busy to list all in time: more may run.
     """
 
     answered: dict[str, ComponentStatus]
     silent: dict[str, int | None]
     left_out: int
+    incomplete: bool
 
 
 class SampleQueue(queue.Queue[Any]):
@@ -235,7 +237,7 @@ class Connection:
         }
         listed = dict(itertools.islice(silent.items(), _MAX_SILENT))
         left_out = len(silent) - len(listed) + len(announced) - len(publishers)
-        return Statuses(answered, listed, left_out)
+        return Statuses(answered, listed, left_out, is_busy)
 
     def machine_statuses(self) -> dict[str, list[MachineStatus]]:
         """Return what each machine that can be reached has published last, by robot."""

@@ -85,11 +85,17 @@ class MissionClient:
     ) -> MissionClient:
         """Return the supervisor of a robot that accepts goals, once it answers.
 
-        Raises `CairnError` if there is none, or if it does not answer within the limit.
+        Raises `CairnError` if there is none, or if it does not answer within the limit. While the
+        router is too busy to list all components, that none is heard does not say that none runs.
         """
-        statuses = connection.statuses()
-        heard = {name for name, status in statuses.items() if status.plugin == _PLUGIN}
-        found = sorted(heard | _expected(statuses) - statuses.keys())
+        deadline = time.monotonic() + PATIENCE_S
+        while True:
+            read = connection.read_statuses(find_silent=False)
+            statuses = read.answered
+            heard = {name for name, status in statuses.items() if status.plugin == _PLUGIN}
+            found = sorted(heard | _expected(statuses) - statuses.keys())
+            if found or not read.incomplete or time.monotonic() > deadline:
+                break
         if not found:
             raise CairnError(
                 f"no {_PLUGIN} runs here that accepts goals; start a deployment with one, such as "

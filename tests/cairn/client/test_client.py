@@ -14,8 +14,10 @@ import cairn.client
 from cairn import CairnError
 from cairn.bus.codec import Codec
 from cairn.client import ControlError, NoMessageError, NoReplyError, Robot
-from cairn.client.connection import Connection
+from cairn.client.connection import Connection, Statuses
+from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
+from cairn.schemas.std_msgs import Header
 from cairn.testing.launching import LIMIT_S, Run, launching, new_endpoint
 from tests.wording import words_in_order
 
@@ -213,3 +215,19 @@ def test_full_name_unloads_and_loads_a_component(robot: Robot) -> None:
 def test_goal_without_a_supervisor_that_accepts_it_fails_with_the_remedy(robot: Robot) -> None:
     with pytest.raises(CairnError, match=r"no mobile_supervisor runs here.*cairn up sim"):
         robot.go(1.0, 2.0)
+
+
+def test_supervisor_that_a_busy_router_does_not_list_at_once_is_found(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor = ComponentStatus(
+        Header(), "mobile_supervisor", plugin="mobile_supervisor", state="active"
+    )
+    answers = [
+        Statuses({}, {}, 0, incomplete=True),
+        Statuses({"/rover/mobile_supervisor": supervisor}, {}, 0, incomplete=True),
+    ]
+    monkeypatch.setattr(Connection, "read_statuses", lambda *_, **__: answers.pop(0))
+
+    assert robot.missions() is not None
+    assert answers == []
