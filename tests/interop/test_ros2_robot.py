@@ -54,7 +54,7 @@ def test_robot_reaches_a_goal_although_its_drivers_are_killed(tmp_path: Path, am
             f"world={SIM.parent / 'worlds' / 'room.yaml'}",
             deployment=SIM.with_name("robot.yaml"),
             overlays=(SIM.with_name("robot_ros2.yaml"), Path(__file__).with_name("plant.yaml")),
-            until="child active: plant_camera",
+            until="child active: ros_names",
         ) as robot,
         dora_node(robot.run.endpoint, ament, tmp_path, "operator") as operator,
     ):
