@@ -8,12 +8,12 @@ import secrets
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, TypeGuard, cast
+from typing import Any, Literal, TypeGuard, TypeVar, cast
 
 import zenoh
 from zenoh.ext import HistoryConfig, declare_advanced_subscriber
@@ -37,6 +37,8 @@ from cairn.schemas.message import InvalidMessage, type_name
 
 STATUS_TOPIC = "component_status"
 
+Found = TypeVar("Found", bound=Sized)
+
 _CLOSE_LIMIT_S = 1.0  # a link closes in milliseconds, unless the router is busy or stopped
 _MATCH_LIMIT_S = 2.0
 _CACHE_LIMIT_S = 5.0  # for all caches together
@@ -46,6 +48,7 @@ _STATUS_LIMIT_S = 1.0  # four times the period of statuses
 _CACHES_FIRST_S = 0.3  # before the graph is read
 _BUSY_LIMIT_S = 3.0
 _GRAPH_LIMIT_S = 0.3  # a robot's is read in some ms
+_LISTING_LIMIT_S = 10.0  # for all attempts to list the components
 _STATUS_PAUSE_S = 0.5  # if no further component has answered for so long, the others do not
 _STATUS_BYTES = 64 << 10  # a longer status is forged: one port takes about 100 bytes
 _MAX_ROBOTS = 50  # whose statuses are read at once
@@ -172,6 +175,24 @@ class Connection:
     def statuses(self) -> dict[str, ComponentStatus]:
         """Return the last status of every component that answers within 1 s, by full name."""
         return self.read_statuses(find_silent=False).answered
+
+    def find(self, wanted: Callable[[Mapping[str, ComponentStatus]], Found]) -> Found:
+        """Return what is `wanted` of the last statuses by full name; empty if none has it.
+
+        While the router is too busy to list all components, that nothing is found does not say that
+        it does not run: they are read again. Raises `CairnError` if that takes longer than 10 s.
+        """
+        deadline = time.monotonic() + _LISTING_LIMIT_S
+        while True:
+            read = self.read_statuses(find_silent=False)
+            found = wanted(read.answered)
+            if found or not read.incomplete:
+                return found
+            if time.monotonic() >= deadline:
+                raise CairnError(
+                    f"the components cannot be listed within {_LISTING_LIMIT_S:g} s: the computer "
+                    "is too busy, or a program floods the bus; try again, or see `cairn graph`"
+                )
 
     def read_statuses(self, *, find_silent: bool = True) -> Statuses:
         """Return the last status of every component, and which have not answered within 1 s.

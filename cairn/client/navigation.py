@@ -85,25 +85,17 @@ class MissionClient:
     ) -> MissionClient:
         """Return the supervisor of a robot that accepts goals, once it answers.
 
-        Raises `CairnError` if there is none, or if it does not answer within the limit. While the
-        router is too busy to list all components, that none is heard does not say that none runs.
+        Raises `CairnError` if there is none, or if it does not answer within the limit.
         """
-        deadline = time.monotonic() + PATIENCE_S
-        while True:
-            read = connection.read_statuses(find_silent=False)
-            statuses = read.answered
-            heard = {name for name, status in statuses.items() if status.plugin == _PLUGIN}
-            found = sorted(heard | _expected(statuses) - statuses.keys())
-            if found or not read.incomplete or time.monotonic() > deadline:
-                break
+        found = connection.find(_supervisors)
         if not found:
             raise CairnError(
                 f"no {_PLUGIN} runs here that accepts goals; start a deployment with one, such as "
                 f"`cairn up sim`{connection.elsewhere()}"
             )
-        name = resolve(found, found[0].rpartition("/")[2], robot)
+        name = resolve(found, min(found).rpartition("/")[2], robot)
         missions = cls(connection, name, notify)
-        if name not in heard or statuses[name].state != _ACTIVE:
+        if not found[name]:
             missions.await_active()
         return missions
 
@@ -402,13 +394,20 @@ def _stamped(pose: PlanarPose) -> PoseStamped:
     )
 
 
-def _expected(statuses: Mapping[str, ComponentStatus]) -> set[str]:
-    """Return the supervisors that others mention: the bus soon forgets one that hangs."""
-    found = set()
+def _supervisors(statuses: Mapping[str, ComponentStatus]) -> dict[str, bool]:
+    """Return by full name whether each is active; those that others mention are not.
+
+    The bus soon forgets one that hangs.
+    """
+    mentioned = set()
     for name, status in statuses.items():
         robot = name.rpartition("/")[0]
         if _PLUGIN in status.children:
-            found.add(f"{robot}/{_PLUGIN}")
+            mentioned.add(f"{robot}/{_PLUGIN}")
         if status.plugin == _AUTOMOVE and status.parent:
-            found.add(f"{robot}/{status.parent}")
+            mentioned.add(f"{robot}/{status.parent}")
+    found = dict.fromkeys(mentioned - statuses.keys(), False)
+    for name, status in statuses.items():
+        if status.plugin == _PLUGIN:
+            found[name] = status.state == _ACTIVE
     return found

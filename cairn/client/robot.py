@@ -187,11 +187,13 @@ class Robot(Closing):
 
     def component_of(self, plugin: str) -> str | None:
         """Return the full name of the running component of a plugin; None if there is none."""
-        running = [
-            full
-            for full, status in self.connection.statuses().items()
-            if status.plugin == plugin and full.startswith(self._prefix)
-        ]
+        running = self.connection.find(
+            lambda statuses: [
+                full
+                for full, status in statuses.items()
+                if status.plugin == plugin and full.startswith(self._prefix)
+            ]
+        )
         if not running:
             return None
         return resolve(running, running[0].rpartition("/")[2], self._robot)

@@ -15,6 +15,7 @@ from cairn.bus.control import answering
 from cairn.client.connection import resolve
 from cairn.errors import CairnError
 from cairn.schemas.builtin_interfaces import from_ns
+from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.cairn_nav_msgs import TeleoperationCommand, VelocityGateStatus
 from cairn.schemas.geometry_msgs import Twist, Vector3
 from cairn.schemas.message import InvalidMessage
@@ -47,13 +48,12 @@ class Gate:
 def find_gate(robot: Robot, name: str) -> Gate:
     """Return the velocity gate of the robot of that name, "" if it is the only one.
 
-    Raises `CairnError` if it runs no gate.
+    Raises `CairnError` if it runs no gate, or if the router is too busy to say.
     """
-    gates = {
-        full: Gate(full, {port.port: port.topic for port in status.ports})
-        for full, status in robot.connection.statuses().items()
-        if any((port.port, port.direction) == (_STATUS_PORT, port.OUT) for port in status.ports)
-    }
+    try:
+        gates = robot.connection.find(_gates)
+    except CairnError as error:
+        raise CairnError(f"{error}; {_REMEDY}") from error
     if not gates:
         raise CairnError(f"no velocity gate runs on the bus; {_REMEDY}")
     if len(gates) > 1:  # of several robots, or announced by tokens that are forged
@@ -61,6 +61,14 @@ def find_gate(robot: Robot, name: str) -> Gate:
         alive = set(answering(connection.session, connection.domain, name or "*", _ANSWER_S))
         gates = {full: gate for full, gate in gates.items() if full in alive} or gates
     return gates[resolve(gates, next(iter(gates)).rpartition("/")[2], name)]
+
+
+def _gates(statuses: Mapping[str, ComponentStatus]) -> dict[str, Gate]:
+    return {
+        full: Gate(full, {port.port: port.topic for port in status.ports})
+        for full, status in statuses.items()
+        if any((port.port, port.direction) == (_STATUS_PORT, port.OUT) for port in status.ports)
+    }
 
 
 def set_emergency_stop(robot: Robot, name: str, reason: str | None) -> VelocityGateStatus:

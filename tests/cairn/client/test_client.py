@@ -4,7 +4,8 @@ import gc
 import itertools
 import queue
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -15,6 +16,7 @@ from cairn import CairnError
 from cairn.bus.codec import Codec
 from cairn.client import ControlError, NoMessageError, NoReplyError, Robot
 from cairn.client.connection import Connection, Statuses
+from cairn.client.velocity_gate import find_gate
 from cairn.schemas.cairn_msgs import ComponentStatus
 from cairn.schemas.geometry_msgs import PoseStamped, Twist, Vector3
 from cairn.schemas.std_msgs import Header
@@ -217,17 +219,33 @@ def test_goal_without_a_supervisor_that_accepts_it_fails_with_the_remedy(robot: 
         robot.go(1.0, 2.0)
 
 
+BUSY = Statuses({}, {}, 0, incomplete=True)
+
+
 def test_supervisor_that_a_busy_router_does_not_list_at_once_is_found(
     robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     supervisor = ComponentStatus(
         Header(), "mobile_supervisor", plugin="mobile_supervisor", state="active"
     )
-    answers = [
-        Statuses({}, {}, 0, incomplete=True),
-        Statuses({"/rover/mobile_supervisor": supervisor}, {}, 0, incomplete=True),
-    ]
+    heard = replace(BUSY, answered={"/rover/mobile_supervisor": supervisor})
+    answers = [BUSY, heard]
     monkeypatch.setattr(Connection, "read_statuses", lambda *_, **__: answers.pop(0))
 
-    assert robot.missions() is not None
+    robot.missions()
+
     assert answers == []
+
+
+@pytest.mark.parametrize(
+    "call",
+    [Robot.missions, lambda robot: find_gate(robot, ""), lambda robot: robot.component_of("slam")],
+)
+def test_router_that_stays_too_busy_to_list_components_is_reported_as_such(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch, call: Callable[[Robot], object]
+) -> None:
+    monkeypatch.setattr(Connection, "read_statuses", lambda *_, **__: BUSY)
+    monkeypatch.setattr("cairn.client.connection._LISTING_LIMIT_S", 0.0)
+
+    with pytest.raises(CairnError, match=r"cannot be listed within .* try again"):
+        call(robot)
