@@ -23,10 +23,11 @@ REALTIME = $$(grep -rl --include="test_*.py" "mark\.realtime" tests | sort -r)
 
 .PHONY: demo quick test accuracy attack browser test-hardware test-service check style docs bench lock clean
 
-## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot.
+## A simulated robot's tour of a room that is rearranged meanwhile; then a recording of a real robot,
+## in lockstep: no computer is too slow for it.
 demo: $(VENV)/ready
 	$(BIN)/cairn up sim --overlay demo_tour --report $(REPORT)/tour
-	$(BIN)/cairn up replay_mrclam --report $(REPORT)/recording
+	$(BIN)/cairn up replay_mrclam --lockstep --seed 1 --report $(REPORT)/recording
 	@echo "pictures: map.png and reliability.png in $(REPORT)/tour and $(REPORT)/recording"
 
 ## The tests without real processes, images and long runs: a good minute on two cores.

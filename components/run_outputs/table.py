@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 _WIDTH = 120
+_REAL_TIME = 1.1  # times the speed of a real robot, whose clock may be adjusted
 _COLUMNS = ("landmark", "state", "reliability", "given", "now", "true", "off by", "events")
 
 
@@ -92,4 +93,9 @@ def _closing(summary: dict[str, Any]) -> str:
             f"(at most {summary['position_error_max_m']:.2f} m), "
             f"heading error {summary['heading_rmse_rad']:.3f} rad rms"
         )
-    return f"{errors}\n{recorded:.0f} s recorded{speed}; dropped: {losses}"
+    remedy = (
+        ": this computer is too slow for that speed; replay more slowly, or with --lockstep"
+        if lost and wall and recorded > _REAL_TIME * wall
+        else ""
+    )
+    return f"{errors}\n{recorded:.0f} s recorded{speed}; dropped: {losses}{remedy}"

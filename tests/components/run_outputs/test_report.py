@@ -8,6 +8,7 @@ import pytest
 
 from cairn.components.run_outputs import report as report_module
 from cairn.components.run_outputs.report import Report
+from cairn.components.run_outputs.table import render_table
 from cairn.planar.messages import pose_message
 from cairn.schemas.cairn_msgs import VisualMap, VisualObject
 from cairn.schemas.geometry_msgs import PoseStamped
@@ -131,3 +132,17 @@ def test_report_without_matplotlib_says_what_installs_it(
     assert not (tmp_path / "map.png").exists()
     reason = "matplotlib is not installed; pip install 'cairn-robotics[plots]'"
     assert f"the report has no pictures: {reason}" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("wall_s", "dropped", "reported"), [(10.0, 3, True), (10.0, 0, False), (100.0, 3, False)]
+)
+def test_replay_that_was_too_fast_for_the_computer_is_reported_with_the_remedy(
+    wall_s: float, dropped: int, reported: bool
+) -> None:
+    summary = {
+        "objects": [], "missions": [], "dropped": {"localizer.odom": dropped},
+        "recorded_s": 100.0, "wall_s": wall_s, "first_pose_s": None,
+    }  # fmt: skip
+
+    assert ("replay more slowly, or with --lockstep" in render_table(summary)) == reported
