@@ -60,6 +60,13 @@ class ScanGrid:
         self._since = np.zeros((0, 0), np.int32)  # of each cell; empty without renewals
         self._changed: tuple[int, int, int, int] | None = None  # rows and columns, as `_row`
 
+    def reserve(self, low: Array, high: Array) -> None:
+        """Make room from x, y `low` (2,) to `high` (2,) [m]: scans there need not copy the counts.
+
+        Raises `ValueError` if the map had more than `MOST_CELLS`.
+        """
+        self._cover(np.floor(low / self._resolution), np.floor(high / self._resolution))
+
     def add(self, base: Pose, rays: Rays, version: int = 0) -> None:
         """Add the rays of a scan from a pose of the base, and of a version of the map.
 

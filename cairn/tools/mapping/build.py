@@ -138,10 +138,13 @@ def build_map(
     return_free_memory()
     if earlier:
         _check_joined(mapper, earlier, name)
-    resolution = _resolution(mapper, settings)
+    low, high = _bounds(mapper, settings.reach)
+    resolution = _resolution(high - low, settings.resolution)
     drawing = MapGrid(resolution, settings.reach)
-    drawing.renew(mapper.renewals)
     try:
+        if scans is not None:
+            drawing.counts.reserve(low, high)
+        drawing.renew(mapper.renewals)
         drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
         grid = drawing.grid() if scans is not None else None
     except ValueError as error:
@@ -169,23 +172,25 @@ def build_map(
     return BuiltMap(mapper, grid, mapper.landmarks(), stamps, poses[kept], quality, hint)
 
 
-def _resolution(mapper: Mapper, settings: BuildSettings) -> float:
-    """Return the size of cells [m] of the map: doubled until it has not too many of them."""
-    resolution = settings.resolution
-    inside = np.flatnonzero(mapper.in_map())
-    if not inside.size:
-        return resolution
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for number in inside.tolist():
+def _bounds(mapper: Mapper, reach: float) -> tuple[Array, Array]:
+    """Return the least and the largest x, y (2,) [m] that scans show up to `reach` [m]."""
+    low, high = np.zeros(2), np.zeros(2)
+    for number in np.flatnonzero(mapper.in_map()).tolist():
         position = mapper.graph.poses[number, :2]
         rays = mapper.keyframes[number].rays
         ranges = rays.rays().ranges if rays is not None else np.zeros(0)
-        far = float(ranges[ranges <= settings.reach].max(initial=0.0))
+        far = float(ranges[ranges <= reach].max(initial=0.0))
         low, high = np.minimum(low, position - far), np.maximum(high, position + far)
-    while (
-        2.0 * resolution <= _COARSEST_M
-        and np.prod((high - low) / resolution + _AROUND) > MOST_CELLS
-    ):
+    return low, high
+
+
+def _resolution(size: Array, finest: float) -> float:
+    """Return the size of cells [m] of a map of some size (2,) [m].
+
+    It is the finest one, doubled until there are not too many cells.
+    """
+    resolution = finest
+    while 2.0 * resolution <= _COARSEST_M and np.prod(size / resolution + _AROUND) > MOST_CELLS:
         resolution *= 2.0
     return resolution
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -20,7 +21,7 @@ _WIDTH = 12.0  # of the picture [in]
 _MOST_PIXELS = 1320  # along a side: several cells are one pixel, an obstacle before a free cell
 _WAY, _LOOPS = "#1f6fb4", "#d98200"
 _UNSEEN, _FREE, _OBSTACLE = 0, 1, 2
-_SHADES = np.repeat(np.array([[217], [255], [26]], np.uint8), 3, axis=1)
+_SHADES = ListedColormap(["#d9d9d9", "#ffffff", "#1a1a1a"])
 
 
 def draw_built_map(built: BuiltMap, title: str, file: Path) -> None:
@@ -70,7 +71,7 @@ def _draw_grid(axes: Axes, grid: OccupancyCells) -> None:
     rank: NDArray[np.uint8] = np.full(grid.values.shape, _FREE, np.uint8)
     rank[grid.values == UNKNOWN] = _UNSEEN
     rank[grid.values >= OCCUPIED_FROM] = _OBSTACLE
-    # Matplotlib makes several copies of all pixels, of 32 bytes each.
+    # Matplotlib makes several copies of all pixels; of those with colors, of 32 bytes each.
     size = math.ceil(max(rank.shape) / _MOST_PIXELS)
     rank = np.pad(rank, [(0, -length % size) for length in rank.shape])
     rows, columns = rank.shape
@@ -78,4 +79,7 @@ def _draw_grid(axes: Axes, grid: OccupancyCells) -> None:
     rank = rank.reshape(rows // size, size, columns // size, size).max(axis=(1, 3))
     meters = grid.frame.resolution
     extent = (x, x + columns * meters, y, y + rows * meters)
-    axes.imshow(_SHADES[rank], origin="lower", extent=extent, interpolation="nearest")
+    axes.imshow(
+        rank, _SHADES, vmin=_UNSEEN, vmax=_OBSTACLE, origin="lower", extent=extent,
+        interpolation="nearest", interpolation_stage="data",
+    )  # fmt: skip
