@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import codecs
-import gzip
 import lzma
 import os
 import sys
@@ -12,14 +11,17 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedReader, RawIOBase
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 from cairn.components.replay_devices.recording import damaged_line
 from cairn.errors import RecordingError
 from cairn.limits.files import megabytes, open_regular, too_large
 from cairn.system.files import explain_os_error
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -105,7 +107,7 @@ def _explained(path: Path) -> Iterator[_Position]:
     at = _Position()
     try:
         yield at
-    except (EOFError, zlib.error, gzip.BadGzipFile, lzma.LZMAError) as error:
+    except (EOFError, zlib.error, lzma.LZMAError) as error:
         fault = f"the compressed stream is broken ({error})"
         raise damaged_line(path, at.line + 1, fault) from error
     except UnicodeDecodeError as error:
@@ -148,13 +150,50 @@ def _raw_lines(path: Path, at: _Position) -> Iterator[bytes]:
             yield raw
 
 
+_GZIP: Final = b"\x1f\x8b"
+_PIECE: Final = 1 << 16  # read of a compressed file at a time [bytes]
+
+
+class _GzipStream(RawIOBase):
+    """Decompresses the members of a gzip file (RFC 1952); what follows them is ignored.
+
+    Some servers and mail programs append a line; gunzip ignores it as well, `gzip` of Python does
+    not.
+    """
+
+    def __init__(self, packed: BinaryIO) -> None:
+        self._packed, self._read = packed, b""
+        self._member = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer, /) -> int:
+        room = memoryview(buffer).cast("B")
+        while True:
+            if self._member.eof:
+                self._read = self._member.unused_data
+                self._read += self._packed.read(max(0, len(_GZIP) - len(self._read)))
+                if not self._read.startswith(_GZIP):
+                    return 0
+                self._member = zlib.decompressobj(wbits=zlib.MAX_WBITS | 16)
+            self._read = self._read or self._packed.read(_PIECE)
+            piece = self._member.decompress(self._read, len(room))
+            if not piece and not self._read and not self._member.eof:
+                raise EOFError("it ended before the end of the stream")
+            self._read = self._member.unconsumed_tail
+            if piece:
+                room[: len(piece)] = piece
+                return len(piece)
+
+
 def _unpacking(packed: BinaryIO) -> BinaryIO:
     """Return the stream that decompresses a file, or the file itself if it is not compressed."""
     magic = packed.read(6)
     packed.seek(0)
     # Their own iterators are written in Python, and slow.
-    if magic.startswith(b"\x1f\x8b"):
-        return BufferedReader(gzip.open(packed, "rb"))
+    if magic.startswith(_GZIP):
+        return BufferedReader(_GzipStream(packed))
     if magic.startswith(b"BZh"):
         return BufferedReader(bz2.open(packed, "rb"))
     if magic.startswith(b"\xfd7zXZ\0"):

@@ -50,13 +50,18 @@ def test_raw_log_gives_odometry_and_scans_without_truth(write: Write) -> None:
     assert list(recording.notes()) == []
 
 
-@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
+def _gzip_in_two_members(data: bytes) -> bytes:
+    return gzip.compress(data[:50]) + gzip.compress(data[50:])
+
+
+@pytest.mark.parametrize("after", [b"", b"\r\n", bytes(512)])
+@pytest.mark.parametrize("compress", [gzip.compress, _gzip_in_two_members, bz2.compress])
 def test_compressed_log_is_detected_by_its_content(
-    write: Write, compress: Callable[[bytes], bytes]
+    write: Write, compress: Callable[[bytes], bytes], after: bytes
 ) -> None:
     path = write(*drive(2))
     before = CarmenRecording(path).span()
-    path.write_bytes(compress(path.read_bytes()))
+    path.write_bytes(compress(path.read_bytes()) + after)
 
     assert CarmenRecording(path).span() == before
 
