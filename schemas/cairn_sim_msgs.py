@@ -24,13 +24,15 @@ from cairn.schemas.std_msgs import Header
 class WheelMotion:
     """The true motion of the wheels of `robot` for `seconds` [s] until the stamp.
 
-    `forward` [m/s] and `turn` [rad/s] are their mean speeds.
+    `forward`, `aside` [m/s] and `turn` [rad/s] are their mean speeds; wheels that slip on a slope
+    move the robot sideways, to the left if `aside` is positive.
     """
 
     header: Header = Header()
     seconds: Annotated[float, Scalar("float64", at_least=0)] = 0.0
     forward: FiniteFloat64 = 0.0
     turn: FiniteFloat64 = 0.0
+    aside: FiniteFloat64 = 0.0
     robot: String = ""
 
 

@@ -127,26 +127,31 @@ class World:
             walker.step(seconds, near.pose[:2], near.radius, segments)
 
     def drive(
-        self, seconds: float, forward: float, turn: float, robot: str | None = None
+        self,
+        seconds: float,
+        forward: float,
+        turn: float,
+        robot: str | None = None,
+        aside: float = 0.0,
     ) -> tuple[bool, list[Contact]]:
         """Turn the wheels of a robot for some seconds at these mean speeds [m/s, rad/s].
 
-        None is the robot of the world file. Returns whether the robot could follow, and its new
-        contacts: a contact with the same thing is reported again only after the robot was clear of
-        everything.
+        `aside` [m/s] is how fast they slip to the left. None is the robot of the world file.
+        Returns whether the robot could follow, and its new contacts: a contact with the same thing
+        is reported again only after the robot was clear of everything.
         """
         body = self._main if robot is None else self.robots[robot]
-        distance, angle = forward * seconds, turn * seconds
-        if not (distance or angle):
+        distance, sideways, angle = forward * seconds, aside * seconds, turn * seconds
+        if not (distance or sideways or angle):
             return True, []
         noise = self._random.standard_normal(2)
         spread = self._slip.turn**2 * abs(angle) + self._slip.turn_per_meter**2 * abs(distance)
         distance += self._slip.distance * math.sqrt(abs(distance)) * float(noise[0])
         angle += math.sqrt(spread) * float(noise[1])
         # In steps so short that the robot cannot pass through anything.
-        pieces = math.ceil(2.0 * abs(distance) / body.radius) or 1
+        pieces = math.ceil(2.0 * math.hypot(distance, sideways) / body.radius) or 1
         for _ in range(pieces):
-            touched = self._step(body, distance / pieces, angle / pieces)
+            touched = self._step(body, distance / pieces, sideways / pieces, angle / pieces)
             if touched is not None:
                 new = touched not in body.touching
                 body.touching.add(touched)
@@ -230,13 +235,13 @@ class World:
     def _others_of(self, body: RobotBody) -> list[RobotBody]:
         return [one for one in self.robots.values() if one is not body]
 
-    def _step(self, body: RobotBody, distance: float, angle: float) -> str | None:
+    def _step(self, body: RobotBody, distance: float, sideways: float, angle: float) -> str | None:
         """Move a robot a short step.
 
         Returns None, or the name of what holds the robot back; it then only turns.
         """
         half = (0.0, 0.0, 0.5 * angle)
-        target = compose(compose(compose(body.pose, half), (distance, 0.0, 0.0)), half)
+        target = compose(compose(compose(body.pose, half), (distance, sideways, 0.0)), half)
         solid, others = self.layout.solid_segments, self._others_of(body)
         rows = [(one.pose[0], one.pose[1], one.radius) for one in others]
         circles = np.concatenate((self.people, np.array(rows, np.float64).reshape(-1, 3)))
@@ -251,7 +256,7 @@ class World:
             body.pose = target
             return None
         body.pose = (body.pose[0], body.pose[1], target[2])
-        if not distance:
+        if not (distance or sideways):
             return None
         names = [*solid.names, *(one.person.name for one in self.walkers)]
         return [*names, *(one.name for one in others)][what]

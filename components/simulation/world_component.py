@@ -188,7 +188,9 @@ class SimulatedWorld(Component):
             )
             return
         self._wheels_heard_at[robot] = self.clock.now()
-        moved, contacts = self._world.drive(motion.seconds, motion.forward, motion.turn, robot)
+        moved, contacts = self._world.drive(
+            motion.seconds, motion.forward, motion.turn, robot, motion.aside
+        )
         self._speeds[robot] = (motion.forward if moved else 0.0, motion.turn)
         self._advance_to(to_ns(motion.header.stamp))
         for contact in contacts:

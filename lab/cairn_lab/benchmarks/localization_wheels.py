@@ -2,24 +2,28 @@
 
     pip install './lab[mujoco]'
     python -m cairn_lab.benchmarks.localization_wheels [office ward]
+    python -m cairn_lab.benchmarks.localization_wheels --missions [office ward]
 
 A base of two wheels and a caster follows a tour. Odometry is that of its wheels; the truth is where
 the base is. A scanner (270 degrees, 10 m, noise of 1.5 cm) measures at the true poses. SLAM makes
-the map from the drive with good grip; the localizer starts at the true pose.
+the map from the drive with good grip; the localizer starts at the true pose. With `--missions`, the
+whole navigation system drives such a base to random goals, in the true map.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn import CairnError
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.scanner import (
     BeamPattern,
@@ -29,12 +33,24 @@ from cairn.components.simulation.scanner import (
 )
 from cairn.components.simulation.world_tracker import RayTargets, sensor_poses
 from cairn.components.slam.mapping import Mapper
+from cairn.deployment.shipped import FOLDER, world_file
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import Pose, compose, relative, wrap
 from cairn.planar.scan_grid import ScanGrid
 from cairn.planar.scans import rays_of
 from cairn.schemas.sensor_msgs import LaserScan
+from cairn_lab.batch.runner import run_task_here
 from cairn_lab.benchmarks.result import Metric
+from cairn_lab.contact_base import WheelContacts
+from cairn_lab.evaluation.results import RunResult, summarize
+from cairn_lab.evaluation.runs import (
+    Trial,
+    examination,
+    robot_start,
+    run_result,
+    survey,
+    trial_tasks,
+)
 from tests.components.corrected_logs import CorrectedLog, from_known_start
 from tests.components.slam import courses
 from tests.components.slam.courses import Course
@@ -48,7 +64,6 @@ _SCANNER = ScannerModel(
 )
 _MOUNT: Pose = (0.1, 0.0, 0.0)
 _SCANS_PER_S, _ODOMETRY_PER_S, _LONGEST_S = 10.0, 50.0, 900.0
-_WHEEL_M, _TRACK_M = 0.05, 0.3
 # The base steers to the point of its path this far ahead [m], up to these speeds and accelerations.
 _AHEAD_M, _SPEED, _ACCELERATION, _TURN_RATE, _SPIN = 0.3, 0.6, 1.5, 1.2, 5.0
 _CHI_SQUARE_2_SIGMA = 6.18  # of two dimensions: 95.4 %
@@ -92,34 +107,18 @@ class Track:
 
 def drive(course: Course, floor: Floor) -> Track:
     """Drive along a course with wheels that touch the floor."""
-    mujoco: Any = import_module("mujoco")  # an extra of the lab
-
     path = courses.path_through(course.world, course.stops)
-    model = mujoco.MjModel.from_xml_string(_base_xml(floor))
-    data = mujoco.MjData(model)
     heading = math.atan2(path[8, 1] - path[0, 1], path[8, 0] - path[0, 0])
-    data.qpos[:2] = path[0]
-    data.qpos[3], data.qpos[6] = math.cos(heading / 2), math.sin(heading / 2)
-    mujoco.mj_forward(model, data)
+    start = (float(path[0, 0]), float(path[0, 1]), heading)
+    base = WheelContacts(floor.friction, floor.slope, floor.scale, start)
     period = 1.0 / _ODOMETRY_PER_S
-    steps = round(period / model.opt.timestep)
     times, truth, odometry = [], [], []
-    stated: Pose = (float(path[0, 0]), float(path[0, 1]), heading)
-    turned = np.array(data.qpos[7:9])
     target, speed, rate = 0, 0.0, 0.0
-    while data.time < _LONGEST_S and target < len(path) - 1:
-        left, right = (np.array(data.qpos[7:9]) - turned) * _WHEEL_M
-        turned = np.array(data.qpos[7:9])
-        turn = (right - left) / _TRACK_M
-        chord = compose(stated, (0.0, 0.0, turn / 2))
-        moved = compose(chord, ((left + right) / 2, 0.0, turn / 2))
-        stated = (moved[0], moved[1], stated[2] + turn)
-        x, y = data.qpos[:2].tolist()
-        w, i, j, k = data.qpos[3:7].tolist()
-        theta = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
-        times.append(data.time)
+    while base.time_s < _LONGEST_S and target < len(path) - 1:
+        x, y, theta = base.pose
+        times.append(base.time_s)
         truth.append((x, y, theta))
-        odometry.append(stated)
+        odometry.append(base.odometry)
         while target < len(path) - 1 and math.dist(path[target], (x, y)) < _AHEAD_M:
             target += 1
         aside = wrap(math.atan2(path[target, 1] - y, path[target, 0] - x) - theta)
@@ -127,45 +126,10 @@ def drive(course: Course, floor: Floor) -> Track:
         wanted_rate = float(np.clip(2.5 * aside, -_TURN_RATE, _TURN_RATE))
         speed += float(np.clip(wanted - speed, -_ACCELERATION * period, _ACCELERATION * period))
         rate += float(np.clip(wanted_rate - rate, -_SPIN * period, _SPIN * period))
-        half = rate * _TRACK_M / 2
-        data.ctrl[:] = (speed - half) / _WHEEL_M, (speed + half) / _WHEEL_M
-        mujoco.mj_step(model, data, steps)
+        base.roll(period, speed, rate)
     poses = np.array(truth)
     poses[:, 2] = np.unwrap(poses[:, 2])
-    wheels = np.array(odometry)
-    wheels[:, :2] = wheels[0, :2] + floor.scale * (wheels[:, :2] - wheels[0, :2])
-    return Track(np.array(times), wheels, poses)
-
-
-def _base_xml(floor: Floor) -> str:
-    """Return the model of a base on a floor: two wheels, a caster behind, 8.7 kg."""
-    slope = math.atan(floor.slope)
-    along, down = -9.81 * math.sin(slope), -9.81 * math.cos(slope)
-    friction = f'friction="{floor.friction} 0.005 0.0001"'
-    wheels = "".join(
-        f'<body pos="0 {side * _TRACK_M / 2} 0">'
-        f'<joint name="{name}" type="hinge" axis="0 1 0" damping="0.01" armature="0.005"/>'
-        f'<geom type="ellipsoid" size="{_WHEEL_M} 0.012 {_WHEEL_M}" mass="0.3" {friction}'
-        ' priority="1"/></body>'
-        for name, side in (("left", 1), ("right", -1))
-    )
-    return f"""<mujoco>
-      <option timestep="0.002" gravity="{along} 0 {down}" integrator="implicitfast"/>
-      <worldbody>
-        <geom type="plane" size="100 100 1" {friction}/>
-        <body pos="0 0 {_WHEEL_M}"><freejoint/>
-          <geom type="cylinder" size="0.18 0.04" pos="-0.025 0 0.03" mass="8" contype="0"
-            conaffinity="0"/>
-          <geom type="sphere" size="0.02" pos="-0.14 0 {0.02 - _WHEEL_M}" mass="0.1"
-            friction="0.001 0 0" priority="1"/>
-          {wheels}
-        </body>
-      </worldbody>
-      <actuator>
-        <velocity joint="left" kv="1" ctrlrange="-30 30"/>
-        <velocity joint="right" kv="1" ctrlrange="-30 30"/>
-      </actuator>
-    </mujoco>"""
+    return Track(np.array(times), np.array(odometry), poses)
 
 
 def sweeps(course: Course, track: Track, seed: int) -> Iterator[tuple[float, LaserScan, Pose]]:
@@ -250,8 +214,71 @@ def _measure(
     yield Metric(f"{name}: truth within 2 sigma", within, "", at_least=limits[2])
 
 
+_GOALS, _SEEDS = 4, (0, 1)
+_BASE = "components.mobile_supervisor.children.base"
+
+
+def missions(worlds: tuple[str, ...] = ("office", "ward")) -> Iterator[Metric]:
+    """Yield the metrics of missions on all floors in some shipped worlds."""
+    for world in worlds:
+        usual_s = math.nan
+        for floor in FLOORS:
+            summary = summarize(_missions(world_file(world), floor), {})
+            took_s = summary.seconds_mean or math.inf
+            if math.isnan(usual_s):
+                usual_s = took_s
+            name = f"{world}, {floor.name}"
+            least = 100.0 if floor.judged else None
+            note = f"{took_s:.1f} s per goal, {took_s / usual_s - 1.0:+.0%}"
+            share = 100.0 * summary.reached_share
+            yield Metric(f"{name}: goals reached", share, "%", at_least=least, note=note)
+            most = 0.0 if floor.judged else None
+            yield Metric(f"{name}: unsure of the pose", summary.unsure_s, "s", at_most=most)
+            yield Metric(f"{name}: collisions", summary.collisions, "", at_most=most)
+
+
+def _missions(world: Path, floor: Floor) -> list[RunResult]:
+    runs = []
+    for seed in _SEEDS:
+        with TemporaryDirectory() as name:
+            folder = Path(name, "report")
+            folder.mkdir()
+            maps = Path(name, "world.yaml"), Path(name, "world.cairn")
+            survey(world, *maps)
+            trial = Trial(
+                deployment=FOLDER / "sim.yaml",
+                world=world,
+                map_file=maps[0],
+                visual_map=maps[1],
+                start=robot_start(world),
+                goals=_GOALS,
+                kidnap_at=0,
+                sets=(
+                    f"{_BASE}.plugin=cairn_lab.contact_base:ContactBase",
+                    f"{_BASE}.parameters.friction={floor.friction}",
+                    f"{_BASE}.parameters.slope={floor.slope}",
+                    f"{_BASE}.parameters.odometry_scale={floor.scale}",
+                    # All slip is that of the contacts.
+                    "components.world.parameters.slip.distance=0",
+                    "components.world.parameters.slip.turn=0",
+                    "components.world.parameters.slip.turn_per_meter=0",
+                ),
+            )
+            (task,) = trial_tasks(examination(trial, folder), folder, [seed])
+            run = run_result(task, run_task_here(task))
+        if run.failure:
+            raise CairnError(run.failure)
+        runs.append(run)
+    return runs
+
+
 def main() -> None:
-    for one in measure(tuple(sys.argv[1:]) or ("office", "ward")):
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("worlds", nargs="*", default=["office", "ward"])
+    parser.add_argument("--missions", action="store_true")
+    arguments = parser.parse_args()
+    worlds = tuple(arguments.worlds)
+    for one in missions(worlds) if arguments.missions else measure(worlds):
         verdict = "" if not one.limit else f" ({one.limit} {'kept' if one.kept else 'MISSED'})"
         print(f"{one.name}: {one.value:.4f} {one.unit}{verdict} {one.note}", flush=True)
 

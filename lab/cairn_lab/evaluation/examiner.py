@@ -39,7 +39,7 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn_lab.evaluation.results import GoalResult, LocalizationQuality, RunResult
+from cairn_lab.evaluation.results import SURE_HEALTH, GoalResult, LocalizationQuality, RunResult
 from cairn_lab.evaluation.shortest_paths import ShortestPaths
 
 # A kidnapped robot with turning wheels needs this much room to stop [m].
@@ -168,6 +168,8 @@ class NavigationExaminer(Component):
     def on_localization(self, estimate: LocalizationEstimate) -> None:
         """Compare the estimated pose with the truth of its time, once that is known."""
         if not estimate.located:
+            if self._attempt is not None:
+                self._attempt.judge_belief(to_ns(estimate.header.stamp), sure=False, near=False)
             return
         newest = self._history.newest
         if newest is not None and to_ns(estimate.header.stamp) <= newest:
@@ -291,8 +293,14 @@ class NavigationExaminer(Component):
         true = self._history.at(stamp)
         if true is None:  # older than the history, or from before a kidnapping
             return
-        if self._attempt is not None and self._attempt.is_lost(stamp, estimate, true):
-            return
+        if self._attempt is not None:
+            near = (
+                distance(estimate, true) <= _RELOCALIZED_M
+                and abs(wrap(estimate[2] - true[2])) <= _RELOCALIZED_RAD
+            )
+            self._attempt.judge_belief(stamp, sure=message.health >= SURE_HEALTH, near=near)
+            if self._attempt.is_lost(stamp, near=near):
+                return
         self._quality.add(estimate, planar_covariance(message.pose), true)
 
     def _shortest_paths(self) -> ShortestPaths:
@@ -349,7 +357,9 @@ class Attempt:
 
     `started_ns` is the time of the request, `shortest` [m] the length of the shortest path.
     `mission_id` is None until the robot has accepted the goal; `end` is the last status of that
-    mission. `kidnapped_ns` and `relocalized_ns` are None as long as that has not happened.
+    mission. `kidnapped_ns` and `relocalized_ns` are None as long as that has not happened. Up to
+    the estimate at `judged_ns` the localizer was unsure for `unsure_ns`, and sure of a wrong pose
+    for at most `misled_ns`; since `misled_since_ns` it is.
     """
 
     goal: Pose
@@ -361,15 +371,31 @@ class Attempt:
     end: NavigationStatus | None = None
     kidnapped_ns: int | None = None
     relocalized_ns: int | None = None
+    judged_ns: int | None = None
+    unsure_ns: int = 0
+    misled_since_ns: int | None = None
+    misled_ns: int = 0
 
-    def is_lost(self, stamp: int, estimate: Pose, true: Pose) -> bool:
-        """Return whether the robot was kidnapped and is not relocalized by this estimate either."""
+    def judge_belief(self, stamp: int, *, sure: bool, near: bool) -> None:
+        """Count the time from the estimate before to this one, of `stamp` [ns].
+
+        `sure`: its health suffices to complete a goal; `near`: the robot is there.
+        """
+        passed = max(0, stamp - (self.judged_ns or stamp))
+        self.judged_ns = stamp
+        if not sure:
+            self.unsure_ns += passed
+        self.misled_since_ns = None if near or not sure else self.misled_since_ns or stamp
+        if self.misled_since_ns is not None:
+            self.misled_ns = max(self.misled_ns, stamp - self.misled_since_ns)
+
+    def is_lost(self, stamp: int, *, near: bool) -> bool:
+        """Return whether the robot was kidnapped and is not relocalized by this estimate either.
+
+        `near`: the robot is where the estimate of `stamp` [ns] says.
+        """
         if self.kidnapped_ns is None:
             return False
-        near = (
-            distance(estimate, true) <= _RELOCALIZED_M
-            and abs(wrap(estimate[2] - true[2])) <= _RELOCALIZED_RAD
-        )
         if self.relocalized_ns is None and near:
             self.relocalized_ns = stamp
         return self.relocalized_ns is None
@@ -400,6 +426,8 @@ class Attempt:
             relocalized_s=None
             if relocalized_ns is None or kidnapped_ns is None
             else (relocalized_ns - kidnapped_ns) / SECOND,
+            unsure_s=self.unsure_ns / SECOND,
+            misled_s=self.misled_ns / SECOND,
         )
 
 

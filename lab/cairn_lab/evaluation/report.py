@@ -61,6 +61,8 @@ def report_lines(world: str, runs: Sequence[RunResult], summary: Summary) -> Ite
     if summary.seconds_mean is not None:
         yield f"  time per goal     {summary.seconds_mean:.1f} s"
     yield f"  recoveries        {summary.recoveries}"
+    yield f"  unsure of pose    {summary.unsure_s:.1f} s in all"
+    yield f"  wrong, but sure   {summary.misled_s:.1f} s at most"
     if summary.end_error_median is not None:
         yield (
             f"  error at goal     {summary.end_error_median:.3f} m, "

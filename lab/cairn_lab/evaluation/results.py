@@ -18,6 +18,9 @@ SIGMA_LIMITS = tuple(-2.0 * math.log(math.erfc(k / math.sqrt(2.0))) for k in (1,
 The quantiles of chi-square with 2 degrees of freedom at 68.3, 95.4 and 99.7 %.
 """
 
+SURE_HEALTH = 0.5
+"""From this health of localization on a robot completes its goal: `sure_health` of AutoMove."""
+
 ERROR_STEP_M = 1e-4
 """Resolution of the position errors that are kept [m]."""
 
@@ -53,6 +56,12 @@ class GoalResult(BaseModel):
     )
     relocalized_s: float | None = Field(
         None, description="Time from then until it was relocalized [s]; null: it was not."
+    )
+    unsure_s: float = Field(0.0, description=f"Time with a health below {SURE_HEALTH} [s].")
+    misled_s: float = Field(
+        0.0,
+        description=f"Longest time with a health of at least {SURE_HEALTH} while the robot was not "
+        "within 0.5 m and 0.5 rad of its estimate [s].",
     )
 
 
@@ -107,6 +116,11 @@ class Summary(BaseModel):
     path_ratio_p95: float | None
     seconds_mean: float | None = Field(description="Mean time of these goals [s].")
     recoveries: int
+    unsure_s: float = Field(description=f"Time with a health below {SURE_HEALTH}, all goals [s].")
+    misled_s: float = Field(
+        description=f"Longest time with a health of at least {SURE_HEALTH} while the robot was not "
+        "within 0.5 m and 0.5 rad of its estimate [s]."
+    )
     end_error_median: float | None = Field(
         description="True distance from the goal where the robot reported success [m]."
     )
@@ -188,6 +202,8 @@ def summarize(runs: Sequence[RunResult], events: Mapping[str, float]) -> Summary
         path_ratio_p95=_percentile(ratios, 95),
         seconds_mean=float(np.mean([g.seconds for g in plain])) if plain else None,
         recoveries=sum(goal.recoveries for goal in goals),
+        unsure_s=sum(goal.unsure_s for goal in goals),
+        misled_s=max((goal.misled_s for goal in goals), default=0.0),
         end_error_median=_percentile([g.end_error for g in claimed], 50),
         end_error_p95=_percentile([g.end_error for g in claimed], 95),
         end_turn_median=_percentile([g.end_turn for g in claimed], 50),

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from cairn import CairnError
+from cairn import SECOND, CairnError
 from cairn.planar.grid import Frame, Grid
 from cairn_lab.batch.options import seeds_of
+from cairn_lab.evaluation.examiner import Attempt
 from cairn_lab.evaluation.report import draw_paths, draw_tracks, report_lines
 from cairn_lab.evaluation.results import (
     GoalResult,
@@ -51,6 +52,17 @@ def run(*goals: GoalResult, collisions: int = 0) -> RunResult:
         simulated_s=100.0,
         track=[(0.0, 0.0)],
     )
+
+
+def test_time_of_doubt_is_added_and_the_longest_wrong_belief_counts() -> None:
+    attempt = Attempt((0.0, 0.0, 0.0), 0, 1.0)
+    beliefs = [(True, True), (False, True), (False, False), (True, False), (True, False),
+               (True, True), (True, False), (True, True)]  # fmt: skip
+    for second, (sure, near) in enumerate(beliefs, start=1):
+        attempt.judge_belief(second * SECOND, sure=sure, near=near)
+
+    assert attempt.unsure_ns == 2 * SECOND
+    assert attempt.misled_ns == 1 * SECOND
 
 
 def test_summary_adds_goals_paths_and_collisions_of_all_runs() -> None:

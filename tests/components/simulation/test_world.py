@@ -80,6 +80,17 @@ def test_driving_along_a_wall_is_not_a_contact() -> None:
     assert world.robot[0] == pytest.approx(3.0)
 
 
+def test_robot_that_slips_sideways_is_held_by_a_wall() -> None:
+    world = world_of()
+    x, y, _ = world.robot
+
+    world.drive(2.0, 0.0, 0.0, aside=0.1)
+    assert world.robot[:2] == pytest.approx((x, y + 0.2))
+
+    (contact,) = world.drive(60.0, 0.0, 0.0, aside=0.1)[1]
+    assert contact.what.startswith("wall")
+
+
 def test_robot_cannot_pass_a_wall_at_any_speed() -> None:
     world = world_of()
     world.drive(1.0, 5.0, 0.0)
