@@ -83,7 +83,7 @@ def _try(world: Path, seed: int) -> dict[str, Any]:
         command = [sys.executable, "-m", "cairn.cli.program", "evaluate", "navigation"]
         command += ["--world", str(file), "--goals", str(_GOALS), "--seeds", f"{seed}..{seed}"]
         command += ["--workers", "1", "--no-cache", "--json", "--out", f"{name}/report"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=3600, check=False)
     if done.returncode not in (0, 1):  # 1: not all goals were reached
         raise RuntimeError(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")
     summary: dict[str, Any] = json.loads(done.stdout)["summary"]
