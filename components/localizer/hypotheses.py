@@ -21,13 +21,19 @@ from cairn.components.localizer.particle_set import (
     ParticleSet,
     PoseEstimate,
     estimate,
+    gaussian_noise,
     normalized,
     systematic_choice,
+)
+from cairn.components.localizer.pose_differences import (
+    is_elsewhere,
+    is_same,
+    slip_covariance,
 )
 from cairn.components.localizer.pose_health import FITS
 from cairn.components.localizer.scan_fit import ScanFit, way_of
 from cairn.planar.motion_model import MotionModel, OdometryStep
-from cairn.planar.poses import Pose, distance, wrap
+from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
@@ -38,18 +44,12 @@ _CARRIED, _CARRIED_AT_ONCE, _SLIPPED = -9.0, -5.0, -4.0
 # A pose that was found just now is as likely as others that explain the measurements as well.
 # It is kept against them as any other after so much of the way [m]; searches check it until then.
 _SETTLED_M = 10.0
-# How far a slip moves the robot from its odometry: standard deviations [m], [m], [rad]. A robot at
-# 0.6 m/s that is held for half a second is 0.3 m off.
-_SLIP = np.array([[0.35], [0.35], [0.3]])
 # Poses drawn around the current one; a third of them is kept in each round of annealing, with the
 # share of the log-likelihood that counts and the noise added [m], [rad].
 _POSES = 1500
 _ANNEALING = ((0.25, 0.05), (0.5, 0.03), (1.0, 0.02))
 GOOD_FIT = 0.8
 """A scan of which the map explains this share or more does not indicate a slip."""
-# Hypotheses differ by at least this [m], [rad]. Those nearer than the third to the current pose
-# [m] make it uncertain; those farther away are other positions.
-_SAME_M, _SAME_RAD, ELSEWHERE_M = 0.25, 0.2, 1.0
 # So many hypotheses are kept besides the current one, of so many particles each.
 _MOST, _PARTICLES = 12, 100
 # A pose is replaced when another one is so much likelier (logarithm of odds), and when that one is
@@ -152,7 +152,7 @@ class PoseHypotheses:
         if found.support.contradicting >= max(1, agreeing):
             return None
         waited = stamp - self._first_measured
-        again = any(one.searches > 1 and _same(one.pose, found.pose.mean) for one in self.others)
+        again = any(one.searches > 1 and is_same(one.pose, found.pose.mean) for one in self.others)
         firm = agreeing >= 2 or waited >= _WAIT_FOR_SECOND_S
         if found.share >= _LIKELY and firm:
             return found.poses if again else None
@@ -174,7 +174,7 @@ class PoseHypotheses:
             last is not None
             and stamp - self._searched_at <= _DOUBTFUL_EVERY_S
             and last.share >= _LIKELY
-            and _same(last.pose.mean, here.mean)
+            and is_same(last.pose.mean, here.mean)
         )
 
     def move(self, step: OdometryStep) -> None:
@@ -243,9 +243,9 @@ class PoseHypotheses:
         odds = prior + by_scans - base
         for mode, value in zip(modes.T, odds, strict=True):
             pose = (float(mode[0]), float(mode[1]), float(mode[2]))
-            if here is not None and _same(pose, here.mean):
+            if here is not None and is_same(pose, here.mean):
                 continue
-            known_one = next((one for one in self.others if _same(pose, one.pose)), None)
+            known_one = next((one for one in self.others if is_same(pose, one.pose)), None)
             if known_one is None:
                 self._add(self._around(pose), float(value))
             else:
@@ -268,24 +268,25 @@ class PoseHypotheses:
         explains the scan only if it `fits` there as scans usually do.
         """
         center = np.asarray(here.mean)[:, None]
-        poses = center + _SLIP * self.random.standard_normal((3, _POSES))
+        poses = center + gaussian_noise(slip_covariance(), _POSES, self.random)
         for temper, noise in _ANNEALING:
             weights = normalized(temper * log_likelihood(poses))
             poses = poses[:, systematic_choice(weights, _POSES // 3, self.random)]
             poses += noise * self.random.standard_normal(poses.shape)
         found = estimate(poses, np.zeros(poses.shape[1])).mean
         if (
-            distance(found, here.mean) >= ELSEWHERE_M
-            or _same(found, here.mean)
-            or any(_same(found, one.pose) for one in self.others)
+            is_elsewhere(found, here.mean)
+            or is_same(found, here.mean)
+            or any(is_same(found, one.pose) for one in self.others)
         ):
             return
         if not fits(found):
             return
         there, current = log_likelihood(np.array([found, here.mean]).T)
-        slip = (np.asarray(found) - np.asarray(here.mean)) / _SLIP.ravel()
-        slip[2] = wrap(found[2] - here.mean[2]) / _SLIP[2, 0]
-        odds = _SLIPPED - 0.5 * float(slip @ slip) + SEARCH_SHARE * float(there - current)
+        slip = np.asarray(found) - np.asarray(here.mean)
+        slip[2] = wrap(slip[2])
+        size = float(slip @ np.linalg.solve(slip_covariance(), slip))
+        odds = _SLIPPED - 0.5 * size + SEARCH_SHARE * float(there - current)
         if odds > _CARRIED:
             self._add(poses[:, :: len(poses[0]) // _PARTICLES][:, :_PARTICLES], odds)
 
@@ -312,7 +313,7 @@ class PoseHypotheses:
         if odds[best] < _REFUTED and self._share(odds, best) < _LIKELY:
             return None
         pose = self.others[best].particles.estimate()
-        elsewhere = distance(pose.mean, here.mean) >= ELSEWHERE_M
+        elsewhere = is_elsewhere(pose.mean, here.mean)
         if elsewhere and recent.scanned and not fit.as_usual(recent.fit(pose)):
             return None
         taken = self.others.pop(best)
@@ -323,7 +324,7 @@ class PoseHypotheses:
 
     def drop_near(self, recent: RecentMeasurements, here: PoseEstimate) -> None:
         """Drop hypotheses that have joined the current pose, or are as unlikely as any position."""
-        self.others = [one for one in self.others if not _same(one.pose, here.mean)]
+        self.others = [one for one in self.others if not is_same(one.pose, here.mean)]
         self._keep_likely(recent, here)
 
     def alternatives(self, recent: RecentMeasurements, here: PoseEstimate) -> list[Alternative]:
@@ -335,7 +336,7 @@ class PoseHypotheses:
         pairs = [
             Alternative(one.pose, float(weight))
             for one, weight in zip(self.others, weights, strict=True)
-            if distance(one.pose, here.mean) >= ELSEWHERE_M
+            if is_elsewhere(one.pose, here.mean)
         ]
         return sorted(pairs, key=lambda pair: -pair.probability)
 
@@ -378,7 +379,7 @@ class PoseHypotheses:
     def _share(self, odds: Array, best: int) -> float:
         """Return how probable one is against all elsewhere: nearby it is the same place."""
         pose = self.others[best].pose
-        elsewhere = [distance(one.pose, pose) >= ELSEWHERE_M for one in self.others]
+        elsewhere = [is_elsewhere(one.pose, pose) for one in self.others]
         return 1.0 / (1.0 + float(np.exp(odds[elsewhere] - odds[best]).sum()))
 
     def _add(self, poses: Array, odds: float) -> None:
@@ -403,10 +404,6 @@ class PoseHypotheses:
             one = self.others[k]
             if odds[k] <= least or len(kept) == _MOST:
                 break
-            if not any(_same(one.pose, other.pose) for other in kept):
+            if not any(is_same(one.pose, other.pose) for other in kept):
                 kept.append(one)
         self.others = kept
-
-
-def _same(a: Pose, b: Pose) -> bool:
-    return distance(a, b) < _SAME_M and abs(wrap(a[2] - b[2])) < _SAME_RAD

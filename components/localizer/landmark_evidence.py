@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cairn.components.localizer.observations import (
     GATE,
     MAP_SIGMA,
+    NEAREST_M,
     POSE_FLOOR,
     Innovation,
     Landmark,
@@ -29,8 +30,8 @@ from cairn.components.localizer.particle_set import (
     normalized,
     systematic_choice,
 )
-from cairn.components.localizer.recent_observations import ANOTHER_M, ANOTHER_RAD
-from cairn.planar.poses import Pose, apart, wrap, wrap_all
+from cairn.components.localizer.pose_differences import is_another
+from cairn.planar.poses import Pose, wrap, wrap_all
 from cairn.planar.poses import distance as meters_between
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.visual_map.landmarks import EvidenceVerdict
@@ -196,7 +197,7 @@ class LandmarkEvaluator:
         """Return the verdict on a contradiction, and whether others corroborate it."""
         x, y, _ = implied_position(pose, observation)
         known = self._contradictions.setdefault(observation.object_id, [])
-        if not known or apart(known[-1].seen_from, pose.mean, ANOTHER_M, ANOTHER_RAD):
+        if not known or is_another(known[-1].seen_from, pose.mean):
             known.append(_Contradiction(x, y, pose.mean))
             del known[:-_MOST_CONTRADICTIONS]
         together = sum(math.hypot(c.x - x, c.y - y) < SAME_POSITION for c in known)
@@ -322,8 +323,6 @@ CONVERGED = 0.25
 # share per round; the noise [m], [rad] of the first round is halved in each further one.
 _ROUNDS, _TEMPER = 8, 0.25
 _NOISE_OF_FIRST = np.array([[0.08], [0.08], [math.radians(5.0)]])
-# An object is at least this far from the robot [m]; no camera recognizes it nearer.
-_LEAST_RANGE_M = 0.05
 # So many deviations hold 95 % of a normal distribution in two dimensions: sqrt(-2 ln 0.05).
 _RADIUS_95 = 2.45
 
@@ -340,7 +339,7 @@ def sample_ring(
     reach = observation.range_m + math.sqrt(observation.range_variance) * random.standard_normal(
         count
     )
-    reach = np.maximum(reach, _LEAST_RANGE_M)
+    reach = np.maximum(reach, NEAREST_M)
     bearing = observation.bearing + math.sqrt(
         observation.bearing_variance
     ) * random.standard_normal(count)
@@ -422,7 +421,7 @@ class DisplacementDetector:
             return False
         exact = PoseEstimate(pose.mean, np.zeros((3, 3)))
         noise = implied_position(exact, observation)[2]
-        if not known or apart(known[-1].seen_from, pose.mean, ANOTHER_M, ANOTHER_RAD):
+        if not known or is_another(known[-1].seen_from, pose.mean):
             known.append(_Implied(np.array([x, y]), noise, pose.mean))
         mapped = np.array([[landmark.xx, landmark.xy], [landmark.xy, landmark.yy]])
         common = whole - noise + mapped + (_COMMON_M**2 + MAP_SIGMA**2) * np.eye(2)
@@ -526,7 +525,7 @@ class RangeScaleEstimator:
         landmark = landmarks[observation.object_id]
         dx, dy = landmark.x - pose.mean[0], landmark.y - pose.mean[1]
         off_rad = wrap(observation.bearing + pose.mean[2] - math.atan2(dy, dx))
-        ratio = observation.range_m / max(math.hypot(dx, dy), _LEAST_RANGE_M)
+        ratio = observation.range_m / max(math.hypot(dx, dy), NEAREST_M)
         if abs(off_rad) > _ALONG_RAD or not _LEAST < ratio < _MOST:
             return False
         known = self._ratios.pop(observation.object_id, deque(maxlen=_RATIOS))

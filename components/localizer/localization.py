@@ -14,7 +14,6 @@ from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
 from cairn.components.localizer.global_search import SEARCH_SHARE, RecentMeasurements
 from cairn.components.localizer.hypotheses import (
-    ELSEWHERE_M,
     GOOD_FIT,
     MOST_DOUBT,
     Alternative,
@@ -32,6 +31,7 @@ from cairn.components.localizer.observations import (
 )
 from cairn.components.localizer.odometry import OdometryTrack
 from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
+from cairn.components.localizer.pose_differences import is_elsewhere
 from cairn.components.localizer.pose_health import (
     LOST,
     PoseHealth,
@@ -49,7 +49,7 @@ from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import move_pose, odometry_step
 from cairn.planar.odometry import OdometryChange
 from cairn.planar.odometry_gains import SHOWN_M, GainEstimator
-from cairn.planar.poses import Pose, distance
+from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 from cairn.visual_map.observations import Observation
@@ -174,11 +174,11 @@ class Localization:
         if self.located:
             self.filters.move(step)
 
-    def widen(self, deviation_m: float, deviation_rad: float) -> None:
-        """Spread the particles, as odometry was interrupted."""
+    def widen(self, covariance: Array) -> None:
+        """Add a covariance (3, 3) to that of the particles, as odometry was interrupted."""
         self._gains.interrupt()
         if self.located:
-            self.filters.widen(deviation_m, deviation_rad)
+            self.filters.widen(covariance)
 
     def pose(self) -> PoseEstimate:
         """Return the pose at the time last advanced to, with a calibrated covariance."""
@@ -329,7 +329,7 @@ class Localization:
         if better is None:
             return False
         self._replace_pose(better)
-        if distance(here.mean, self.filters.estimate().mean) >= ELSEWHERE_M:
+        if is_elsewhere(here.mean, self.filters.estimate().mean):
             self.hypotheses.on_found()
             return True
         # Odometry relates the earlier measurements to now by a motion that was not made.

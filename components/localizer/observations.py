@@ -15,6 +15,10 @@ from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
+NEAREST_M = 0.3
+"""Objects nearer than this [m] count as so far away: no camera recognizes them, and bearings are
+not linear in the position.
+"""
 # Log-density of a stray observation, which is unrelated to the object's position in the map,
 # relative to the peak of the observation's own Gaussian: that of the 99 % quantile, -9.2 / 2.
 STRAY = -4.6
@@ -67,7 +71,7 @@ def object_log_likelihood(
     # The map's own uncertainty from here: isotropic is enough, as it is a few centimeters.
     spread = 0.5 * (landmark.xx + landmark.yy)
     range_variance = observation.range_variance + spread
-    reach = max(observation.range_m, _NEAR_M)
+    reach = max(observation.range_m, NEAREST_M)
     bearing_variance = observation.bearing_variance + spread / reach**2
     bearing_error = wrap_all(np.arctan2(dy, dx) - poses[2] - observation.bearing)
     nis = (
@@ -112,7 +116,7 @@ def innovation(pose: PoseEstimate, observation: Observation, landmark: Landmark)
     """
     x, y, theta = pose.mean
     dx, dy = landmark.x - x, landmark.y - y
-    distance = max(math.hypot(dx, dy), _LEAST_RANGE_M)
+    distance = max(math.hypot(dx, dy), NEAREST_M)
     error = np.array(
         [
             observation.range_m - distance,
@@ -148,13 +152,6 @@ def implied_position(pose: PoseEstimate, observation: Observation) -> tuple[floa
     return x + reach * cosine, y + reach * sine, covariance
 
 
-# Where a division by a range would overflow, the range counts as at least this [m]; no camera
-# recognizes an object at this distance.
-_LEAST_RANGE_M = 0.05
-# The bearing's variance by the map's uncertainty does not grow for objects nearer than this [m]:
-# the linearization holds only for small angles. Chosen by hand; `lab/constants.yaml` has the
-# effect of half and double.
-_NEAR_M = 0.3
 # One object must explain an observation better than another that looks alike by this NIS: a
 # likelihood ratio of exp(6 / 2) = 20.
 _CLEAR_NIS = 6.0
@@ -210,7 +207,7 @@ def as_observed_from(observation: Observation, step: Pose) -> Observation:
     x, y, turn = step
     dx = observation.range_m * math.cos(observation.bearing) - x
     dy = observation.range_m * math.sin(observation.bearing) - y
-    range_m = max(math.hypot(dx, dy), _LEAST_RANGE_M)
+    range_m = max(math.hypot(dx, dy), NEAREST_M)
     return replace(observation, range_m=range_m, bearing=wrap(math.atan2(dy, dx) - turn))
 
 

@@ -90,10 +90,9 @@ class ParticleSet:
 
     def set_gaussian(self, mean: Sequence[float], covariance: Array) -> None:
         """Draw all particles from a Gaussian over x [m], y [m], theta [rad]."""
-        spread = np.linalg.cholesky(covariance + 1e-9 * np.eye(3))
         spread_out = math.sqrt(covariance[0, 0] + covariance[1, 1]) > _WIDE_M
         count = self.most if spread_out else self.least
-        noise = spread @ self.random.standard_normal((3, count))
+        noise = gaussian_noise(covariance, count, self.random)
         self.set_particles(np.asarray(mean, dtype=np.float64)[:, None] + noise)
 
     def set_particles(self, poses: Array) -> None:
@@ -139,6 +138,12 @@ class ParticleSet:
         drawn = resample(self.poses, weights, _BANDWIDTH, self.random, count)
         self.poses = np.ascontiguousarray(drawn)
         self.log_weights = np.zeros(count)
+
+
+def gaussian_noise(covariance: Array, count: int, random: np.random.Generator) -> Array:
+    """Return noise (3, count) of a covariance (3, 3), which may be singular."""
+    drawn = random.multivariate_normal(np.zeros(3), covariance, count, check_valid="ignore")
+    return np.ascontiguousarray(drawn.T)
 
 
 def kld_count(poses: Array, weights: Array) -> int:

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.observations import STRAY, Landmark
+from cairn.components.localizer.observations import NEAREST_M, STRAY, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
-from cairn.planar.poses import Pose, apart, wrap_all
+from cairn.components.localizer.pose_differences import is_another
+from cairn.planar.poses import Pose, wrap_all
 from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
@@ -25,14 +26,6 @@ AGREES, CONTRADICTS = 9.2, 13.8
 OBJECT_WORTH = 2.0
 # Objects no farther apart than this [m] are observed in one direction: at 3 m within 11 degrees.
 TOGETHER_M = 0.6
-# Observations from poses that differ by more than this [m], [rad] are independent: successive
-# images share the recognizer's errors. The experiments count viewpoints in the same way
-# (docs/how-to/experiments.md). Chosen by hand; `lab/constants.yaml` has the effect of half
-# and double.
-ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
-# Observations nearer than this count as so far away [m], where the bearing is no longer linear in
-# the position. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
-_NEAR_M = 0.3
 # An object that was recognized in less than this share of so many images from one pose was confused
 # with another one. A robot that stands never sees it from elsewhere, so it would count for ever.
 # After so many images, earlier ones count half: what was hidden for a while counts again soon.
@@ -109,16 +102,14 @@ class RecentObservations:
         poses.
         """
         kept = [
-            one.with_image()
-            if observations and not apart(one.at, at, ANOTHER_M, ANOTHER_RAD)
-            else one
+            one.with_image() if observations and not is_another(one.at, at) else one
             for one in self.entries
             if moved_s - one.moved_s <= _HORIZON_S
         ]
         for observation in observations:
             new = TimedObservation(observation, at, moved_s)
             same = [e for e in kept if e.observation.object_id == observation.object_id]
-            if same and not apart(same[-1].at, at, ANOTHER_M, ANOTHER_RAD):
+            if same and not is_another(same[-1].at, at):
                 # The newest pose is better: its odometry has drifted least.
                 kept.remove(same[-1])
                 new = replace(new, seen=same[-1].seen + 1.0, images=same[-1].images)
@@ -239,7 +230,7 @@ class RecentObservations:
             place_variance = place_variance + 0.5 * (covariance[0, 0] + covariance[1, 1])
             turn_variance = turn_variance + covariance[2, 2]
         range_variance = range_variance + place_variance
-        reach = np.maximum(range_m, _NEAR_M)
+        reach = np.maximum(range_m, NEAREST_M)
         bearing_variance = bearing_variance + place_variance / reach**2 + turn_variance
 
         # Where each was made from, relative to now; and from there, what it should have measured.

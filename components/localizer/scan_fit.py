@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.particle_set import carry
+from cairn.components.localizer.pose_differences import ANOTHER_M, LEVER_M, is_same
 from cairn.components.localizer.pose_health import FITS, SILENT_S
 from cairn.planar.motion_model import OdometryStep
-from cairn.planar.poses import Pose, apart, compose, relative
+from cairn.planar.poses import Pose, compose, relative
 
 Array = NDArray[np.float64]
 
@@ -22,9 +23,8 @@ Array = NDArray[np.float64]
 # most 2 mm (benchmark `localization_logs`). With half of `_ON_THE_SPOT`, or double of the others,
 # fr079 was 11.6 m off for a while, as it was with the present values and another seed (2).
 
-# After so much motion [m], [rad] a scan counts in full: every beam then ends in other cells of the
-# map (0.05 m). Of one taken on the spot this share counts, as its errors repeat.
-_NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
+# Of a scan taken on the spot this share counts, as its errors repeat.
+_ON_THE_SPOT = 0.03
 # The golden ratio: successive starts spread evenly over the beams.
 _GOLDEN = 0.618
 # Weight of the newest scan in the running mean of the fit: a mean over five scans.
@@ -38,16 +38,14 @@ _TRACED_RAYS = 60
 # So many poses are compared with a scan at a time, so that intermediate results take 0.5 MB and not
 # several for all poses of a global search. No result depends on it.
 _BLOCK = 8192
-# A turn of one radian shows as much that is new as so many meters of the way.
-_TURN_M = 0.5
 # Scans indicate that the robot is lost if they fit less than the first share, or less than the
 # second share of their usual fit; they fit well from the third share of it on.
 _LOST_FIT, _LOST_OF_USUAL, _WELL_OF_USUAL = 0.5, 0.65, 0.9
 # They stopped fitting at once if the robot drove less than this since they fitted well [m].
 _AT_ONCE_M = 0.3
-# So many scans, so far apart [m], [rad], are kept for the search: they cover 2.4 m of the way, or
-# nearly half a turn. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
-_KEPT, _APART_M, _TURNED_RAD = 8, 0.3, 0.35
+# So many scans of different places are kept for the search: they cover 2 m of the way, or nearly
+# half a turn.
+_KEPT = 8
 
 
 class BeamSelector:
@@ -77,18 +75,18 @@ class BeamSelector:
 
         Resets the motion.
         """
-        share = self._moved_m / _NEW_M + self._turned_rad / _NEW_RAD
+        share = (self._moved_m + LEVER_M * self._turned_rad) / ANOTHER_M
         self._moved_m = self._turned_rad = 0.0
         return min(1.0, max(_ON_THE_SPOT, share))
 
 
 def way_of(step: OdometryStep) -> float:
     """Return by how many meters a step of odometry changes what the scanner sees."""
-    return math.hypot(step.ahead, step.aside) + _TURN_M * abs(step.turned)
+    return math.hypot(step.ahead, step.aside) + LEVER_M * abs(step.turned)
 
 
 class RecentScans:
-    """End points of the `keep` newest scans taken `_APART_M` or `_TURNED_RAD` apart."""
+    """End points of the `keep` newest scans taken at different places."""
 
     def __init__(self, keep: int = _KEPT) -> None:
         self.keep = keep
@@ -106,9 +104,7 @@ class RecentScans:
 
         It replaces the last one as long as that was not taken apart from the one before.
         """
-        if len(self._scans) >= 2 and not apart(
-            self._scans[-2][1], self._scans[-1][1], _APART_M, _TURNED_RAD
-        ):
+        if len(self._scans) >= 2 and is_same(self._scans[-2][1], self._scans[-1][1]):
             self._scans.pop()
         elif len(self._scans) == self.keep:
             self._scans.popleft()
@@ -119,7 +115,7 @@ class RecentScans:
         """By how many meters what the scanner saw has changed from the first scan to the last."""
         poses = [at for _, at in self._scans]
         steps = [relative(a, b) for a, b in pairwise(poses)]
-        return sum(math.hypot(x, y) + _TURN_M * abs(turn) for x, y, turn in steps)
+        return sum(math.hypot(x, y) + LEVER_M * abs(turn) for x, y, turn in steps)
 
     def log_likelihood(
         self, poses: Array, now: Pose, each: Callable[[Array, Array], Array], newest: int | None
