@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cairn.components.localizer.global_search import (
     CORRELATED_M,
     MOMENT,
+    PARTICLES,
     SEARCH_SHARE,
     GlobalSearchResult,
     RecentMeasurements,
@@ -21,9 +22,6 @@ from cairn.components.localizer.particle_set import (
     ParticleSet,
     PoseEstimate,
     estimate,
-    gaussian_noise,
-    normalized,
-    systematic_choice,
 )
 from cairn.components.localizer.pose_differences import (
     is_elsewhere,
@@ -44,14 +42,10 @@ _CARRIED, _CARRIED_AT_ONCE, _SLIPPED = -9.0, -5.0, -4.0
 # A pose that was found just now is as likely as others that explain the measurements as well.
 # It is kept against them as any other after so much of the way [m]; searches check it until then.
 _SETTLED_M = 10.0
-# Poses drawn around the current one; a third of them is kept in each round of annealing, with the
-# share of the log-likelihood that counts and the noise added [m], [rad].
-_POSES = 1500
-_ANNEALING = ((0.25, 0.05), (0.5, 0.03), (1.0, 0.02))
 GOOD_FIT = 0.8
 """A scan of which the map explains this share or more does not indicate a slip."""
-# So many hypotheses are kept besides the current one, of so many particles each.
-_MOST, _PARTICLES = 12, 100
+# So many hypotheses are kept besides the current one.
+_MOST = 12
 # A pose is replaced when another one is so much likelier (logarithm of odds), and when that one is
 # so probable (0 to 1) against all others. From the third on the robot is certainly not there: any
 # likely position is a better one to go on from. Those less likely than the best by more than the
@@ -155,7 +149,7 @@ class PoseHypotheses:
         again = any(one.searches > 1 and is_same(one.pose, found.pose.mean) for one in self.others)
         firm = agreeing >= 2 or waited >= _WAIT_FOR_SECOND_S
         if found.share >= _LIKELY and firm:
-            return found.poses if again else None
+            return found.modes[0] if again else None
         spread = estimate(found.everywhere, np.zeros(found.everywhere.shape[1])).spread
         if waited >= _WAIT_FOR_SPREAD_S and spread < _ONE_OBJECT_SPREAD_M:
             # One object alone leaves an arc around it open; its width is published, and the filter
@@ -232,8 +226,8 @@ class PoseHypotheses:
         found = self._last = search(recent, self.search_particles, self.random, known)
         if found is None:
             return
-        modes = found.modes if found.modes is not None else np.array([found.pose.mean]).T
-        by_scans = recent.scan_worth(modes)
+        means = [estimate(mode, np.zeros(mode.shape[1])).mean for mode in found.modes]
+        by_scans = recent.scan_worth(np.array(means).T)
         if here is not None:
             base = float(recent.scan_worth(np.array([here.mean]).T)[0])
             carried = _CARRIED_AT_ONCE if at_once else _CARRIED
@@ -241,13 +235,12 @@ class PoseHypotheses:
         else:
             base, prior = self._base(recent, by_scans), 0.0
         odds = prior + by_scans - base
-        for mode, value in zip(modes.T, odds, strict=True):
-            pose = (float(mode[0]), float(mode[1]), float(mode[2]))
+        for mode, pose, value in zip(found.modes, means, odds, strict=True):
             if here is not None and is_same(pose, here.mean):
                 continue
             known_one = next((one for one in self.others if is_same(pose, one.pose)), None)
             if known_one is None:
-                self._add(self._around(pose), float(value))
+                self._add(mode, float(value))
             else:
                 known_one.searches += 1
                 if here is not None:
@@ -267,13 +260,10 @@ class PoseHypotheses:
         at once, and then no particle is right. `log_likelihood` is as in `add_scan`; a slip
         explains the scan only if it `fits` there as scans usually do.
         """
-        center = np.asarray(here.mean)[:, None]
-        poses = center + gaussian_noise(slip_covariance(), _POSES, self.random)
-        for temper, noise in _ANNEALING:
-            weights = normalized(temper * log_likelihood(poses))
-            poses = poses[:, systematic_choice(weights, _POSES // 3, self.random)]
-            poses += noise * self.random.standard_normal(poses.shape)
-        found = estimate(poses, np.zeros(poses.shape[1])).mean
+        slipped = ParticleSet(PARTICLES, self.search_particles, self.motion, self.random)
+        slipped.set_gaussian(here.mean, slip_covariance())
+        slipped.fuse(log_likelihood)
+        found = slipped.estimate().mean
         if (
             is_elsewhere(found, here.mean)
             or is_same(found, here.mean)
@@ -288,7 +278,7 @@ class PoseHypotheses:
         size = float(slip @ np.linalg.solve(slip_covariance(), slip))
         odds = _SLIPPED - 0.5 * size + SEARCH_SHARE * float(there - current)
         if odds > _CARRIED:
-            self._add(poses[:, :: len(poses[0]) // _PARTICLES][:, :_PARTICLES], odds)
+            self._add(slipped.sample(PARTICLES, self.random), odds)
 
     def take_better(
         self,
@@ -319,7 +309,7 @@ class PoseHypotheses:
         taken = self.others.pop(best)
         for one in self.others:
             one.odds -= taken.odds
-        self._add(particles.sample(_PARTICLES, self.random), -taken.odds)
+        self._add(particles.sample(PARTICLES, self.random), -taken.odds)
         return taken.particles.sample(particles.least, self.random)
 
     def drop_near(self, recent: RecentMeasurements, here: PoseEstimate) -> None:
@@ -383,15 +373,9 @@ class PoseHypotheses:
         return 1.0 / (1.0 + float(np.exp(odds[elsewhere] - odds[best]).sum()))
 
     def _add(self, poses: Array, odds: float) -> None:
-        particles = ParticleSet(_PARTICLES, _PARTICLES, self.motion, self.random)
+        particles = ParticleSet(PARTICLES, PARTICLES, self.motion, self.random)
         particles.set_particles(poses)
         self.others.append(Hypothesis(particles, odds))
-
-    def _around(self, pose: Pose) -> Array:
-        noise = self.random.standard_normal((3, _PARTICLES))
-        spread = np.array([[0.05], [0.05], [0.03]])
-        result: Array = np.asarray(pose)[:, None] + spread * noise
-        return result
 
     def _keep_likely(self, recent: RecentMeasurements, here: PoseEstimate | None) -> None:
         """Keep the likeliest hypotheses, without those that are as likely as any position."""

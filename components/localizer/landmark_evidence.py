@@ -24,13 +24,9 @@ from cairn.components.localizer.observations import (
     innovation,
     object_log_likelihood,
 )
-from cairn.components.localizer.particle_set import (
-    PoseEstimate,
-    estimate,
-    normalized,
-    systematic_choice,
-)
-from cairn.components.localizer.pose_differences import is_another
+from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
+from cairn.components.localizer.pose_differences import PLACE_M, is_another
+from cairn.planar.motion_model import MotionModel
 from cairn.planar.poses import Pose, wrap, wrap_all
 from cairn.planar.poses import distance as meters_between
 from cairn.schemas.cairn_msgs import ObjectEvidence
@@ -317,12 +313,6 @@ def convergence_radius(pose: PoseEstimate) -> float:
     return max(POSE_FLOOR, _RADIUS_95 * math.sqrt(max(longest, 0.0)))
 
 
-# Spread under which new samples count as converged [m].
-CONVERGED = 0.25
-# New samples converge in so many rounds. The share of the log-likelihood that counts grows by this
-# share per round; the noise [m], [rad] of the first round is halved in each further one.
-_ROUNDS, _TEMPER = 8, 0.25
-_NOISE_OF_FIRST = np.array([[0.08], [0.08], [math.radians(5.0)]])
 # So many deviations hold 95 % of a normal distribution in two dimensions: sqrt(-2 ln 0.05).
 _RADIUS_95 = 2.45
 
@@ -357,19 +347,14 @@ def converge(
 ) -> PoseEstimate | None:
     """Let new samples converge by annealing within one image; return None if they do not.
 
-    Each of `_ROUNDS` rounds weighs by the log-likelihood at a growing temper, resamples, and adds
-    noise that shrinks (8 cm, 5 degrees at first). Samples that end wider than 0.25 m give no
-    evidence: the mean of two positions is not one of them.
+    Samples that end wider than a place give no evidence: the mean of two positions is not one of
+    them.
     """
-    count = poses.shape[1]
-    for k in range(_ROUNDS):
-        temper = min(1.0, _TEMPER * (k + 1))
-        weights = normalized(temper * log_likelihood(poses))
-        poses = poses[:, systematic_choice(weights, count, random)]
-        jitter = 0.5**k * random.standard_normal((3, count))
-        poses = poses + jitter * _NOISE_OF_FIRST
-    found = estimate(poses, np.zeros(count))
-    return found if found.spread < CONVERGED else None
+    found = ParticleSet(poses.shape[1], poses.shape[1], MotionModel(), random)
+    found.set_particles(poses)
+    found.fuse(log_likelihood)
+    pose = found.estimate()
+    return pose if pose.spread < 0.5 * PLACE_M else None
 
 
 # So many of the newest observations from different poses are averaged: few detect a large shift

@@ -30,6 +30,11 @@ def slip_covariance() -> NDArray[np.float64]:
     return np.diag(np.square([SLIP_M, SLIP_M, SLIP_M / LEVER_M]))
 
 
+def place_bin() -> NDArray[np.float64]:
+    """Return half the width of a place, in x [m], y [m] and heading [rad]."""
+    return 0.5 * PLACE_M * np.array([1.0, 1.0, 1.0 / LEVER_M])
+
+
 def is_another(a: Pose, b: Pose) -> bool:
     """Whether what is measured from two poses has errors of its own."""
     return _differ(a, b, ANOTHER_M)

@@ -97,6 +97,11 @@ class RecentObservations:
         """Forget everything."""
         self.entries.clear()
 
+    @property
+    def farthest_m(self) -> float:
+        """The largest range observed [m]; 0 without observations."""
+        return max((one.observation.range_m for one in self.entries), default=0.0)
+
     def add(self, observations: Sequence[Observation], at: Pose, moved_s: float) -> None:
         """Add an image's observations, made from `at`; those of one object only from different
         poses.
