@@ -15,7 +15,6 @@ from cairn.components.localizer.covariance_calibration import CovarianceCalibrat
 from cairn.components.localizer.global_search import SEARCH_SHARE, RecentMeasurements
 from cairn.components.localizer.hypotheses import (
     GOOD_FIT,
-    MOST_DOUBT,
     Alternative,
     PoseHypotheses,
 )
@@ -31,7 +30,7 @@ from cairn.components.localizer.observations import (
 )
 from cairn.components.localizer.odometry import OdometryTrack
 from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
-from cairn.components.localizer.pose_differences import is_elsewhere
+from cairn.components.localizer.pose_differences import PLACE_M, is_elsewhere
 from cairn.components.localizer.pose_health import (
     LOST,
     PoseHealth,
@@ -56,12 +55,8 @@ from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# The parameter `scan_share` is of so many beams; of fewer beams than the second the share does not
-# grow further, as it is about 1 there.
-_SHARED_BEAMS, _LEAST_BEAMS = 60.0, 20
-# A landmark whose position changes by more than this [m] was moved; improvements are smaller.
-# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
-_MOVED_M = 0.3
+_SHARED_BEAMS = 60.0
+"""The parameter `scan_share` is of so many beams."""
 # The starts and ends of no rays.
 NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
 
@@ -147,9 +142,8 @@ class Localization:
             if old.live and (new is None or not new.live):
                 # All its observations were compared with a position that it had left.
                 self.filters.replace_by_filter_without(object_id)
-            elif (
-                old.live and new is not None and math.hypot(new.x - old.x, new.y - old.y) > _MOVED_M
-            ):
+            elif old.live and new and math.hypot(new.x - old.x, new.y - old.y) > 0.5 * PLACE_M:
+                # It was moved: improvements of its position are smaller.
                 self.evaluator.forget(object_id)
 
     def set_grid(self, grid: OccupancyCells) -> None:
@@ -398,7 +392,7 @@ class Localization:
                 f"scans fit the map by {fit.value or 0.0:.0%}, usually by {fit.usual or 0.0:.0%}",
             )
         others = self.alternatives()
-        if sum(one.probability for one in others) < MOST_DOUBT:
+        if not others:
             return None
         x, y, _ = others[0].pose
         return Reason(
@@ -442,7 +436,7 @@ class Localization:
         )
 
     def _scan_share(self, beams: int) -> float:
-        return self.settings.scan_share * _SHARED_BEAMS / max(beams, _LEAST_BEAMS)
+        return min(1.0, self.settings.scan_share * _SHARED_BEAMS / max(1, beams))
 
     def _find(self, stamp: float) -> bool:
         found = self.hypotheses.find(stamp, self._recent())
