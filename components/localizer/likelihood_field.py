@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.localizer.observations import RARE
 from cairn.components.localizer.pose_differences import PLACE_M
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import (
@@ -22,8 +23,6 @@ from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# A beam within so many deviations of an obstacle measures it, and nothing else: 99.7 % of them do.
-_NEAR_SD = 3.0
 # Rows of which a field is computed at once, to limit the memory for a large map.
 _BAND = 1024
 
@@ -88,12 +87,12 @@ class LikelihoodField:
     def deviation(self, pose: Pose, points: Array) -> float:
         """Return the root mean square distance [m] of end points to the nearest obstacle.
 
-        Of those (m, 2) [m] within three deviations of one; NaN if there are none.
+        Of those (m, 2) [m] near enough to one to be no stray beams; 0 if there are none.
         """
         peak = (np.exp(self._each(pose, points)) - self.stray) / (1.0 - self.stray)
-        near = peak[peak > math.exp(-0.5 * _NEAR_SD**2)]
+        near = peak[peak > math.exp(RARE)]
         if not near.size:
-            return math.nan
+            return 0.0
         return self.sigma * math.sqrt(float(np.mean(np.maximum(0.0, -2.0 * np.log(near)))))
 
     def clear(self, pose: Pose, starts: Array, ends: Array) -> float:

@@ -150,6 +150,7 @@ class Localization:
         """Replace the grid map."""
         if self.map is None or not self.map.replace(grid):
             self.map = ScanMap(grid, self.settings.beam_sd_m, self.settings.stray)
+            self._calibrator = CovarianceCalibrator()
 
     def add_odometry(self, stamp: float, pose: Pose, forward: float, turn: float) -> OdometryChange:
         """Add odometry: pose, and velocities [m/s, rad/s]."""
@@ -179,8 +180,7 @@ class Localization:
         estimate = self.filters.estimate()
         if self.map is None:
             return estimate
-        resolution = self.map.field.frame.resolution
-        return PoseEstimate(estimate.mean, self._calibrator.calibrated(estimate, resolution))
+        return PoseEstimate(estimate.mean, self._calibrator.calibrated(estimate))
 
     @property
     def contradicted(self) -> bool:
@@ -256,7 +256,7 @@ class Localization:
         self._gains.add(odometry_step(self._stated), pose.mean, pose.widest < SHOWN_M)
         self._stated = (0.0, 0.0, 0.0)
         self._calibrator.add_correction(before, pose, new)
-        self._calibrator.add_deviation(field.deviation(pose.mean, selected), field.frame.resolution)
+        self._calibrator.add_scan(field, pose, selected, share)
         was_lost = self._fit.lost
         self._fit.update(stamp, field, pose.mean, selected, len(points), *misses, new)
         if self._fit.lost and not was_lost:
