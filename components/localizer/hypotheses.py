@@ -37,8 +37,6 @@ from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
-# That wheels slipped when scans fit badly, or that the robot was carried away when they stopped
-# fitting at once, is rare; that it was carried if nothing suggests it is as rare again.
 # A pose that was found just now is as likely as others that explain the measurements as well.
 # It is kept against them as any other after so much of the way [m]; searches check it until then.
 _SETTLED_M = 10.0
