@@ -331,10 +331,10 @@ class Localizer(Component):
             else:
                 self._fuse_objects(stamp, message)
         oldest = self._pending.oldest
-        # A longer gap takes a single step, also if a stamp is decades in the future.
-        behind_s = track.latest - track.integrated_to
-        step_s = BEHIND_S if behind_s <= self._longest_behind_s() else behind_s - BEHIND_S
-        while track.latest - track.integrated_to >= step_s + BEHIND_S:
+        while (behind_s := track.latest - track.integrated_to) >= 2.0 * BEHIND_S:
+            # A longer gap takes a single step, also if a stamp is decades in the future.
+            is_gap = behind_s > self._longest_behind_s()
+            step_s = behind_s - BEHIND_S if is_gap else BEHIND_S
             if oldest is not None and oldest <= track.integrated_to + step_s:
                 break
             self._localization.advance(track.integrated_to + step_s)

@@ -145,7 +145,7 @@ class RecentMeasurements:
 # the first look (0.35 m) bridge the gaps between headings.
 _PER_M2, _MOST = 300.0, 200_000
 # So many places are examined, with so many poses at each.
-_MODES, PARTICLES = 36, 100
+MODES, PARTICLES = 36, 100
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def _apart(poses: Array) -> list[int]:
     """Return which of some poses (3, n) are the first ones of a place."""
     left = np.arange(poses.shape[1])
     heads: list[int] = []
-    while left.size and len(heads) < _MODES:
+    while left.size and len(heads) < MODES:
         heads.append(int(left[0]))
         left = left[~_near(poses[:, left], poses[:, heads[-1]])]
     return heads

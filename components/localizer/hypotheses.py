@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cairn.components.localizer.global_search import (
     CORRELATED_M,
+    MODES,
     MOMENT,
     PARTICLES,
     SEARCH_SHARE,
@@ -252,7 +253,9 @@ class PoseHypotheses:
         at once, and then no particle is right. `log_likelihood` is as in `add_scan`; a slip
         explains the scan only if it `fits` there as scans usually do.
         """
-        slipped = ParticleSet(PARTICLES, self.search_particles, self.motion, self.random)
+        # As many poses as a search draws for each place.
+        most = max(PARTICLES, self.search_particles // MODES)
+        slipped = ParticleSet(PARTICLES, most, self.motion, self.random)
         slipped.set_gaussian(here.mean, slip_covariance())
         slipped.fuse(log_likelihood)
         found = slipped.estimate().mean
