@@ -16,27 +16,17 @@ from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# An object whose middle is nearer to the edge of the view than this [m] may be cut off by it: half
-# the width of a large poster.
-_EDGE_M = 0.3
+# Half the width of a large poster [m]. An object whose middle is nearer to the edge of the view may
+# be cut off by it; beams that pass the middle within this distance show whether anything stands in
+# front of it; one that ends no farther before it ends at it, or at what it hangs on, as a cupboard.
+_HALF_M = 0.3
 # Share of the range in view that is not relied on at either end: there recognition fails first
-# (docs/benchmarks.md, share of the objects by distance). Chosen by hand;
-# `lab/constants.yaml` has the effect of half and double.
+# (docs/benchmarks.md, share of the objects by distance).
 _RANGE_MARGIN = 0.1
-# Beams within this [rad] of an object's direction show whether anything stands in front of it: half
-# of the width of an object of 0.5 m at 4 m.
-_BESIDE_RAD = 0.06
-# A beam that ends no farther than this [m] before the object ends at it, or at what it hangs on,
-# such as a cupboard.
-_BEFORE_M = 0.3
-# An object is missed only if another one was recognized no longer ago than this [s]: otherwise the
-# light or the camera may fail. If they do, only one or two images fall into this time, and a single
-# absence lowers the reliability little (`_LEAST_SIMILARITY` of the map builder).
-_WORKING_S = 3.0
-# It may be so long ago [s] if no other object was missed since: a robot that drives 0.4 m/s comes
-# to another object within 12 m. Chosen by hand; `lab/constants.yaml` has the effect of half
-# and double.
-_WORKING_BUT_FOR_ONE_S = 30.0
+# An object is missed only if another one was recognized no longer ago than this [s], and no other
+# was missed in an image since: otherwise the light or the camera may fail. A robot that drives 0.4
+# m/s comes to another object within 12 m.
+_WORKING_S = 30.0
 
 
 class AbsenceDetector:
@@ -97,15 +87,14 @@ class AbsenceDetector:
             position = expected(pose, landmark, view)
             if position is not None and is_visible(points, misses, *position):
                 found.append((landmark, *position))
+        works = [one for one in found if self._camera_works(stamp, one[0].object_id)]
         self._missed |= {landmark.object_id for landmark, _, _ in found}
-        return [one for one in found if self._camera_works(stamp, one[0].object_id)]
+        return works
 
     def _camera_works(self, stamp: float, object_id: int) -> bool:
         """Whether other objects are recognized, so that this one is missing."""
         ages = [stamp - then for other, then in self._agreed_at.items() if other != object_id]
-        alone = self._missed <= {object_id}
-        within_s = _WORKING_BUT_FOR_ONE_S if alone else _WORKING_S
-        return any(age <= within_s for age in ages)
+        return self._missed <= {object_id} and any(age <= _WORKING_S for age in ages)
 
 
 def expected(
@@ -121,7 +110,7 @@ def expected(
     bearing = wrap(math.atan2(dy, dx) - theta)
     position_variance = 0.5 * (landmark.xx + landmark.yy) + 0.5 * pose.spread**2
     deviation = math.sqrt(float(pose.covariance[2, 2]) + position_variance / range_m**2)
-    edge = _EDGE_M / range_m + 2.0 * deviation
+    edge = _HALF_M / range_m + 2.0 * deviation
     if not view.right + edge <= bearing <= view.left - edge:
         return None
     return range_m, bearing
@@ -137,8 +126,8 @@ def is_visible(points: Array, misses: Array, range_m: float, bearing: float) -> 
     if not len(ends):
         return False
     beside = np.angle(np.exp(1j * (np.arctan2(ends[:, 1], ends[:, 0]) - bearing)))
-    along = np.hypot(ends[:, 0], ends[:, 1])[np.abs(beside) <= _BESIDE_RAD]
-    return bool(along.size) and bool(along.min() >= range_m - _BEFORE_M)
+    along = np.hypot(ends[:, 0], ends[:, 1])[np.abs(beside) <= _HALF_M / range_m]
+    return bool(along.size) and bool(along.min() >= range_m - _HALF_M)
 
 
 def _carried(ends: Array, step: Pose) -> Array:

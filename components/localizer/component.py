@@ -37,7 +37,8 @@ from cairn.components.localizer.messages import (
 )
 from cairn.components.localizer.observations import as_observed_from, view_as_from
 from cairn.components.localizer.odometry import MeasuredTrack
-from cairn.components.localizer.pose_health import ScannerMonitor
+from cairn.components.localizer.pose_differences import slip_covariance
+from cairn.components.localizer.pose_health import SURE_HEALTH, ScannerMonitor
 from cairn.components.localizer.start_pose import find_start_pose, operator_pose, save_last_pose
 from cairn.planar.grid import grid_of
 from cairn.planar.messages import packed_poses, planar_pose, with_covariance
@@ -57,34 +58,14 @@ from cairn.schemas.tf2_msgs import TFMessage
 from cairn.visual_map.observations import observations_of
 
 # The particles are moved at least this often [s], and stay behind odometry by as much as
-# observations may be late [s]: 95 % arrive within 0.15 s (docs/benchmarks.md, `vision`).
-STEP_S, BEHIND_S = 0.5, 0.5
-# Observations later than this behind the particles are dropped [s]: twice what is expected. Chosen
-# by hand; `lab/constants.yaml` has the effect of half and double.
-LATE_S = 1.0
-# A gap in odometry that is logged [s]: 15 records of a slow base (10 Hz). Only the log depends on
-# it.
-GAP_S = 1.5
+# observations may be late [s]: 95 % arrive within 0.15 s (docs/benchmarks.md, `vision`). Those that
+# are later than twice that are dropped. While scans arrive at least this often, each gives a pose;
+# otherwise odometry does.
+BEHIND_S = 0.5
 # Poses by odometry alone are published at 10 Hz [s]; the margin is for the jitter of its stamps.
 POSE_EVERY_S = 0.0999
-# While scans arrive at least this often [s], each gives a pose; otherwise odometry does. Five scans
-# at 10 Hz: a lost scan does not switch between both.
-SCANS_S = 0.5
-# How far [m], [rad] the robot may have moved while odometry jumped: a robot at 0.6 m/s for the 0.25
-# s between two records. Chosen by hand; `lab/constants.yaml` has the effect of half and
-# double.
-JUMP_M, JUMP_RAD = 0.15, 0.15
-# A pose is saved only from this health on: of a lost robot it would mislead the next localizer.
-# From this health on AutoMove counts a goal as reached (`sure_health`).
-SAVED_HEALTH = 0.5
 # So many particles are published on topic `particles`: enough for a picture.
 PUBLISHED_PARTICLES = 200
-# Odometry is kept for so long [s], for scans and observations that wait for it: as long as the
-# parameter `hold_s` may be.
-_HISTORY_S = 5
-_MOST_STEPS = 200
-"""A gap in odometry takes at most so many steps, also if a stamp is decades in the future."""
-
 _FASTEST = 100.0
 """Odometry with a higher speed [m/s, rad/s] is not that of a robot, and is ignored."""
 
@@ -166,10 +147,19 @@ class Localizer(Component):
             self.config.hold_s
         )
         self._history = OdometryHistory[int](
-            _HISTORY_S * SECOND, self._track.limits, resets_after=OUTDATED_IN_A_ROW
+            round(self._longest_behind_s() * SECOND),
+            self._track.limits,
+            resets_after=OUTDATED_IN_A_ROW,
         )
         self._scanner = ScannerMonitor()
         self._published = self._scanned = -math.inf
+
+    def _longest_behind_s(self) -> float:
+        """Return how far behind odometry [s] a scan or an observation may be.
+
+        The particles wait for messages, and then are behind by a step; observations are late.
+        """
+        return self.config.hold_s + 4.0 * BEHIND_S
 
     def evaluator(self) -> LandmarkEvaluator:
         """Return what compares observations of objects with the pose."""
@@ -238,7 +228,7 @@ class Localizer(Component):
             known = find_start_pose(self.config, odom, stamp, self.log)
             if known is not None:
                 self._localization.set_pose(known.mean, known.covariance)
-        elif stamp - latest > GAP_S:
+        elif stamp - latest > self.config.hold_s:
             self._warnings.warn(
                 "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
             )
@@ -253,7 +243,7 @@ class Localizer(Component):
             self._restart_at(stamp, latest)
             self._localization.add_odometry(stamp, pose, speed, turn)
         elif change is OdometryChange.JUMPED:
-            self._localization.widen(JUMP_M, JUMP_RAD)
+            self._localization.widen(slip_covariance())
             self._warnings.warn(
                 "jump", f"odometry on {self.odom.topic} jumped: that step is ignored"
             )
@@ -261,7 +251,7 @@ class Localizer(Component):
         if change in (OdometryChange.LATE, OdometryChange.OUTDATED):
             return
         self._process_pending()
-        without_scans = stamp - self._scanned > SCANS_S
+        without_scans = stamp - self._scanned > BEHIND_S
         if without_scans and stamp - self._published >= POSE_EVERY_S:
             self._publish_by_odometry(stamp, pose)
 
@@ -299,7 +289,7 @@ class Localizer(Component):
         if file is None or not self._localization.located or at == -math.inf:
             return
         odom = self._history.at(round(at * SECOND))
-        if odom is None or self._localization.health().value < SAVED_HEALTH:
+        if odom is None or self._localization.health().value < SURE_HEALTH:
             return
         estimate = self._localization.pose()
         self._saved_pose.attempt(
@@ -310,7 +300,7 @@ class Localizer(Component):
     def _is_in_time(self, stamp: float, topic: str) -> bool:
         late_s = self._track.integrated_to - stamp
         ahead_s = stamp - self.clock.now() / SECOND
-        if late_s > LATE_S:
+        if late_s > 2.0 * BEHIND_S:
             why = f"{late_s:.1f} s late"
         elif ahead_s > self.config.hold_s:
             why = f"{ahead_s:.1f} s ahead of the clock; set the clock of its driver"
@@ -325,7 +315,7 @@ class Localizer(Component):
         self.log.warning("time on %s was set back by %.3f s", self.odom.topic, latest - stamp)
         self._reset()
         self._localization.continue_from(last, stamp)
-        self._localization.widen(JUMP_M, JUMP_RAD)
+        self._localization.widen(slip_covariance())
 
     def _process_pending(self) -> None:
         """Fuse the messages that odometry has reached, in the order of their stamps."""
@@ -341,8 +331,10 @@ class Localizer(Component):
             else:
                 self._fuse_objects(stamp, message)
         oldest = self._pending.oldest
-        step_s = max(STEP_S, (track.latest - track.integrated_to) / _MOST_STEPS)
-        while track.latest - track.integrated_to >= step_s + BEHIND_S:
+        while (behind_s := track.latest - track.integrated_to) >= 2.0 * BEHIND_S:
+            # A longer gap takes a single step, also if a stamp is decades in the future.
+            is_gap = behind_s > self._longest_behind_s()
+            step_s = behind_s - BEHIND_S if is_gap else BEHIND_S
             if oldest is not None and oldest <= track.integrated_to + step_s:
                 break
             self._localization.advance(track.integrated_to + step_s)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,14 @@ from cairn.components.localizer.particle_set import (
     estimate,
     normalized,
     systematic_choice,
+    tempered_update,
 )
+from cairn.components.localizer.pose_differences import LEVER_M, place_bin
 from cairn.components.localizer.recent_observations import PoseSupport, RecentObservations
 from cairn.components.localizer.scan_fit import RecentScans
 from cairn.planar.poses import Pose, relative, wrap_all
 
 Array = NDArray[np.float64]
-
-# Where no other reason is given, the constants of this module were chosen by hand. Half and double
-# of `_LOOSE`, `_PER_M2` and `_MODES` locate as many robots as the present values: 20 and 19 of 20
-# from unknown starts on fr101 and fr079 (benchmark `localization_logs`); others were not compared.
 
 # A global search counts less of a scan: things that no map holds (people, furniture that was moved)
 # fit some position or other by chance. From unknown starts on fr101 and fr079 (benchmark
@@ -38,9 +36,6 @@ SEARCH_SHARE = 0.4
 # every so many meters of the way scans count as much again as the first one. A scanner sees about
 # as far indoors before walls hide the rest.
 MOMENT, CORRELATED_M = 0.3, 1.7
-# Positions differ by at least this: 0.5 m and 0.7 rad each; a map without a grid reaches so far
-# around its objects [m].
-_PLACES_PER_M2, _AROUND_OBJECTS_M = 2.0 * math.pi / (0.5 * 0.5 * 0.7), 4.0
 # So many scans are compared loosely: of more, a pose that is a little off explains nothing.
 _LOOSE = 4
 
@@ -67,8 +62,9 @@ class RecentMeasurements:
             area = self.map.free.area
         else:
             marks = np.array([(one.x, one.y) for one in self.landmarks.values()]).reshape(-1, 2)
-            area = float(np.prod(np.ptp(marks, axis=0) + _AROUND_OBJECTS_M)) if len(marks) else 0.0
-        return max(1.0, area * _PLACES_PER_M2)
+            around = self.observations.farthest_m
+            area = float(np.prod(np.ptp(marks, axis=0) + 2.0 * around)) if len(marks) else 0.0
+        return max(1.0, area * 2.0 * math.pi / float(np.prod(2.0 * place_bin())))
 
     def scan_worth(self, poses: Array) -> Array:
         """Return what the recent scans say for poses (3, n) in a comparison of positions: (n,).
@@ -148,41 +144,22 @@ class RecentMeasurements:
 # Poses drawn per square meter of free space, and at most: one per 6 cm x 6 cm; the wide beams of
 # the first look (0.35 m) bridge the gaps between headings.
 _PER_M2, _MOST = 300.0, 200_000
-# Share of the log-likelihood that counts and noise [m] in each round of annealing, and the noise of
-# the heading relative to that [rad/m]: a beam of 1.4 m moves as far by either.
-_ANNEALING, _TURN_NOISE = ((0.4, 0.10), (0.7, 0.05), (1.0, 0.03)), 0.7
-# Before that, the poses are thinned twice: by the first look, and by this share of the
-# log-likelihood of several scans; to so many, with so much noise [m].
-_FIRST_LOOK, _FIRST_NOISE = 20_000, 0.10
-_LOOSE_SHARE, _LOOSELY, _LOOSE_NOISE = 0.5, 5000, 0.08
-# Without scans, one in so many poses is kept, but at least so many.
-_ONE_IN, _LEAST_KEPT = 10, 200
-# So many of the best particles are examined as centers of a mode, and poses within this distance
-# [m], [rad] of one another are of the same mode: 0.5 m as a robot is wide.
-_CENTERS, _MODE_WIDTH = 50, 0.5
-# So many modes of a search are examined again by the next one.
-_KEPT = 16
-# Modes that are examined, poses drawn at each, and how far around it [m, m, rad].
-_MODES, _PER_MODE, _AROUND = 36, 120, np.array([[0.2], [0.2], [0.15]])
+# So many places are examined, with so many poses at each.
+MODES, PARTICLES = 36, 100
 
 
 @dataclass(frozen=True)
 class GlobalSearchResult:
-    """Particles (3, n) of the best mode, their statistics, its share of the posterior, its support.
+    """Particles (3, n) of each mode, best first, and those of all of them.
 
-    `score` is the log-likelihood of the recent measurements at the mode's mean, `fit` the share of
-    the scans that fits there (NaN without scans); `everywhere` holds the particles of all modes,
-    `modes` (3, m) the best pose of each, best first, if they were separated.
+    `pose` is that of the best mode, with its share of the posterior and its support by objects.
     """
 
-    poses: Array
+    modes: list[Array]
     pose: PoseEstimate
     share: float
     support: PoseSupport
-    score: float
-    fit: float
     everywhere: Array
-    modes: Array | None = None
 
 
 def search(
@@ -208,50 +185,49 @@ def search(
     if recent.map is not None and recent.scanned:
         free = recent.map.free
         drawn.append(free.draw(min(_MOST, max(count, round(_PER_M2 * free.area))), random))
-    if not drawn:
-        return None
-    poses = np.concatenate(drawn, axis=1)
+    poses = np.concatenate(drawn, axis=1) if drawn else np.empty((3, 0))
     del drawn  # as large as `poses`
     if not poses.shape[1]:
         return None
-    if recent.scanned:
-        poses = _thinned(poses, recent.loose(poses, newest=1), _FIRST_LOOK, _FIRST_NOISE, random)
-        loose = _LOOSE_SHARE * recent.loose(poses)
-        poses = _thinned(poses, loose, _LOOSELY, _LOOSE_NOISE, random)
-        before = [] if known is None else _apart(known, _KEPT)
-        new = _apart(poses[:, np.argsort(-recent.loose(poses))], _MODES - len(before))
-        return _best_of(_modes(before + new, recent, random), recent)
-    size = max(_LEAST_KEPT, count // _ONE_IN)
-    for temper, jitter in _ANNEALING:
-        poses = _thinned(poses, temper * recent.log_likelihood(poses), size, jitter, random)
-    return _best_mode(poses, recent)
+    chosen = systematic_choice(normalized(recent.loose(poses, newest=1)), count, random)
+    # As far as the drawn poses are apart.
+    apart_m = 1.0 / math.sqrt(_PER_M2)
+    apart = np.array([[apart_m], [apart_m], [apart_m / LEVER_M]])
+    poses = poses[:, chosen] + apart * random.standard_normal((3, count))
+    poses = poses[:, np.argsort(-recent.loose(poses))]
+    if known is not None:
+        poses = np.hstack([known, poses])
+    return _best_of(_modes(poses, recent, random), recent, random)
 
 
-def _modes(
-    heads: list[Array], recent: RecentMeasurements, random: np.random.Generator
-) -> list[Array]:
-    """Return particles (3, n) around each of some poses, annealed separately.
+def _modes(poses: Array, recent: RecentMeasurements, random: np.random.Generator) -> list[Array]:
+    """Return particles (3, n) at each of the first places of some poses (3, m).
 
-    Annealed together, modes that look alike would be lost one after the other by chance, and the
+    Annealed together, places that look alike would be lost one after the other by chance, and the
     last one would seem to be the only one.
     """
-    modes = [head + _AROUND * random.standard_normal((3, _PER_MODE)) for head in heads]
-    for temper, jitter in _ANNEALING:
-        fits = np.split(temper * recent.log_likelihood(np.hstack(modes)), len(modes))
-        modes = [
-            _thinned(mode, fit, _PER_MODE, jitter, random)
-            for mode, fit in zip(modes, fits, strict=True)
-        ]
-    return modes
+    heads = poses[:, _apart(poses)]
+    noise = random.standard_normal((3, heads.shape[1], PARTICLES))
+    modes = heads[:, :, None] + place_bin()[:, None, None] * noise
+
+    def likelihood(poses: Array, _: NDArray[np.intp]) -> Array:
+        return recent.log_likelihood(poses.reshape(3, -1)).reshape(poses.shape[1:])
+
+    log_weights = np.zeros(modes.shape[1:])
+    tempered_update(modes, log_weights, likelihood, random)
+    return [
+        mode[:, systematic_choice(weights, PARTICLES, random)]
+        for mode, weights in zip(np.moveaxis(modes, 1, 0), normalized(log_weights), strict=True)
+    ]
 
 
-def _apart(poses: Array, count: int) -> list[Array]:
-    """Return the first poses (3, 1) of (3, n), each far from those before it, at most `count`."""
-    left = poses
-    heads: list[Array] = []
-    while left.shape[1] and len(heads) < count:
-        heads.append(left[:, :1])
-        left = left[:, ~_near(left, left[:, :1], _MODE_WIDTH)[0]]
+def _apart(poses: Array) -> list[int]:
+    """Return which of some poses (3, n) are the first ones of a place."""
+    left = np.arange(poses.shape[1])
+    heads: list[int] = []
+    while left.size and len(heads) < MODES:
+        heads.append(int(left[0]))
+        left = left[~_near(poses[:, left], poses[:, heads[-1]])]
     return heads
 
 
@@ -267,71 +243,35 @@ def _on_rings(recent: RecentMeasurements, count: int, random: np.random.Generato
     return rings
 
 
-def _thinned(
-    poses: Array, log_weights: Array, count: int, jitter: float, random: np.random.Generator
-) -> Array:
-    poses = poses[:, systematic_choice(normalized(log_weights), count, random)]
-    noisy = random.standard_normal((3, count))
-    noisy *= jitter
-    noisy[2] *= _TURN_NOISE
-    noisy += poses
-    return noisy
-
-
-def _best_mode(poses: Array, recent: RecentMeasurements) -> GlobalSearchResult:
-    """Return the densest mode, not the single best particle: the weight within 0.5 m and 0.5
-    rad.
-    """
-    log_weights = recent.log_likelihood(poses)
-    weights = normalized(log_weights)
-    heads = np.argsort(-weights)[:_CENTERS]
-    near = _near(poses, poses[:, heads], _MODE_WIDTH)
-    share = near @ weights
-    best = int(np.argmax(share))
-    return _found(poses, log_weights, near[best], float(share[best]), recent)
-
-
-def _best_of(modes: list[Array], recent: RecentMeasurements) -> GlobalSearchResult:
-    """Return the mode that explains most; its share compares it with the best pose of each other
-    mode.
+def _best_of(
+    modes: list[Array], recent: RecentMeasurements, random: np.random.Generator
+) -> GlobalSearchResult:
+    """Return the modes, with the share of the one that explains most: its best pose is compared
+    with that of each other mode.
     """
     poses = np.hstack(modes)
     log_weights = recent.log_likelihood(poses)
-    best = int(np.argmax(log_weights))
-    near = _near(poses, poses[:, best : best + 1], _MODE_WIDTH)[0]
-    elsewhere = np.where(near, -np.inf, log_weights).reshape(len(modes), -1).max(axis=1)
-    others = float(np.exp(elsewhere - log_weights[best]).sum())
-    tops = log_weights.reshape(len(modes), -1).argmax(axis=1) + np.arange(len(modes)) * _PER_MODE
-    tops = tops[np.argsort(-log_weights[tops])]
-    found = _found(poses, log_weights, near, 1.0 / (1.0 + others), recent)
-    return replace(found, modes=poses[:, tops])
-
-
-def _found(
-    poses: Array,
-    log_weights: Array,
-    members: NDArray[np.bool_],
-    share: float,
-    recent: RecentMeasurements,
-) -> GlobalSearchResult:
-    pose = estimate(poses[:, members], log_weights[members])
-    mean = np.asarray(pose.mean)[:, None]
+    everywhere = poses[:, systematic_choice(normalized(log_weights), poses.shape[1], random)]
+    tops = log_weights.reshape(len(modes), -1).argmax(axis=1) + PARTICLES * np.arange(len(modes))
+    order = np.argsort(-log_weights[tops])
+    # Modes next to each other may have ended at one place.
+    distinct = order[_apart(poses[:, tops[order]])]
+    odds = log_weights[tops[distinct]]
+    pose = estimate(modes[distinct[0]], np.zeros(PARTICLES))
     return GlobalSearchResult(
-        poses=poses[:, members],
+        modes=[modes[k] for k in distinct],
         pose=pose,
-        share=share,
+        share=1.0 / float(np.exp(odds - odds[0]).sum()),
         support=recent.support(pose),
-        score=float(recent.log_likelihood(mean)[0]),
-        fit=recent.fit(pose),
-        everywhere=poses,
+        everywhere=everywhere,
     )
 
 
-def _near(poses: Array, centers: Array, reach: float) -> NDArray[np.bool_]:
-    apart = np.hypot(
-        poses[0] - centers[0][:, None],
-        poses[1] - centers[1][:, None],
+def _near(poses: Array, center: Array) -> NDArray[np.bool_]:
+    """Return which poses (3, n) belong to the place of a center (3,): (n,)."""
+    reach = 2.0 * place_bin()
+    apart = np.hypot(poses[0] - center[0], poses[1] - center[1])
+    near: NDArray[np.bool_] = (apart < reach[0]) & (
+        np.abs(wrap_all(poses[2] - center[2])) < reach[2]
     )
-    turn = np.abs(wrap_all(poses[2] - centers[2][:, None]))
-    near: NDArray[np.bool_] = (apart < reach) & (turn < reach)
     return near

@@ -11,63 +11,50 @@ from numpy.typing import NDArray
 
 from cairn.components.localizer.global_search import (
     CORRELATED_M,
+    MODES,
     MOMENT,
+    PARTICLES,
     SEARCH_SHARE,
     GlobalSearchResult,
     RecentMeasurements,
     search,
 )
+from cairn.components.localizer.observations import RARE
 from cairn.components.localizer.particle_set import (
     ParticleSet,
     PoseEstimate,
     estimate,
-    normalized,
-    systematic_choice,
+)
+from cairn.components.localizer.pose_differences import (
+    PLACE_M,
+    is_elsewhere,
+    is_same,
+    slip_covariance,
 )
 from cairn.components.localizer.pose_health import FITS
 from cairn.components.localizer.scan_fit import ScanFit, way_of
 from cairn.planar.motion_model import MotionModel, OdometryStep
-from cairn.planar.poses import Pose, distance, wrap
+from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
-# Logarithm of how likely it is that the robot was carried away when a search looks for it, if
-# nothing suggests that; if the scans stopped fitting at once; and that its wheels slipped, when
-# scans fit badly.
-_CARRIED, _CARRIED_AT_ONCE, _SLIPPED = -9.0, -5.0, -4.0
 # A pose that was found just now is as likely as others that explain the measurements as well.
 # It is kept against them as any other after so much of the way [m]; searches check it until then.
 _SETTLED_M = 10.0
-# How far a slip moves the robot from its odometry: standard deviations [m], [m], [rad]. A robot at
-# 0.6 m/s that is held for half a second is 0.3 m off.
-_SLIP = np.array([[0.35], [0.35], [0.3]])
-# Poses drawn around the current one; a third of them is kept in each round of annealing, with the
-# share of the log-likelihood that counts and the noise added [m], [rad].
-_POSES = 1500
-_ANNEALING = ((0.25, 0.05), (0.5, 0.03), (1.0, 0.02))
 GOOD_FIT = 0.8
 """A scan of which the map explains this share or more does not indicate a slip."""
-# Hypotheses differ by at least this [m], [rad]. Those nearer than the third to the current pose
-# [m] make it uncertain; those farther away are other positions.
-_SAME_M, _SAME_RAD, ELSEWHERE_M = 0.25, 0.2, 1.0
-# So many hypotheses are kept besides the current one, of so many particles each.
-_MOST, _PARTICLES = 12, 100
-# A pose is replaced when another one is so much likelier (logarithm of odds), and when that one is
-# so probable (0 to 1) against all others. From the third on the robot is certainly not there: any
-# likely position is a better one to go on from. Those less likely than the best by more than the
-# last are dropped.
-_BETTER, _LIKELY, _REFUTED, _UNLIKELY = math.log(9.0), 0.9, 15.0, 12.0
-MOST_DOUBT = 0.01
-"""From this probability of other positions on, the pose is not confirmed.
-
-One object that agrees by chance does not suffice to confirm it.
-"""
-# Periods of the search [s]: of a robot that is not located; that is probably lost; that was found
-# just now; and of one whose scans fit by less than `GOOD_FIT`.
-_UNKNOWN_EVERY_S, _LOST_EVERY_S, _FOUND_EVERY_S, _DOUBTFUL_EVERY_S = 0.5, 1.0, 2.0, 3.0
+# So many hypotheses are kept besides the current one.
+_MOST = 12
+# A pose is replaced by one that is so probable (0 to 1): against it, and against all others. From
+# these odds on (logarithm) the robot is certainly not there: any likely position is a better one to
+# go on from; and positions so unlikely against the best one are dropped.
+_LIKELY, _REFUTED = 0.9, 15.0
+# Period of the search [s] of a robot that is not located or probably lost; others search half as
+# often, at most.
+_EVERY_S = 1.0
 # Without scans, a robot waits so long [s] for a second object before it believes a result by one
-# object; or for the particles around the only object to narrow to this spread [m].
-_WAIT_FOR_SECOND_S, _WAIT_FOR_SPREAD_S, _ONE_OBJECT_SPREAD_M = 15.0, 10.0, 0.8
+# object; or for the particles around the only object to narrow to a place and its neighbors.
+_WAIT_S = 15.0
 
 
 @dataclass
@@ -101,9 +88,10 @@ class PoseHypotheses:
 
     A hypothesis arises from a search: of the whole map, or around the current pose. It begins with
     the odds of the event that could have brought the robot there, against the number of positions
-    to which it could have. From then on it is carried on by odometry like the current pose, and
-    each scan changes its odds, by as much as the scan is new. What objects say is that of the
-    recent observations.
+    to which it could have: that wheels slipped when scans fit badly, or that the robot was carried
+    away when they stopped fitting at once, is rare; if nothing suggests it, as rare again. From
+    then on a hypothesis is carried on by odometry like the current pose, and each scan changes its
+    odds, by as much as the scan is new. What objects say is that of the recent observations.
     """
 
     def __init__(
@@ -132,15 +120,14 @@ class PoseHypotheses:
         """
         since = stamp - self._searched_at
         if contradicted or fit.lost:
-            return since >= _LOST_EVERY_S
-        if self._settled_m < _SETTLED_M:
-            return since >= _FOUND_EVERY_S
-        return fit.value is not None and fit.value < GOOD_FIT and since >= _DOUBTFUL_EVERY_S
+            return since >= _EVERY_S
+        fits_badly = fit.value is not None and fit.value < GOOD_FIT
+        return (self._settled_m < _SETTLED_M or fits_badly) and since >= 2.0 * _EVERY_S
 
     def find(self, stamp: float, recent: RecentMeasurements) -> Array | None:
         """Return poses (3, n) of a robot whose position is unknown; None while it is ambiguous."""
         self._first_measured = min(self._first_measured, stamp)
-        if stamp - self._searched_at < _UNKNOWN_EVERY_S:
+        if stamp - self._searched_at < _EVERY_S:
             return None
         self.search(stamp, recent, None)
         found = self._last
@@ -152,12 +139,12 @@ class PoseHypotheses:
         if found.support.contradicting >= max(1, agreeing):
             return None
         waited = stamp - self._first_measured
-        again = any(one.searches > 1 and _same(one.pose, found.pose.mean) for one in self.others)
-        firm = agreeing >= 2 or waited >= _WAIT_FOR_SECOND_S
+        again = any(one.searches > 1 and is_same(one.pose, found.pose.mean) for one in self.others)
+        firm = agreeing >= 2 or waited >= _WAIT_S
         if found.share >= _LIKELY and firm:
-            return found.poses if again else None
+            return found.modes[0] if again else None
         spread = estimate(found.everywhere, np.zeros(found.everywhere.shape[1])).spread
-        if waited >= _WAIT_FOR_SPREAD_S and spread < _ONE_OBJECT_SPREAD_M:
+        if waited >= _WAIT_S and spread < 2.0 * PLACE_M:
             # One object alone leaves an arc around it open; its width is published, and the filter
             # narrows it sooner than waiting does.
             return found.everywhere
@@ -172,9 +159,9 @@ class PoseHypotheses:
         last = self._last
         return (
             last is not None
-            and stamp - self._searched_at <= _DOUBTFUL_EVERY_S
+            and stamp - self._searched_at <= 2.0 * _EVERY_S
             and last.share >= _LIKELY
-            and _same(last.pose.mean, here.mean)
+            and is_same(last.pose.mean, here.mean)
         )
 
     def move(self, step: OdometryStep) -> None:
@@ -232,22 +219,21 @@ class PoseHypotheses:
         found = self._last = search(recent, self.search_particles, self.random, known)
         if found is None:
             return
-        modes = found.modes if found.modes is not None else np.array([found.pose.mean]).T
-        by_scans = recent.scan_worth(modes)
+        means = [estimate(mode, np.zeros(mode.shape[1])).mean for mode in found.modes]
+        by_scans = recent.scan_worth(np.array(means).T)
         if here is not None:
             base = float(recent.scan_worth(np.array([here.mean]).T)[0])
-            carried = _CARRIED_AT_ONCE if at_once else _CARRIED
+            carried = RARE if at_once else 2.0 * RARE
             prior = (carried - math.log(recent.places)) * min(1.0, self._settled_m / _SETTLED_M)
         else:
             base, prior = self._base(recent, by_scans), 0.0
         odds = prior + by_scans - base
-        for mode, value in zip(modes.T, odds, strict=True):
-            pose = (float(mode[0]), float(mode[1]), float(mode[2]))
-            if here is not None and _same(pose, here.mean):
+        for mode, pose, value in zip(found.modes, means, odds, strict=True):
+            if here is not None and is_same(pose, here.mean):
                 continue
-            known_one = next((one for one in self.others if _same(pose, one.pose)), None)
+            known_one = next((one for one in self.others if is_same(pose, one.pose)), None)
             if known_one is None:
-                self._add(self._around(pose), float(value))
+                self._add(mode, float(value))
             else:
                 known_one.searches += 1
                 if here is not None:
@@ -267,27 +253,27 @@ class PoseHypotheses:
         at once, and then no particle is right. `log_likelihood` is as in `add_scan`; a slip
         explains the scan only if it `fits` there as scans usually do.
         """
-        center = np.asarray(here.mean)[:, None]
-        poses = center + _SLIP * self.random.standard_normal((3, _POSES))
-        for temper, noise in _ANNEALING:
-            weights = normalized(temper * log_likelihood(poses))
-            poses = poses[:, systematic_choice(weights, _POSES // 3, self.random)]
-            poses += noise * self.random.standard_normal(poses.shape)
-        found = estimate(poses, np.zeros(poses.shape[1])).mean
+        # As many poses as a search draws for each place.
+        most = max(PARTICLES, self.search_particles // MODES)
+        slipped = ParticleSet(PARTICLES, most, self.motion, self.random)
+        slipped.set_gaussian(here.mean, slip_covariance())
+        slipped.fuse(log_likelihood)
+        found = slipped.estimate().mean
         if (
-            distance(found, here.mean) >= ELSEWHERE_M
-            or _same(found, here.mean)
-            or any(_same(found, one.pose) for one in self.others)
+            is_elsewhere(found, here.mean)
+            or is_same(found, here.mean)
+            or any(is_same(found, one.pose) for one in self.others)
         ):
             return
         if not fits(found):
             return
         there, current = log_likelihood(np.array([found, here.mean]).T)
-        slip = (np.asarray(found) - np.asarray(here.mean)) / _SLIP.ravel()
-        slip[2] = wrap(found[2] - here.mean[2]) / _SLIP[2, 0]
-        odds = _SLIPPED - 0.5 * float(slip @ slip) + SEARCH_SHARE * float(there - current)
-        if odds > _CARRIED:
-            self._add(poses[:, :: len(poses[0]) // _PARTICLES][:, :_PARTICLES], odds)
+        slip = np.asarray(found) - np.asarray(here.mean)
+        slip[2] = wrap(slip[2])
+        size = float(slip @ np.linalg.solve(slip_covariance(), slip))
+        odds = RARE - 0.5 * size + SEARCH_SHARE * float(there - current)
+        if odds > 2.0 * RARE:
+            self._add(slipped.sample(PARTICLES, self.random), odds)
 
     def take_better(
         self,
@@ -307,27 +293,29 @@ class PoseHypotheses:
             return None
         odds = self._odds(recent, here)
         best = int(np.argmax(odds))
-        if odds[best] < _BETTER:
-            return None
-        if odds[best] < _REFUTED and self._share(odds, best) < _LIKELY:
+        share = self._share(odds, best) if odds[best] < _REFUTED else 1.0
+        if min(share, 1.0 / (1.0 + math.exp(-odds[best]))) < _LIKELY:
             return None
         pose = self.others[best].particles.estimate()
-        elsewhere = distance(pose.mean, here.mean) >= ELSEWHERE_M
+        elsewhere = is_elsewhere(pose.mean, here.mean)
         if elsewhere and recent.scanned and not fit.as_usual(recent.fit(pose)):
             return None
         taken = self.others.pop(best)
         for one in self.others:
             one.odds -= taken.odds
-        self._add(particles.sample(_PARTICLES, self.random), -taken.odds)
+        self._add(particles.sample(PARTICLES, self.random), -taken.odds)
         return taken.particles.sample(particles.least, self.random)
 
     def drop_near(self, recent: RecentMeasurements, here: PoseEstimate) -> None:
         """Drop hypotheses that have joined the current pose, or are as unlikely as any position."""
-        self.others = [one for one in self.others if not _same(one.pose, here.mean)]
+        self.others = [one for one in self.others if not is_same(one.pose, here.mean)]
         self._keep_likely(recent, here)
 
     def alternatives(self, recent: RecentMeasurements, here: PoseEstimate) -> list[Alternative]:
-        """Return the other positions at which the robot may be, the most probable first."""
+        """Return the other positions at which the robot may be, the most probable first.
+
+        None if they are together improbable.
+        """
         if not self.others:
             return []
         weights = np.exp(np.minimum(self._odds(recent, here), 50.0))
@@ -335,8 +323,10 @@ class PoseHypotheses:
         pairs = [
             Alternative(one.pose, float(weight))
             for one, weight in zip(self.others, weights, strict=True)
-            if distance(one.pose, here.mean) >= ELSEWHERE_M
+            if is_elsewhere(one.pose, here.mean)
         ]
+        if sum(one.probability for one in pairs) < math.exp(RARE):
+            return []
         return sorted(pairs, key=lambda pair: -pair.probability)
 
     def _take_likely(self, recent: RecentMeasurements) -> Array | None:
@@ -378,35 +368,25 @@ class PoseHypotheses:
     def _share(self, odds: Array, best: int) -> float:
         """Return how probable one is against all elsewhere: nearby it is the same place."""
         pose = self.others[best].pose
-        elsewhere = [distance(one.pose, pose) >= ELSEWHERE_M for one in self.others]
+        elsewhere = [is_elsewhere(one.pose, pose) for one in self.others]
         return 1.0 / (1.0 + float(np.exp(odds[elsewhere] - odds[best]).sum()))
 
     def _add(self, poses: Array, odds: float) -> None:
-        particles = ParticleSet(_PARTICLES, _PARTICLES, self.motion, self.random)
+        particles = ParticleSet(PARTICLES, PARTICLES, self.motion, self.random)
         particles.set_particles(poses)
         self.others.append(Hypothesis(particles, odds))
-
-    def _around(self, pose: Pose) -> Array:
-        noise = self.random.standard_normal((3, _PARTICLES))
-        spread = np.array([[0.05], [0.05], [0.03]])
-        result: Array = np.asarray(pose)[:, None] + spread * noise
-        return result
 
     def _keep_likely(self, recent: RecentMeasurements, here: PoseEstimate | None) -> None:
         """Keep the likeliest hypotheses, without those that are as likely as any position."""
         if not self.others:
             return
         odds = self._odds(recent, here)
-        least = odds.max() - _UNLIKELY if here is None else _CARRIED - math.log(recent.places)
+        least = odds.max() - _REFUTED if here is None else 2.0 * RARE - math.log(recent.places)
         kept: list[Hypothesis] = []
         for k in np.argsort(-odds):
             one = self.others[k]
             if odds[k] <= least or len(kept) == _MOST:
                 break
-            if not any(_same(one.pose, other.pose) for other in kept):
+            if not any(is_same(one.pose, other.pose) for other in kept):
                 kept.append(one)
         self.others = kept
-
-
-def _same(a: Pose, b: Pose) -> bool:
-    return distance(a, b) < _SAME_M and abs(wrap(a[2] - b[2])) < _SAME_RAD

@@ -13,6 +13,7 @@ from cairn.components.localizer.particle_set import (
     ParticleSet,
     PoseEstimate,
     estimate,
+    gaussian_noise,
     normalized,
     systematic_choice,
     tempered_update,
@@ -60,13 +61,11 @@ class LeaveOneOutFilters:
         if self._row_of:
             move_particles(self.poses, step, self.particles.model, self.random)
 
-    def widen(self, deviation_m: float, deviation_rad: float) -> None:
-        """Add noise of these standard deviations [m], [rad] to every particle."""
+    def widen(self, covariance: Array) -> None:
+        """Add noise of this covariance (3, 3) to every particle."""
         for poses in (self.particles.poses, self.poses):
-            noise = self.random.standard_normal(poses.shape)
-            noise[:2] *= deviation_m
-            noise[2] *= deviation_rad
-            poses += noise
+            flat = poses.reshape(3, -1)
+            flat += gaussian_noise(covariance, flat.shape[1], self.random)
 
     def estimate(self) -> PoseEstimate:
         """Return the robot's pose by every object."""

@@ -14,9 +14,7 @@ from cairn.components.localizer.config import LocalizationSettings
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
 from cairn.components.localizer.global_search import SEARCH_SHARE, RecentMeasurements
 from cairn.components.localizer.hypotheses import (
-    ELSEWHERE_M,
     GOOD_FIT,
-    MOST_DOUBT,
     Alternative,
     PoseHypotheses,
 )
@@ -32,6 +30,7 @@ from cairn.components.localizer.observations import (
 )
 from cairn.components.localizer.odometry import OdometryTrack
 from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
+from cairn.components.localizer.pose_differences import PLACE_M, is_elsewhere
 from cairn.components.localizer.pose_health import (
     LOST,
     PoseHealth,
@@ -49,19 +48,15 @@ from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import move_pose, odometry_step
 from cairn.planar.odometry import OdometryChange
 from cairn.planar.odometry_gains import SHOWN_M, GainEstimator
-from cairn.planar.poses import Pose, distance
+from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# The parameter `scan_share` is of so many beams; of fewer beams than the second the share does not
-# grow further, as it is about 1 there.
-_SHARED_BEAMS, _LEAST_BEAMS = 60.0, 20
-# A landmark whose position changes by more than this [m] was moved; improvements are smaller.
-# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
-_MOVED_M = 0.3
+_SHARED_BEAMS = 60.0
+"""The parameter `scan_share` is of so many beams."""
 # The starts and ends of no rays.
 NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
 
@@ -147,15 +142,15 @@ class Localization:
             if old.live and (new is None or not new.live):
                 # All its observations were compared with a position that it had left.
                 self.filters.replace_by_filter_without(object_id)
-            elif (
-                old.live and new is not None and math.hypot(new.x - old.x, new.y - old.y) > _MOVED_M
-            ):
+            elif old.live and new and math.hypot(new.x - old.x, new.y - old.y) > 0.5 * PLACE_M:
+                # It was moved: improvements of its position are smaller.
                 self.evaluator.forget(object_id)
 
     def set_grid(self, grid: OccupancyCells) -> None:
         """Replace the grid map."""
         if self.map is None or not self.map.replace(grid):
             self.map = ScanMap(grid, self.settings.beam_sd_m, self.settings.stray)
+            self._calibrator = CovarianceCalibrator()
 
     def add_odometry(self, stamp: float, pose: Pose, forward: float, turn: float) -> OdometryChange:
         """Add odometry: pose, and velocities [m/s, rad/s]."""
@@ -174,19 +169,18 @@ class Localization:
         if self.located:
             self.filters.move(step)
 
-    def widen(self, deviation_m: float, deviation_rad: float) -> None:
-        """Spread the particles, as odometry was interrupted."""
+    def widen(self, covariance: Array) -> None:
+        """Add a covariance (3, 3) to that of the particles, as odometry was interrupted."""
         self._gains.interrupt()
         if self.located:
-            self.filters.widen(deviation_m, deviation_rad)
+            self.filters.widen(covariance)
 
     def pose(self) -> PoseEstimate:
         """Return the pose at the time last advanced to, with a calibrated covariance."""
         estimate = self.filters.estimate()
         if self.map is None:
             return estimate
-        resolution = self.map.field.frame.resolution
-        return PoseEstimate(estimate.mean, self._calibrator.calibrated(estimate, resolution))
+        return PoseEstimate(estimate.mean, self._calibrator.calibrated(estimate))
 
     @property
     def contradicted(self) -> bool:
@@ -262,7 +256,7 @@ class Localization:
         self._gains.add(odometry_step(self._stated), pose.mean, pose.widest < SHOWN_M)
         self._stated = (0.0, 0.0, 0.0)
         self._calibrator.add_correction(before, pose, new)
-        self._calibrator.add_deviation(field.deviation(pose.mean, selected), field.frame.resolution)
+        self._calibrator.add_scan(field, pose, selected, share)
         was_lost = self._fit.lost
         self._fit.update(stamp, field, pose.mean, selected, len(points), *misses, new)
         if self._fit.lost and not was_lost:
@@ -329,7 +323,7 @@ class Localization:
         if better is None:
             return False
         self._replace_pose(better)
-        if distance(here.mean, self.filters.estimate().mean) >= ELSEWHERE_M:
+        if is_elsewhere(here.mean, self.filters.estimate().mean):
             self.hypotheses.on_found()
             return True
         # Odometry relates the earlier measurements to now by a motion that was not made.
@@ -398,7 +392,7 @@ class Localization:
                 f"scans fit the map by {fit.value or 0.0:.0%}, usually by {fit.usual or 0.0:.0%}",
             )
         others = self.alternatives()
-        if sum(one.probability for one in others) < MOST_DOUBT:
+        if not others:
             return None
         x, y, _ = others[0].pose
         return Reason(
@@ -442,7 +436,7 @@ class Localization:
         )
 
     def _scan_share(self, beams: int) -> float:
-        return self.settings.scan_share * _SHARED_BEAMS / max(beams, _LEAST_BEAMS)
+        return min(1.0, self.settings.scan_share * _SHARED_BEAMS / max(1, beams))
 
     def _find(self, stamp: float) -> bool:
         found = self.hypotheses.find(stamp, self._recent())

@@ -15,9 +15,22 @@ from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# Log-density of a stray observation, which is unrelated to the object's position in the map,
-# relative to the peak of the observation's own Gaussian: that of the 99 % quantile, -9.2 / 2.
-STRAY = -4.6
+NEAREST_M = 0.3
+"""Objects nearer than this [m] count as so far away: no camera recognizes them, and bearings are
+not linear in the position.
+"""
+RARE = math.log(0.01)
+"""Logarithm of the probability of what happens in one of a hundred cases.
+
+So dense is a stray observation, which is unrelated to the object's position in the map, relative to
+the peak of the observation's own Gaussian.
+"""
+GATE = -2.0 * math.log(0.001)
+"""Outside this normalized innovation squared (2 degrees of freedom, 99.9 %) two positions differ.
+
+An observation contradicts a pose, one of two objects that look alike is observed, or an object
+stands beside its position.
+"""
 
 
 @dataclass(frozen=True)
@@ -67,7 +80,7 @@ def object_log_likelihood(
     # The map's own uncertainty from here: isotropic is enough, as it is a few centimeters.
     spread = 0.5 * (landmark.xx + landmark.yy)
     range_variance = observation.range_variance + spread
-    reach = max(observation.range_m, _NEAR_M)
+    reach = max(observation.range_m, NEAREST_M)
     bearing_variance = observation.bearing_variance + spread / reach**2
     bearing_error = wrap_all(np.arctan2(dy, dx) - poses[2] - observation.bearing)
     nis = (
@@ -76,19 +89,16 @@ def object_log_likelihood(
     gaussian: NDArray[np.float64] = -0.5 * nis
     if landmark.reliability >= 1.0:
         return gaussian
-    stray = (1.0 - landmark.reliability) * math.exp(STRAY)
+    stray = (1.0 - landmark.reliability) * math.exp(RARE)
     mixed: NDArray[np.float64] = np.log(landmark.reliability * np.exp(gaussian) + stray)
     return mixed
 
 
-# Errors that no covariance states [m]: of surveyed positions in the map, and a floor for the pose.
+# Errors that no covariance states [m]: of positions in the map, and a floor for the pose.
 # With a floor of 0.03 to 0.04 m objects were removed wrongly in simulation; one of 0.30 m detected
 # only 22 % of moves by 0.5 m, one of 0.12 m 89 %.
-MAP_SIGMA = 0.03
+MAP_SIGMA = 0.05
 POSE_FLOOR = 0.12
-# Outside this normalized innovation squared an observation contradicts a pose: the 99.9 % quantile
-# of chi-square with 2 degrees of freedom, -2 ln(0.001) = 13.8.
-GATE = 13.8
 
 
 @dataclass(frozen=True)
@@ -112,7 +122,7 @@ def innovation(pose: PoseEstimate, observation: Observation, landmark: Landmark)
     """
     x, y, theta = pose.mean
     dx, dy = landmark.x - x, landmark.y - y
-    distance = max(math.hypot(dx, dy), _LEAST_RANGE_M)
+    distance = max(math.hypot(dx, dy), NEAREST_M)
     error = np.array(
         [
             observation.range_m - distance,
@@ -146,18 +156,6 @@ def implied_position(pose: PoseEstimate, observation: Observation) -> tuple[floa
     noise = np.diag([observation.range_variance, observation.bearing_variance])
     covariance = by_pose @ pose.covariance @ by_pose.T + by_sighting @ noise @ by_sighting.T
     return x + reach * cosine, y + reach * sine, covariance
-
-
-# Where a division by a range would overflow, the range counts as at least this [m]; no camera
-# recognizes an object at this distance.
-_LEAST_RANGE_M = 0.05
-# The bearing's variance by the map's uncertainty does not grow for objects nearer than this [m]:
-# the linearization holds only for small angles. Chosen by hand; `lab/constants.yaml` has the
-# effect of half and double.
-_NEAR_M = 0.3
-# One object must explain an observation better than another that looks alike by this NIS: a
-# likelihood ratio of exp(6 / 2) = 20.
-_CLEAR_NIS = 6.0
 
 
 def associate(
@@ -197,7 +195,7 @@ def _clearest(
     )
     if not ranked or ranked[0][0] > GATE:
         return []
-    if len(ranked) > 1 and ranked[1][0] < ranked[0][0] + _CLEAR_NIS:
+    if len(ranked) > 1 and ranked[1][0] < ranked[0][0] + GATE:
         return []
     return [live[ranked[0][1]]]
 
@@ -210,7 +208,7 @@ def as_observed_from(observation: Observation, step: Pose) -> Observation:
     x, y, turn = step
     dx = observation.range_m * math.cos(observation.bearing) - x
     dy = observation.range_m * math.sin(observation.bearing) - y
-    range_m = max(math.hypot(dx, dy), _LEAST_RANGE_M)
+    range_m = max(math.hypot(dx, dy), NEAREST_M)
     return replace(observation, range_m=range_m, bearing=wrap(math.atan2(dy, dx) - turn))
 
 

@@ -6,7 +6,7 @@ import math
 from bisect import insort
 from dataclasses import replace
 from itertools import takewhile
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,16 +163,19 @@ class CommandedTrack:
         return performed, speeds[-1], len(started)
 
 
+WHEEL_LIMITS: Final = WheelLimits(3.0, 7.0)
+"""No wheels are faster [m/s], [rad/s]: motion control accepts limits of up to 3 m/s and 6 rad/s."""
+
+
 class MeasuredTrack:
     """Odometry whose poses the wheels measured; between two of them it is interpolated.
 
-    A step that wheels cannot make (faster than `fastest` [m/s] or `turning` [rad/s]) is a jump: the
-    driver was restarted. Jumps are left out. Motion control accepts limits of up to 3 m/s and
-    6 rad/s. What a late record changes before the time advanced to counts in the next motion.
+    A step that wheels cannot make is a jump: the driver was restarted. Jumps are left out. What a
+    late record changes before the time advanced to counts in the next motion.
     """
 
-    def __init__(self, fastest: float = 3.0, turning: float = 7.0) -> None:
-        self.limits: WheelLimits | None = WheelLimits(fastest, turning)
+    def __init__(self) -> None:
+        self.limits: WheelLimits | None = WHEEL_LIMITS
         self._history = OdometryHistory[float](
             math.inf, self.limits, resets_after=OUTDATED_IN_A_ROW, per_second=1.0
         )

@@ -11,45 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.localizer.odometry import move_particles
+from cairn.components.localizer.pose_differences import place_bin
 from cairn.planar.compiled import compiled
 from cairn.planar.motion_model import MotionModel, OdometryStep
 from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
 
-# Below this difference [rad] the circular and the arithmetic mean of headings agree, as
-# x - sin x < 0.5^3 / 6 = 0.02 rad.
-_SMALL_ANGLE = 0.5
-# Bins of the KLD bound: 0.25 m, 0.25 m, 10 degrees; the error of the distribution is 2 % with a
-# probability of 99 %. Fox 2003 uses 0.5 m and 10 degrees; half of that keeps narrow modes.
-_BIN = np.array([0.25, 0.25, math.radians(10.0)])
+# The error of the distribution by the KLD bound is 2 % with a probability of 99 %.
 _KLD_ERROR, _KLD_QUANTILE = 0.02, NormalDist().inv_cdf(0.99)
-# A bin counts if it holds a particle of at least this share of the mean weight: the others
-# represent nothing. Half and double change nothing on the logs fr101 and fr079 (benchmark
-# `localization_logs`). Half and double of `_LEAST_EFFECTIVE` and `_BANDWIDTH`, and 0.25 and 0.8 for
-# `_ENOUGH_EFFECTIVE`, change the median error there by at most 1 mm.
-_LEAST_WEIGHT = 0.1
-_MOST_COUNTED_BINS = 20_000  # an array of this size fits into the processor's cache (160 kB)
 # With a smaller share of effective particles they are resampled (Grisetti, Stachniss, Burgard
 # 2007).
-_ENOUGH_EFFECTIVE = 0.5
-# Below this share of effective particles a likelihood is fused in stages.
-_LEAST_EFFECTIVE = 0.05
-# Kernel width of resampling as a share of the particles' deviation, and of resampling in stages.
-# Liu and West 2001 recommend discounts of 0.95 to 0.99, which are widths of 0.23 to 0.10.
-_BANDWIDTH, _STAGED_BANDWIDTH = 0.2, 0.25
-# A likelihood is fused in at most so many stages. Chosen by hand; `lab/constants.yaml` has
-# the effect of half and double.
+_EFFECTIVE = 0.5
+# Kernel width of resampling as a share of the particles' deviation. Liu and West 2001 recommend
+# discounts of 0.95 to 0.99, which are widths of 0.23 to 0.10.
+_BANDWIDTH = 0.2
+# A likelihood is fused in at most so many stages, and the share of a stage is found by as many
+# halvings: 1/256 of a log-likelihood.
 _STAGES = 8
-# A Gaussian wider than this [m] is drawn with the most particles. Chosen by hand;
-# `lab/constants.yaml` has the effect of half and double.
-_WIDE_M = 0.5
-# Added to a covariance [m^2, rad^2] so that its root exists: 1 mm and 0.1 mrad.
-_REGULAR = np.diag([1e-6, 1e-6, 1e-8])
-# A stage of a tempered update leaves this share of the particles effective, and is found by at most
-# so many halvings: 1/64 of a log-likelihood. Chosen by hand; `lab/constants.yaml` has the
-# effect of half and double.
-_STAGE_EFFECTIVE, _HALVINGS = 0.3, 6
 
 
 @dataclass(frozen=True)
@@ -90,11 +69,9 @@ class ParticleSet:
 
     def set_gaussian(self, mean: Sequence[float], covariance: Array) -> None:
         """Draw all particles from a Gaussian over x [m], y [m], theta [rad]."""
-        spread = np.linalg.cholesky(covariance + 1e-9 * np.eye(3))
-        spread_out = math.sqrt(covariance[0, 0] + covariance[1, 1]) > _WIDE_M
-        count = self.most if spread_out else self.least
-        noise = spread @ self.random.standard_normal((3, count))
-        self.set_particles(np.asarray(mean, dtype=np.float64)[:, None] + noise)
+        drawn = gaussian_noise(covariance, self.most, self.random)
+        drawn += np.asarray(mean, dtype=np.float64)[:, None]
+        self.set_particles(drawn[:, : self._due(drawn)])
 
     def set_particles(self, poses: Array) -> None:
         """Replace the particles by `poses` (3, n), with equal weights."""
@@ -110,19 +87,15 @@ class ParticleSet:
 
         `log_likelihood` returns (n,) for poses (3, n).
         """
-        weighed = self.log_weights + log_likelihood(self.poses)
-        weights = normalized(weighed)
-        share = 1.0 / (float(weights @ weights) * self.count)
-        if share >= _ENOUGH_EFFECTIVE:
-            self.log_weights = weighed - weighed.max()
-        elif share >= _LEAST_EFFECTIVE:
-            self._resample(weights)
-        else:
-            rows = self.poses[:, None, :]
-            weights = self.log_weights[None, :]
-            tempered_update(
-                rows, weights, lambda p, _: log_likelihood(p[:, 0])[None, :], self.random
-            )
+        resampled = tempered_update(
+            self.poses[:, None],
+            self.log_weights[None],
+            lambda poses, _: log_likelihood(poses[:, 0])[None],
+            self.random,
+        )
+        if resampled and (due := self._due(self.poses)) != self.count:
+            weights = normalized(self.log_weights)
+            self.set_particles(resample(self.poses, weights, self.random, due))
 
     def estimate(self) -> PoseEstimate:
         """Return mean and covariance."""
@@ -134,63 +107,32 @@ class ParticleSet:
         drawn: Array = self.poses[:, chosen]
         return drawn
 
-    def _resample(self, weights: Array) -> None:
-        count = min(self.most, max(self.least, kld_count(self.poses, weights)))
-        drawn = resample(self.poses, weights, _BANDWIDTH, self.random, count)
-        self.poses = np.ascontiguousarray(drawn)
-        self.log_weights = np.zeros(count)
+    def _due(self, drawn: Array) -> int:
+        """Return how many particles represent a distribution, of which poses (3, n) are drawn."""
+        return min(self.most, max(self.least, kld_count(drawn)))
 
 
-def kld_count(poses: Array, weights: Array) -> int:
+def gaussian_noise(covariance: Array, count: int, random: np.random.Generator) -> Array:
+    """Return noise (3, count) of a covariance (3, 3), which may be singular."""
+    drawn = random.multivariate_normal(np.zeros(3), covariance, count, check_valid="ignore")
+    return np.ascontiguousarray(drawn.T)
+
+
+def kld_count(drawn: Array) -> int:
     """Return how many particles bound the error of their distribution (KLD sampling, Fox 2003).
 
-    From the number k of bins that poses (3, n) of weights (n,) occupy: n = (k - 1) / 2e (1 - 2 /
+    From the number k of places that poses (3, n), drawn from it, occupy: n = (k - 1) / 2e (1 - 2 /
     9(k - 1) + z sqrt(2 / 9(k - 1)))^3 with error e and quantile z.
     """
-    keys = np.empty(weights.size, np.int64)
-    least = _LEAST_WEIGHT / weights.size
-    kept, span = _bins(np.ascontiguousarray(poses), weights, _BIN, least, keys)
-    # Up to this number of bins, counting in all of them is faster than sorting.
-    if span <= _MOST_COUNTED_BINS:
-        occupied = int(np.count_nonzero(np.bincount(keys[:kept])))
-    else:
-        occupied = np.unique(keys[:kept]).size
+    bins = np.floor(drawn / place_bin()[:, None]).astype(np.int64)
+    bins -= bins.min(axis=1, keepdims=True)
+    spans = bins.max(axis=1) + 1
+    occupied = np.unique((bins[0] * spans[1] + bins[1]) * spans[2] + bins[2]).size
     if occupied < 2:
         return 0
     term = 2.0 / (9.0 * (occupied - 1))
     bound = (1.0 - term + math.sqrt(term) * _KLD_QUANTILE) ** 3
     return math.ceil((occupied - 1) / (2.0 * _KLD_ERROR) * bound)
-
-
-@compiled(
-    "Tuple((int64, float64))(float64[:, ::1], float64[::1], float64[::1], float64, int64[::1])"
-)
-def _bins(
-    poses: Array, weights: Array, size: Array, least: float, keys: NDArray[np.int64]
-) -> tuple[int, float]:
-    """Put the keys of the bins of poses heavier than `least` into `keys`; return how many, and
-    how many bins span them.
-    """
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for i in range(weights.size):
-        if weights[i] > least:
-            for axis in range(3):
-                low[axis] = min(low[axis], poses[axis, i])
-                high[axis] = max(high[axis], poses[axis, i])
-    first, spans = np.zeros(3), np.zeros(3)
-    for axis in range(3):
-        first[axis] = math.floor(low[axis] / size[axis])
-        spans[axis] = math.floor(high[axis] / size[axis]) - first[axis] + 1.0
-    count = 0
-    for i in range(weights.size):
-        if weights[i] > least:
-            key = np.int64(0)
-            for axis in range(3):
-                bin_index = math.floor(poses[axis, i] / size[axis]) - first[axis]
-                key = key * np.int64(spans[axis]) + np.int64(bin_index)
-            keys[count] = key
-            count += 1
-    return count, spans[0] * spans[1] * spans[2]
 
 
 def normalized(log_weights: Array) -> Array:
@@ -224,26 +166,22 @@ def systematic_choice(weights: Array, count: int, random: np.random.Generator) -
 
 
 def resample(
-    poses: Array,
-    weights: Array,
-    bandwidth: float,
-    random: np.random.Generator,
-    count: int | None = None,
+    poses: Array, weights: Array, random: np.random.Generator, count: int | None = None
 ) -> Array:
     """Return `count` new poses (3, count) drawn from weighted ones (3, n); by default n.
 
     Each drawn pose is pulled toward the mean by sqrt(1 - h^2) and moved by h times the covariance
-    of the drawn poses, with h the `bandwidth` (Liu and West 2001): copies differ, while mean and
+    of the drawn poses, with h = `_BANDWIDTH` (Liu and West 2001): copies differ, while mean and
     covariance do not change.
     """
     count = poses.shape[1] if count is None else count
     drawn = np.ascontiguousarray(poses[:, systematic_choice(weights, count, random)])
     drawn_moments = _moments_of(drawn, np.full(count, 1.0 / count))
     root = np.zeros((3, 3))
-    _root(drawn_moments.covariance + _REGULAR, root)
+    _root(drawn_moments.covariance, root)
     # Only the covariance of the kernel matters; a uniform one takes a third of the time to draw.
     noise = math.sqrt(12.0) * (random.random((3, count)) - 0.5)
-    _kernel(drawn, noise, *drawn_moments.mean, root, math.sqrt(1.0 - bandwidth**2), bandwidth)
+    _kernel(drawn, noise, *drawn_moments.mean, root, _BANDWIDTH)
     return drawn
 
 
@@ -252,42 +190,41 @@ def tempered_update(
     log_weights: Array,
     log_likelihood: Callable[[Array, NDArray[np.intp]], Array],
     random: np.random.Generator,
-) -> None:
+) -> bool:
     """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
-    place.
+    place. Return whether any was resampled.
 
     `log_likelihood` returns (k, n) for the poses (3, k, n) of the rows with the numbers (k,). Where
     the likelihood would leave fewer than half of a row's particles effective, it is fused in
     stages, each followed by resampling (progressive correction: Musso, Oudjane, Le Gland 2001), so
     that a few hundred particles survive the first observation after a long time without any.
     """
-    rows, count = log_weights.shape
-    contribution = log_likelihood(poses, np.arange(rows))
-    left = np.ones(rows)
+    rows = np.arange(log_weights.shape[0])
+    left = np.ones(rows.size)
     for stage in range(_STAGES):
-        full = log_weights + contribution * left[:, None]
-        poor = np.nonzero(effective_count(full) < _ENOUGH_EFFECTIVE * count)[0]
-        if stage == _STAGES - 1 or not poor.size:
-            log_weights[:] = full - full.max(axis=1, keepdims=True)
+        added = log_likelihood(poses[:, rows], rows)
+        share = left[rows]
+        if stage < _STAGES - 1:
+            share = _shares(log_weights[rows], added, share)
+        log_weights[rows] += share[:, None] * added
+        left[rows] -= share
+        rows = rows[left[rows] > 0.0]
+        if not rows.size:
             break
-        share = _shares(log_weights[poor], contribution[poor], left[poor])
-        weights = normalized(log_weights[poor] + contribution[poor] * share[:, None])
-        for row, of_row in zip(poor, weights, strict=True):
-            poses[:, row] = resample(poses[:, row], of_row, _STAGED_BANDWIDTH, random)
-        log_weights[poor] = 0.0
-        left[poor] -= share
-        contribution[poor] = log_likelihood(poses[:, poor], poor)
+        for row in rows:
+            weights = normalized(log_weights[row])
+            poses[:, row] = resample(poses[:, row], weights, random)
+        log_weights[rows] = 0.0
+    log_weights -= log_weights.max(axis=1, keepdims=True)
+    return stage > 0
 
 
-def _shares(log_weights: Array, contribution: Array, left: Array) -> Array:
-    """Return the largest share (by halving) of what is left that keeps 30 % of the particles
-    effective.
-    """
-    count = log_weights.shape[1]
+def _shares(log_weights: Array, added: Array, left: Array) -> Array:
+    """Return the largest share (by halving) of what is left that leaves enough effective."""
     share = left.copy()
-    for _ in range(_HALVINGS):
-        effective = effective_count(log_weights + contribution * share[:, None])
-        thin = effective < _STAGE_EFFECTIVE * count
+    for _ in range(_STAGES):
+        effective = effective_count(log_weights + added * share[:, None])
+        thin = effective < _EFFECTIVE * added.shape[1]
         if not thin.any():
             break
         share[thin] *= 0.5
@@ -319,20 +256,14 @@ def _moments_of(poses: Array, weights: Array) -> PoseEstimate:
 
 @compiled("void(float64[:, ::1], float64[::1], float64[::1], float64[:, ::1])")
 def _moments(poses: Array, weights: Array, mean: Array, covariance: Array) -> None:
-    x = y = turned = widest = 0.0
+    x = y = ahead = aside = 0.0
     first = poses[2, 0]
     for i in range(poses.shape[1]):
         x += weights[i] * poses[0, i]
         y += weights[i] * poses[1, i]
-        turn = _wrapped(poses[2, i] - first)
-        turned += weights[i] * turn
-        widest = max(widest, abs(turn))
-    if widest > _SMALL_ANGLE:
-        ahead = aside = 0.0
-        for i in range(poses.shape[1]):
-            ahead += weights[i] * math.cos(poses[2, i] - first)
-            aside += weights[i] * math.sin(poses[2, i] - first)
-        turned = math.atan2(aside, ahead)
+        ahead += weights[i] * math.cos(poses[2, i] - first)
+        aside += weights[i] * math.sin(poses[2, i] - first)
+    turned = math.atan2(aside, ahead)
     mean[0], mean[1], mean[2] = x, y, _wrapped(first + turned)
     xx = xy = yy = xt = yt = tt = 0.0
     for i in range(poses.shape[1]):
@@ -358,12 +289,14 @@ def _root(covariance: Array, root: Array) -> None:
             rest = covariance[i, j]
             for k in range(j):
                 rest -= root[i, k] * root[j, k]
-            root[i, j] = math.sqrt(max(rest, 0.0)) if i == j else rest / root[j, j]
+            if i == j:
+                root[i, j] = math.sqrt(max(rest, 0.0))
+            elif root[j, j] > 0.0:
+                root[i, j] = rest / root[j, j]
 
 
 @compiled(
-    "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64[:, ::1], float64,"
-    " float64)"
+    "void(float64[:, ::1], float64[:, ::1], float64, float64, float64, float64[:, ::1], float64)"
 )
 def _kernel(
     poses: Array,
@@ -372,10 +305,10 @@ def _kernel(
     y: float,
     theta: float,
     root: Array,
-    shrink: float,
     bandwidth: float,
 ) -> None:
     """Pull poses toward the mean and move them by `root` @ `noise`, in place."""
+    shrink = math.sqrt(1.0 - bandwidth**2)
     for i in range(poses.shape[1]):
         turn = _wrapped(poses[2, i] - theta)
         a, b, c = bandwidth * noise[0, i], bandwidth * noise[1, i], bandwidth * noise[2, i]

@@ -22,21 +22,22 @@ from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
 _SPREAD_M, _HEADING_RAD, _SCAN_FIT = (0.15, 0.60), (0.10, 0.50), (0.60, 0.25)
 FITS = 0.5
 """From this share of explained beams on, a scan supports a pose."""
-# The health of a pose is at least this where objects contradict it but scans support it: the
-# objects may have been moved, and the robot may complete its goal (AutoMove's `sure_health`).
-_LEAST_SCANNED = 0.5
+SURE_HEALTH = 0.5
+"""From this health on the robot may complete its goal (AutoMove's `sure_health`).
+
+It is the least health where objects contradict a pose but scans support it, as objects may have
+been moved; and the most without scans that hit anything: a robot that sees nothing in reach may
+drive.
+"""
 # The most health of a pose that may be wrong altogether: the robot may move (AutoMove's
 # `least_health`), but a goal does not count as reached (`sure_health`).
 _MOST_UNCONFIRMED = 0.45
 
 SILENT_S = 1.0
-"""Scans may be missing, or hit nothing, for so long [s]: ten scans at 10 Hz."""
-# Scans may be invalid for so long [s]: at 10 Hz six of them in a row. Chosen by hand;
-# `lab/constants.yaml` has the effect of half and double.
-_INVALID_S = 0.6
-# The most health without scans that hit anything, and without valid scans: a robot that sees
-# nothing in reach may still drive, one whose scanner fails stands (AutoMove's `least_health`).
-_MOST_WITHOUT_HITS, _MOST_WITHOUT_SCANS = 0.5, 0.2
+"""Scans may be missing, invalid, or hit nothing, for so long [s]: ten scans at 10 Hz."""
+# The most health without valid scans: a robot whose scanner fails stands (AutoMove's
+# `least_health`).
+_MOST_WITHOUT_SCANS = 0.2
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def assess_health(pose: PoseEstimate, support: PoseSupport, fit: float | None) -
             )
         )
     if support.contradicting:
-        least = _LEAST_SCANNED if fit is not None and fit >= FITS else 0.0
+        least = SURE_HEALTH if fit is not None and fit >= FITS else 0.0
         share = support.agreeing / (support.agreeing + support.contradicting)
         aspects.append((max(least, share), ReasonCode.OBJECTS_CONTRADICT, contradiction(support)))
     value, code, text = min(aspects, key=lambda aspect: aspect[0])
@@ -128,12 +129,12 @@ class ScannerMonitor:
 
     def limit(self, health: PoseHealth, now: float, topic: str) -> PoseHealth:
         """Return the health at the time `now` [s] with the scans on `topic`."""
-        if self._invalid and now - self._valid_at > _INVALID_S:
+        if self._invalid and now - self._valid_at > SILENT_S:
             most, since = _MOST_WITHOUT_SCANS, now - self._valid_at
             text = f"no valid scan on {topic}"
             code = ReasonCode.SCAN_INVALID
         elif now - self._hit_at > SILENT_S:
-            most, since = _MOST_WITHOUT_HITS, now - self._hit_at
+            most, since = SURE_HEALTH, now - self._hit_at
             text = f"no scan on {topic} that hits anything"
             code = ReasonCode.SCAN_HITS_NOTHING
         else:

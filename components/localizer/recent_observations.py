@@ -10,33 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.observations import STRAY, Landmark
+from cairn.components.localizer.observations import GATE, NEAREST_M, RARE, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
-from cairn.planar.poses import Pose, apart, wrap_all
+from cairn.components.localizer.pose_differences import PLACE_M, is_another
+from cairn.planar.poses import Pose, wrap_all
 from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# NIS: the 99 % and 99.9 % quantiles of chi-square with 2 degrees of freedom, -2 ln 0.01 and
-# -2 ln 0.001.
-AGREES, CONTRADICTS = 9.2, 13.8
 # An object counts as two observations at most: further ones share their error. Chosen by hand;
 # `lab/constants.yaml` has the effect of half and double.
 OBJECT_WORTH = 2.0
-# Objects no farther apart than this [m] are observed in one direction: at 3 m within 11 degrees.
-TOGETHER_M = 0.6
-# Observations from poses that differ by more than this [m], [rad] are independent: successive
-# images share the recognizer's errors. The experiments count viewpoints in the same way
-# (docs/how-to/experiments.md). Chosen by hand; `lab/constants.yaml` has the effect of half
-# and double.
-ANOTHER_M, ANOTHER_RAD = 0.15, 0.2
-# Observations nearer than this count as so far away [m], where the bearing is no longer linear in
-# the position. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
-_NEAR_M = 0.3
-# An object that was recognized in less than this share of so many images from one pose was confused
-# with another one. A robot that stands never sees it from elsewhere, so it would count for ever.
-# After so many images, earlier ones count half: what was hidden for a while counts again soon.
-_CONFUSED_SHARE, _CONFUSED_IMAGES, _MOST_IMAGES = 0.1, 20, 200
+# An object that was recognized in less than one of so many images from one pose was confused with
+# another one. A robot that stands never sees it from elsewhere, so it would count for ever. After
+# so many images, earlier ones count half: what was hidden for a while counts again soon.
+_CONFUSED, _MOST_IMAGES = 20, 200
 # Seconds of motion, and observations of each object, that are kept: odometry drifts by 0.16 m and
 # 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],
 # [rad/sqrt(s)]: a little more than those of the parameter `base`.
@@ -69,14 +57,14 @@ class TimedObservation:
     @property
     def is_confusion(self) -> bool:
         """Whether too few images show the object for it to be there."""
-        return self.images >= _CONFUSED_IMAGES and self.seen < _CONFUSED_SHARE * self.images
+        return self.images >= _CONFUSED * self.seen
 
 
 @dataclass(frozen=True)
 class PoseSupport:
     """How many distinct positions of objects agree with a pose, and how many contradict it.
 
-    Objects that stand together (0.6 m) count once: they confirm the same direction only, so a pose
+    Objects that stand together (0.5 m) count once: they confirm the same direction only, so a pose
     rotated around them satisfies them all.
     """
 
@@ -104,21 +92,24 @@ class RecentObservations:
         """Forget everything."""
         self.entries.clear()
 
+    @property
+    def farthest_m(self) -> float:
+        """The largest range observed [m]; 0 without observations."""
+        return max((one.observation.range_m for one in self.entries), default=0.0)
+
     def add(self, observations: Sequence[Observation], at: Pose, moved_s: float) -> None:
         """Add an image's observations, made from `at`; those of one object only from different
         poses.
         """
         kept = [
-            one.with_image()
-            if observations and not apart(one.at, at, ANOTHER_M, ANOTHER_RAD)
-            else one
+            one.with_image() if observations and not is_another(one.at, at) else one
             for one in self.entries
             if moved_s - one.moved_s <= _HORIZON_S
         ]
         for observation in observations:
             new = TimedObservation(observation, at, moved_s)
             same = [e for e in kept if e.observation.object_id == observation.object_id]
-            if same and not apart(same[-1].at, at, ANOTHER_M, ANOTHER_RAD):
+            if same and not is_another(same[-1].at, at):
                 # The newest pose is better: its odometry has drifted least.
                 kept.remove(same[-1])
                 new = replace(new, seen=same[-1].seen + 1.0, images=same[-1].images)
@@ -150,7 +141,7 @@ class RecentObservations:
             for row, entry in zip(nis, entries, strict=True):
                 key = entry.observation.object_id
                 reliability = landmarks[key].reliability
-                stray = (1.0 - reliability) * math.exp(STRAY)
+                stray = (1.0 - reliability) * math.exp(RARE)
                 weight = min(1.0, worth / count[key])
                 total[block] += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
         return total
@@ -158,7 +149,7 @@ class RecentObservations:
     def log_stray(self, landmarks: Mapping[int, Landmark]) -> float:
         """Return the log-likelihood if no object stood where the map says, each counted once."""
         seen = {entry.observation.object_id for entry in self.usable(landmarks)}
-        return sum(math.log1p(-landmarks[key].reliability) + STRAY for key in seen)
+        return sum(math.log1p(-landmarks[key].reliability) + RARE for key in seen)
 
     def support(
         self,
@@ -186,14 +177,10 @@ class RecentObservations:
         medians = {key: sorted(values)[len(values) // 2] for key, values in best.items()}
         return PoseSupport(
             _distinct_positions(
-                [landmarks[key] for key, value in medians.items() if value <= AGREES]
+                [landmarks[key] for key, value in medians.items() if value <= GATE]
             ),
             _distinct_positions(
-                [
-                    landmarks[key]
-                    for key, value in medians.items()
-                    if value > CONTRADICTS and seen[key] > 1
-                ]
+                [landmarks[key] for key, value in medians.items() if value > GATE and seen[key] > 1]
             ),
         )
 
@@ -239,7 +226,7 @@ class RecentObservations:
             place_variance = place_variance + 0.5 * (covariance[0, 0] + covariance[1, 1])
             turn_variance = turn_variance + covariance[2, 2]
         range_variance = range_variance + place_variance
-        reach = np.maximum(range_m, _NEAR_M)
+        reach = np.maximum(range_m, NEAREST_M)
         bearing_variance = bearing_variance + place_variance / reach**2 + turn_variance
 
         # Where each was made from, relative to now; and from there, what it should have measured.
@@ -286,17 +273,17 @@ class ConfirmationHistory:
                 continue
             if newest is None:
                 newest = landmark
-            elif math.hypot(landmark.x - newest.x, landmark.y - newest.y) > TOGETHER_M:
+            elif math.hypot(landmark.x - newest.x, landmark.y - newest.y) > PLACE_M:
                 return stamp
         return -math.inf
 
 
 def _distinct_positions(objects: Sequence[Landmark]) -> int:
-    """Return at how many positions the objects stand; those within 0.6 m of each other count
+    """Return at how many positions the objects stand; those within 0.5 m of each other count
     once.
     """
     heads: list[Landmark] = []
     for one in objects:
-        if all(math.hypot(one.x - head.x, one.y - head.y) > TOGETHER_M for head in heads):
+        if all(math.hypot(one.x - head.x, one.y - head.y) > PLACE_M for head in heads):
             heads.append(one)
     return len(heads)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.particle_set import carry
+from cairn.components.localizer.pose_differences import ANOTHER_M, LEVER_M, PLACE_M, is_same
 from cairn.components.localizer.pose_health import FITS, SILENT_S
 from cairn.planar.motion_model import OdometryStep
-from cairn.planar.poses import Pose, apart, compose, relative
+from cairn.planar.poses import Pose, compose, relative
 
 Array = NDArray[np.float64]
 
@@ -22,32 +23,24 @@ Array = NDArray[np.float64]
 # most 2 mm (benchmark `localization_logs`). With half of `_ON_THE_SPOT`, or double of the others,
 # fr079 was 11.6 m off for a while, as it was with the present values and another seed (2).
 
-# After so much motion [m], [rad] a scan counts in full: every beam then ends in other cells of the
-# map (0.05 m). Of one taken on the spot this share counts, as its errors repeat.
-_NEW_M, _NEW_RAD, _ON_THE_SPOT = 0.15, 0.15, 0.03
+# Of a scan taken on the spot this share counts, as its errors repeat.
+_ON_THE_SPOT = 0.03
 # The golden ratio: successive starts spread evenly over the beams.
 _GOLDEN = 0.618
 # Weight of the newest scan in the running mean of the fit: a mean over five scans.
 _NEWEST = 0.2
-# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
-# than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
-# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
-_USUAL_NEWEST, _USUAL_NEWEST_OF_BAD, _USUAL_BAD = 0.02, 0.001, 0.8
-# About so many rays that hit nothing are traced through the map: as many as the parameter `beams`.
-_TRACED_RAYS = 60
+# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it does not fit
+# well, so that a carried robot does not get used to its wrong position for 1,000 scans.
+_USUAL_NEWEST, _USUAL_NEWEST_OF_BAD = 0.02, 0.001
 # So many poses are compared with a scan at a time, so that intermediate results take 0.5 MB and not
 # several for all poses of a global search. No result depends on it.
 _BLOCK = 8192
-# A turn of one radian shows as much that is new as so many meters of the way.
-_TURN_M = 0.5
-# Scans indicate that the robot is lost if they fit less than the first share, or less than the
-# second share of their usual fit; they fit well from the third share of it on.
-_LOST_FIT, _LOST_OF_USUAL, _WELL_OF_USUAL = 0.5, 0.65, 0.9
-# They stopped fitting at once if the robot drove less than this since they fitted well [m].
-_AT_ONCE_M = 0.3
-# So many scans, so far apart [m], [rad], are kept for the search: they cover 2.4 m of the way, or
-# nearly half a turn. Chosen by hand; `lab/constants.yaml` has the effect of half and double.
-_KEPT, _APART_M, _TURNED_RAD = 8, 0.3, 0.35
+# Scans indicate that the robot is lost if they fit less than this share of their usual fit, or do
+# not support a pose; they fit well from the second share of it on.
+_LOST_OF_USUAL, _WELL_OF_USUAL = 0.65, 0.9
+# So many scans of different places are kept for the search: they cover 2 m of the way, or nearly
+# half a turn.
+_KEPT = 8
 
 
 class BeamSelector:
@@ -77,18 +70,18 @@ class BeamSelector:
 
         Resets the motion.
         """
-        share = self._moved_m / _NEW_M + self._turned_rad / _NEW_RAD
+        share = (self._moved_m + LEVER_M * self._turned_rad) / ANOTHER_M
         self._moved_m = self._turned_rad = 0.0
         return min(1.0, max(_ON_THE_SPOT, share))
 
 
 def way_of(step: OdometryStep) -> float:
     """Return by how many meters a step of odometry changes what the scanner sees."""
-    return math.hypot(step.ahead, step.aside) + _TURN_M * abs(step.turned)
+    return math.hypot(step.ahead, step.aside) + LEVER_M * abs(step.turned)
 
 
 class RecentScans:
-    """End points of the `keep` newest scans taken `_APART_M` or `_TURNED_RAD` apart."""
+    """End points of the `keep` newest scans taken at different places."""
 
     def __init__(self, keep: int = _KEPT) -> None:
         self.keep = keep
@@ -106,9 +99,7 @@ class RecentScans:
 
         It replaces the last one as long as that was not taken apart from the one before.
         """
-        if len(self._scans) >= 2 and not apart(
-            self._scans[-2][1], self._scans[-1][1], _APART_M, _TURNED_RAD
-        ):
+        if len(self._scans) >= 2 and is_same(self._scans[-2][1], self._scans[-1][1]):
             self._scans.pop()
         elif len(self._scans) == self.keep:
             self._scans.popleft()
@@ -119,7 +110,7 @@ class RecentScans:
         """By how many meters what the scanner saw has changed from the first scan to the last."""
         poses = [at for _, at in self._scans]
         steps = [relative(a, b) for a, b in pairwise(poses)]
-        return sum(math.hypot(x, y) + _TURN_M * abs(turn) for x, y, turn in steps)
+        return sum(math.hypot(x, y) + LEVER_M * abs(turn) for x, y, turn in steps)
 
     def log_likelihood(
         self, poses: Array, now: Pose, each: Callable[[Array, Array], Array], newest: int | None
@@ -168,13 +159,13 @@ class ScanFit:
     @property
     def lost(self) -> bool:
         """Whether scans indicate that the robot is lost."""
-        limit = max(_LOST_FIT, _LOST_OF_USUAL * (self.usual or 0.0))
+        limit = max(FITS, _LOST_OF_USUAL * (self.usual or 0.0))
         return self.value is not None and self.value < limit
 
     @property
     def lost_at_once(self) -> bool:
         """Whether scans stopped fitting at once, as when the robot is carried away."""
-        return self.lost and self._way_m < _AT_ONCE_M
+        return self.lost and self._way_m < PLACE_M
 
     def reset(self) -> None:
         """Start again: the robot is somewhere else."""
@@ -206,7 +197,8 @@ class ScanFit:
         those of the rays that hit nothing.
         """
         self._updated_at = stamp
-        some = slice(None, None, 1 + len(starts) // _TRACED_RAYS)
+        # As many as the beams that are used.
+        some = slice(None, None, 1 + len(starts) // max(1, len(hits)))
         clear = len(starts) * field.clear(pose, starts[some], ends[some]) if len(starts) else 0.0
         explained = count * field.fit(pose, hits) if count else 0.0
         self.contradicted = not count and clear < 0.5 * len(starts)
@@ -214,8 +206,8 @@ class ScanFit:
             fit = (explained + clear) / (count + clear)
             before = fit if self.value is None else self.value
             self.value = before + _NEWEST * (fit - before)
+            newest = _USUAL_NEWEST if self.as_usual(self.value) else _USUAL_NEWEST_OF_BAD
             usual = fit if self.usual is None else self.usual
-            newest = _USUAL_NEWEST if fit >= _USUAL_BAD * usual else _USUAL_NEWEST_OF_BAD
             self.usual = usual + new * newest * (self.value - usual)
             if self.as_usual(self.value):
                 self._way_m = 0.0

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn.components.localizer.config import LocalizerConfig
+from cairn.components.localizer.odometry import WHEEL_LIMITS
 from cairn.components.localizer.particle_set import PoseEstimate
+from cairn.components.localizer.pose_differences import PLACE_M, is_same, slip_covariance
 from cairn.limits.files import STATE_BYTES, read_bounded
 from cairn.planar.messages import is_covariance, planar_covariance, planar_pose
 from cairn.planar.poses import Pose, compose, distance, relative
@@ -22,21 +24,8 @@ from cairn.system.files import replace_file
 # A saved pose is used for so long [s]: a localizer is restarted within seconds; later the robot may
 # have been carried anywhere.
 _HOLDS_S = 60.0
-# What may have happened unnoticed: standard deviation of the position [m] and the heading [rad];
-# and the same if odometry restarted meanwhile: a robot at 0.6 m/s for half a second. Chosen by
-# hand; `lab/constants.yaml` has the effect of half and double.
-_UNSEEN_M, _UNSEEN_RAD = 0.05, 0.05
-_RESTARTED_M, _RESTARTED_RAD = 0.3, 0.3
-# Odometry restarted if it moved faster than this [m/s], the highest speed that motion control
-# accepts, with this allowance for jitter of the stamps [m]; or if it is this near to its origin
-# [m], and was more than twice as far away before. Chosen by hand; `lab/constants.yaml` has
-# the effect of half and double.
-_FASTEST, _JITTER_M, _ORIGIN_M = 3.0, 0.1, 0.25
-# A known start holds as long as odometry has drifted less than this from its origin [m]. Chosen by
-# hand; `lab/constants.yaml` has the effect of half and double.
-_START_HOLDS_M = 0.5
-# The deviations of an operator's pose without covariance [m], [rad]: those that RViz sends.
-_OPERATOR_M, _OPERATOR_RAD = 0.5, math.radians(15.0)
+# The covariance of an operator's pose that has none [m^2, rad^2]: the one that RViz sends.
+_OPERATOR = np.diag([0.25, 0.25, 0.0685])
 
 
 def find_start_pose(
@@ -57,7 +46,7 @@ def find_start_pose(
         log.warning("odometry has no valid covariance: assuming that it starts at its origin")
         covariance = np.zeros((3, 3))
     drift = math.sqrt(covariance[0, 0] + covariance[1, 1])
-    if drift > _START_HOLDS_M:
+    if drift > PLACE_M:
         log.warning(
             "start pose not used, as odometry has drifted by some %.1f m since: searching the map "
             "for the robot",
@@ -72,7 +61,7 @@ def operator_pose(message: PoseWithCovariance) -> PoseEstimate:
     """Return the pose of an operator's message, with RViz's covariance if it has none."""
     covariance = planar_covariance(message)
     if not covariance.any() or not is_covariance(covariance):
-        covariance = np.diag([_OPERATOR_M**2, _OPERATOR_M**2, _OPERATOR_RAD**2])
+        covariance = _OPERATOR
     return PoseEstimate(planar_pose(message.pose), covariance)
 
 
@@ -117,12 +106,12 @@ def load_last_pose(
         return None
     step = relative(last.odometry, odom)
     covariance = np.array(last.covariance).reshape(3, 3)
-    unseen_m, unseen_rad = _UNSEEN_M, _UNSEEN_RAD
     moved_m = math.hypot(step[0], step[1])
-    at_origin = math.hypot(odom[0], odom[1]) < _ORIGIN_M
-    if moved_m > _FASTEST * age_s + _JITTER_M or (at_origin and moved_m > 2.0 * _ORIGIN_M):
-        step, unseen_m, unseen_rad = (0.0, 0.0, 0.0), _RESTARTED_M, _RESTARTED_RAD
-    covariance += np.diag([unseen_m**2, unseen_m**2, unseen_rad**2])
+    is_at_origin = is_same(odom, (0.0, 0.0, 0.0))
+    if moved_m > WHEEL_LIMITS.speed * age_s or (is_at_origin and moved_m > PLACE_M):
+        # Odometry restarted meanwhile.
+        step = (0.0, 0.0, 0.0)
+        covariance += slip_covariance()
     pose = compose(last.pose, step)
     log.info(
         "continuing from the last pose: %.1f s old, %.2f m away", age_s, distance(last.pose, pose)

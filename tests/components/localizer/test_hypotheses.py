@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cairn.components.localizer import hypotheses
-from cairn.components.localizer.global_search import GlobalSearchResult
+from cairn.components.localizer.global_search import PARTICLES, GlobalSearchResult
 from cairn.components.localizer.hypotheses import PoseHypotheses
 from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.observations import Landmark
@@ -73,11 +73,10 @@ class Robot:
         monkeypatch.setattr(hypotheses, "search", lambda *_: self._result())
 
     def _result(self) -> GlobalSearchResult:
-        modes = np.array(self.found).T + np.array([[self.way_m], [0.0], [0.0]])
-        x, y, theta = modes[:, 0]
-        pose = PoseEstimate((x, y, theta), SMALL)
-        support = PoseSupport(0, 0)
-        return GlobalSearchResult(modes, pose, 0.9, support, 0.0, 0.9, modes, modes)
+        spread = 0.05 * self.random.standard_normal((3, PARTICLES))
+        modes = [np.array([[x + self.way_m], [y], [theta]]) + spread for x, y, theta in self.found]
+        pose = PoseEstimate(self.found[0], SMALL)
+        return GlobalSearchResult(modes, pose, 0.9, PoseSupport(0, 0), np.hstack(modes))
 
     def search(self, seen: Any, at_once: bool = False) -> None:
         self.hypotheses.search(self.way_m, seen, self.particles.estimate(), at_once)
