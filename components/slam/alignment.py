@@ -14,12 +14,16 @@ from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
-_CELL = 0.25  # of the index of a reference [m]
-# The distance up to which points are paired shrinks to this [m] by this factor per iteration.
-_NEAREST_M, _SHRINK = 0.12, 0.75
+WIDE_M, NEAREST_M = 0.3, 0.12
+"""Points are paired up to the first distance [m] where a pose is uncertain, and the second in the
+end.
+"""
+
+# The distance up to which points are paired shrinks by this factor per iteration.
+_SHRINK = 0.75
 _ITERATIONS = 30
-# An alignment has converged when a step is smaller than this [m], [rad].
-_STEP_M, _STEP_RAD = 2e-4, 5e-5
+# An alignment has converged when a step is smaller than this share of its standard deviation.
+_CONVERGED = 0.03
 # Surfaces are paired if the angle between their normals is at most acos of this.
 _SAME_SIDE = 0.7
 # A direction counts as seen only as far as the surfaces across it outweigh this share of those
@@ -39,10 +43,10 @@ class Reference:
     def __init__(self, cloud: PointCloud) -> None:
         self.cloud = cloud
         points = cloud.points
-        self._origin = points.min(axis=0) - _CELL if cloud.count else np.zeros(2)
+        self._origin = points.min(axis=0) - NEAREST_M if cloud.count else np.zeros(2)
         extent = points.max(axis=0) - self._origin if cloud.count else np.zeros(2)
-        self._columns, self._rows = (math.floor(size / _CELL) + 2 for size in extent)
-        cells = np.floor((points - self._origin) / _CELL).astype(np.int64)
+        self._columns, self._rows = (math.floor(size / NEAREST_M) + 2 for size in extent)
+        cells = np.floor((points - self._origin) / NEAREST_M).astype(np.int64)
         keys = cells[:, 1] * self._columns + cells[:, 0]
         self._order = np.argsort(keys, kind="stable")
         counts = np.bincount(keys, minlength=self._columns * self._rows)
@@ -55,7 +59,7 @@ class Reference:
         cloud: PointCloud,
         guess: Pose,
         prior: Array,
-        reach: float,
+        reach: float = WIDE_M,
         robust: float = 0.05,
     ) -> Alignment:
         """Align a cloud to this reference.
@@ -137,7 +141,7 @@ def _align(
         hessian[:] = 0.0
         gx, gy, gt = 0.0, 0.0, 0.0
         paired, flat, squares, fit = 0, 0, 0.0, 0.0
-        scale = max(robust, 0.4 * reach) if reach > _NEAREST_M else robust
+        scale = max(robust, 0.4 * reach) if reach > NEAREST_M else robust
         for i in range(len(points)):
             rx = cosine * points[i, 0] - sine * points[i, 1]
             ry = sine * points[i, 0] + cosine * points[i, 1]
@@ -146,10 +150,10 @@ def _align(
             ny = sine * normals[i, 0] + cosine * normals[i, 1]
             is_flat = normals[i, 0] != 0.0 or normals[i, 1] != 0.0
             best, nearest = -1, reach * reach
-            low_column = max(0, math.floor((px - reach - origin[0]) / _CELL))
-            high_column = min(columns - 1, math.floor((px + reach - origin[0]) / _CELL))
-            low_row = max(0, math.floor((py - reach - origin[1]) / _CELL))
-            high_row = min(rows - 1, math.floor((py + reach - origin[1]) / _CELL))
+            low_column = max(0, math.floor((px - reach - origin[0]) / NEAREST_M))
+            high_column = min(columns - 1, math.floor((px + reach - origin[0]) / NEAREST_M))
+            low_row = max(0, math.floor((py - reach - origin[1]) / NEAREST_M))
+            high_row = min(rows - 1, math.floor((py + reach - origin[1]) / NEAREST_M))
             for row in range(low_row, high_row + 1):
                 start = first[row * columns + low_column] if low_column <= high_column else 0
                 stop = first[row * columns + high_column + 1] if low_column <= high_column else 0
@@ -228,11 +232,11 @@ def _align(
         x += step_x
         y += step_y
         turn += step_turn
-        is_small = math.hypot(step_x, step_y) < _STEP_M and abs(step_turn) < _STEP_RAD
-        if reach <= _NEAREST_M and is_small:
+        is_small = -(step_x * bx + step_y * by + step_turn * bt) < _CONVERGED**2 * noise
+        if reach <= NEAREST_M and is_small:
             break
-        reach = max(_NEAREST_M, reach * _SHRINK)
+        reach = max(NEAREST_M, reach * _SHRINK)
         if is_small:
-            reach = _NEAREST_M
+            reach = NEAREST_M
     state[0], state[1], state[2] = x, y, turn
     return hessian, numbers

@@ -14,23 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.alignment import Alignment, Reference
-from cairn.components.slam.correlation import MOST_NODES, CorrelationMap, Peak
-from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap, placed_together
+from cairn.components.slam.alignment import NEAREST_M, Alignment, Reference
+from cairn.components.slam.correlation import CELL_M, REACH_M, CorrelationMap, Peak
+from cairn.components.slam.keyframes import Keyframe, Submap, placed_together
 from cairn.components.slam.point_cloud import PointCloud, joined
-from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
-from cairn.components.slam.submap_view import REACH_M, SubmapView, conflicts, view_of
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph
+from cairn.components.slam.submap_view import SubmapView, conflicts, view_of
 from cairn.planar.poses import Pose, apart, compose, distance, inverse, relative, wrap
 
 Array = NDArray[np.float64]
 
-# The points that are searched for: one per cell of this size [m], and at least so many.
-_SEARCH_CELL, _LEAST_POINTS = 0.1, 50
+# At least so many points are searched for.
+_LEAST_POINTS = 50
 # Submaps whose middles are farther apart see different places [m], beyond the window.
 _NEAR_M = 6.0
-# The window is so many standard deviations of the drift, and this [m], [rad] more; at most this
-# [m] on each side.
-_SIGMAS, _EXTRA_M, _EXTRA_RAD, _WIDEST_M = 3.0, 0.3, math.radians(3.0), 15.0
 # Least score of a match; higher where the whole map is searched.
 _LEAST_SCORE, _LEAST_SCORE_ANYWHERE = 0.55, 0.6
 # After the exact alignment: least share of paired points, largest deviation [m], and largest
@@ -41,9 +38,9 @@ _MOST_CONFLICTS = 0.2
 # Peaks of a search that are aligned exactly; those of more are ambiguous. The alignment that fits
 # best must fit so much better than those that end elsewhere [m], [rad].
 _MOST_PEAKS, _CLEARLY_BETTER, _SAME_M, _SAME_RAD = 20, 0.04, 0.2, 0.1
-# For this comparison, points are paired up to this distance [m]; the distance at which a pair
-# counts half is at least this [m], and so many times the deviation of the best alignment.
-_SHARP_REACH_M, _SHARP_M, _SHARP_DEVIATIONS = 0.12, 0.015, 1.5
+# For this comparison, the distance at which a pair counts half is at least this [m], and so many
+# times the deviation of the best alignment.
+_SHARP_M, _SHARP_DEVIATIONS = 0.015, 1.5
 # A submap is compared with so many before and after it, to see whether the surroundings repeat.
 # They do if it fits elsewhere as well as in the old one, or worse by this; poses nearer than this
 # to its own are itself [m], [rad].
@@ -70,8 +67,6 @@ _MOST_CANDIDATES = 24
 # Of other islands, one submap in each cell of this size [m] is searched. Of more cells than
 # `_MOST_CANDIDATES`, half are the nearest ones, as by odometry, and half are others each time.
 _PLACES_M = 5.0
-# A search of other islands ends after so many nodes, a tenth of a second: it is too ambiguous.
-_MOST_NODES_ANYWHERE = 100_000
 # Matches that are enough for one submap.
 _ENOUGH = 3
 
@@ -182,20 +177,19 @@ class LoopCloser:
         new, old = submaps[task.new], submaps[task.old]
         base, at = graph.pose(old.middle), graph.pose(new.middle)
         view = self._views[task.new]
-        query = view.nearby(REACH_M, _SEARCH_CELL)
+        query = view.nearby(REACH_M, CELL_M)
         around = [
             (relative(base, graph.pose(other.middle)), self._views[other.number])
             for other in submaps[max(0, task.old - 1) : task.old + 2]
             if other.number < task.new and self._islands[other.middle] == self._islands[old.middle]
         ]
-        cloud = placed_together([(one.surfaces, pose) for pose, one in around]).thinned(DENSE_M)
+        cloud = placed_together([(one.surfaces, pose) for pose, one in around]).thinned()
         if min(query.count, cloud.count) < _LEAST_POINTS:
             return None
         least = _LEAST_SCORE_ANYWHERE if task.anywhere else _LEAST_SCORE
         center = (0.0, 0.0, 0.0) if task.anywhere else relative(base, at)
-        nodes = _MOST_NODES_ANYWHERE if task.anywhere else MOST_NODES
         peaks = CorrelationMap(cloud.points).search(
-            query.points, center, task.reach, task.turn, least, _MOST_PEAKS, nodes=nodes
+            query.points, center, task.reach, task.turn, least, _MOST_PEAKS
         )
         if peaks and not task.anywhere:
             peaks.append(Peak(center, least))  # along a corridor it may be best
@@ -225,7 +219,7 @@ class LoopCloser:
         """Return the alignment at the peak that fits clearly better than all others."""
         prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
         reference = Reference(cloud)
-        aligned = [(peak, reference.align(query, peak.pose, prior, 0.3)) for peak in peaks]
+        aligned = [(peak, reference.align(query, peak.pose, prior)) for peak in peaks]
         # Once more, with less tolerance: on a long wall, all places along it fit roughly.
         best_deviation = min(
             (one.deviation for _, one in aligned if one.paired >= _LEAST_PAIRED), default=math.inf
@@ -235,7 +229,7 @@ class LoopCloser:
             return None
         sharp = max(_SHARP_M, _SHARP_DEVIATIONS * best_deviation)
         aligned = [
-            (peak, reference.align(query, one.pose, prior, _SHARP_REACH_M, sharp))
+            (peak, reference.align(query, one.pose, prior, NEAREST_M, sharp))
             for peak, one in aligned
         ]
         peak, best = max(aligned, key=lambda one: one[1].fit)
@@ -269,8 +263,8 @@ class LoopCloser:
             for other in submaps[max(0, task.new - _BESIDE) : task.new + _BESIDE + 1]
             if island[other.middle] == island[new.middle] and other.number < len(self._views)
         ]
-        query = self._views[task.new].nearby(REACH_M, _SEARCH_CELL)
-        cloud = placed_together(around).thinned(DENSE_M)
+        query = self._views[task.new].nearby(REACH_M, CELL_M)
+        cloud = placed_together(around).thinned()
         peaks = CorrelationMap(cloud.points).search(
             query.points, _ITSELF, task.reach, task.turn, _LEAST_SCORE, _MOST_PEAKS, 0.0
         )
@@ -278,8 +272,8 @@ class LoopCloser:
         prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
         sharp = max(_SHARP_M, _SHARP_DEVIATIONS * found.deviation)
         for peak in peaks:
-            rough = reference.align(query, peak.pose, prior, 0.3)
-            again = reference.align(query, rough.pose, prior, _SHARP_REACH_M, sharp)
+            rough = reference.align(query, peak.pose, prior)
+            again = reference.align(query, rough.pose, prior, NEAREST_M, sharp)
             is_itself = not apart(again.pose, _ITSELF, _ITSELF_M, _ITSELF_RAD)
             if is_itself or again.fit < found.fit - _REPEATED:
                 continue
@@ -299,7 +293,7 @@ class LoopCloser:
         base = graph.pose(origin)
         clouds = [
             self._views[bisect_right(self._firsts, middle) - 1]
-            .nearby(REACH_M, _SEARCH_CELL)
+            .nearby(REACH_M, CELL_M)
             .placed(relative(base, graph.pose(middle)))
             for middle in sorted(middles)
         ]
@@ -354,8 +348,8 @@ def _near_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]
     for old in olds:
         covariance = drift[old.middle]
         sd_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-        reach = min(_SIGMAS * sd_m + _EXTRA_M, _WIDEST_M)
-        turn = min(_SIGMAS * math.sqrt(covariance[2, 2]) + _EXTRA_RAD, math.pi)
+        reach = min(AGREES * sd_m, REACH_M)
+        turn = min(AGREES * math.sqrt(covariance[2, 2]), math.pi)
         apart_m = distance(at, graph.pose(old.middle))
         if apart_m < _NEAR_M + reach:
             planned.append((apart_m / reach, Task(new.number, old.number, reach, turn)))
@@ -379,7 +373,7 @@ def _anywhere_tasks(
         others = places[half:]
         first = new.number * half % len(others)
         places = places[:half] + (others + others)[first : first + half]
-    return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in places]
+    return [Task(new.number, old.number, REACH_M, math.pi, True) for old in places]
 
 
 def turned(matrix: Array, heading: float) -> Array:

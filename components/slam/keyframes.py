@@ -23,10 +23,6 @@ Float32Array = NDArray[np.float32]
 _PLACE = 0.5
 # Whole numbers of `ScanSurfaces`.
 _STEPS, _NO_SURFACE = 32767, -32768
-# Points of one scan nearer than this to each other are one [m].
-THIN_M = 0.03
-# Points of several scans together: a little more than the range noise of scanners.
-DENSE_M = 0.04
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +145,7 @@ def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
     )
     spacing = abs(float(rays.angles[-1] - rays.angles[0])) / max(1, len(rays.angles) - 1)
     cloud = cloud_of(points, indices, rays.starts[len(rays.starts) // 2], spacing)
-    return cloud.thinned(THIN_M)
+    return cloud.thinned()
 
 
 @dataclass(frozen=True, slots=True)

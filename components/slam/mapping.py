@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import SECOND
-from cairn.components.slam.alignment import Reference
+from cairn.components.slam.alignment import NEAREST_M, WIDE_M, Reference
 from cairn.components.slam.closures import LoopCloser, turned
 from cairn.components.slam.keyframes import (
-    DENSE_M,
     Keyframe,
     PlaceIndex,
     Submap,
@@ -26,12 +25,12 @@ from cairn.components.slam.keyframes import (
 )
 from cairn.components.slam.landmarks import LandmarkBuilder, LandmarkReport
 from cairn.components.slam.odometry_calibration import (
-    CalibrationEstimate,
+    NOT_ESTIMATED,
     estimate_calibration,
     odometry_edge,
     with_gains,
 )
-from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
+from cairn.components.slam.odometry_log import OdometryLog, OdometryPath
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
 from cairn.components.slam.tracking import ScanTracker, Tracked
@@ -45,7 +44,7 @@ from cairn.visual_map.observations import Observation
 Array = NDArray[np.float64]
 
 # A keyframe is made after so much motion [m], [rad].
-_KEYFRAME_M, _KEYFRAME_RAD = 0.2, 0.2
+_KEYFRAME = 0.2
 # Scans are aligned to so many keyframes before them.
 _SURROUNDINGS = 30
 # A submap ends after so much motion [m], and after so many keyframes.
@@ -53,14 +52,12 @@ _SUBMAP_M, _SUBMAP_KEYFRAMES = 4.0, 40
 # Pairs of submaps that are compared while a keyframe is added: about 10 ms each.
 _COMPARED = 2
 # The graph is optimized once per so many new keyframes: the number of all divided by this. It takes
-# 0.1 s with 8,000 keyframes, which are then added in 8 to 20 s of driving.
-_KEYFRAMES_PER_PAUSE = 200
+# 0.1 s with 8,000 keyframes, which are then added in 16 to 40 s of driving.
+_KEYFRAMES_PER_PAUSE = 100
 # When the map is finished: keyframes that share this much of what they see are aligned again, with
 # this many around the partner on each side; so many partners, no nearer to each other and to the
 # keyframe than this.
 _SHARED, _BESIDE, _PARTNERS, _BETWEEN = 0.35, 2, 6, 4
-# Points are paired up to this distance [m] in the first and in later rounds.
-_REACH_M = (0.3, 0.15)
 # An alignment to a partner may move a keyframe by this much [m], [rad], and must pair as many
 # points, with at most this deviation [m].
 _MOVED_M, _MOVED_RAD, _LEAST_PAIRED, _MOST_DEVIATION = 0.3, 0.1, 0.2, 0.05
@@ -72,18 +69,13 @@ _STOOD_M, _FASTEST, _NEAR_S = 0.3, 2.0, 60.0
 # where its scan fits by so much [1].
 _NEAR_M, _CONTINUED_FIT = 2.5, 0.6
 # Without scans for this long [ns], odometry continues the trajectory, with poses at least so far
-# apart in time [ns]. A keyframe is made after so much motion [m], [rad]: while objects are
-# observed, and else.
+# apart in time [ns].
 _SILENT_NS, _TRAJECTORY_NS = 1_000_000_000, 100_000_000
-_LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
 # Where scans changed at once while the robot drove, odometry may be off by this [m], [rad].
 _JUMP_M, _JUMP_RAD = 1.0, 0.5
 # It drove if its speed differed by at most this factor from the usual one of so many scans, which
 # was at least this [m/s].
 _STEADY, _SPEEDS, _SLOWEST = 2.0, 15, 0.05
-# Observations that contradict the map wait for so many keyframes, and for this share of all (1 in
-# ...), until the map is optimized.
-_LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
 
 Progress = Callable[[str, float, str], None]
 """Called with the name of a stage, its completed share [0 to 1], and what was done, in words."""
@@ -146,16 +138,14 @@ class Mapper:
         self._log = OdometryLog()
         self._scanned_ns: int | None = None
         self._builder = LandmarkBuilder(self.graph)
-        self._contradicted = False  # by an observation since the last optimization
-        self._optimized = 0  # number of keyframes then
-        as_stated, deviations = OdometryCalibration(), OdometryCalibration(0.1, 0.1, 0.1, 0.01)
-        self.calibration = CalibrationEstimate(as_stated, deviations)
+        self.calibration = NOT_ESTIMATED
         """How the robot moves when odometry states a motion: its gains are estimated while driving
         by scans; and with the lag, by all, when the map is finished."""
         self._gains = GainEstimator(model)
         self._continues = False  # the next scan is the first since the map was read
-        # Closures since the last optimization, and the number of keyframes then.
-        self._unsolved, self._solved_at = 0, 0
+        # Whether closures or observations contradict the poses, and the number of keyframes at the
+        # last optimization.
+        self._is_contradicted, self._solved_at = False, 0
         self._misfits = 0  # scans in a row that fitted nowhere
         self._in_map_of: tuple[object, NDArray[np.bool_], object] = (None, np.zeros(0, bool), None)
 
@@ -199,7 +189,7 @@ class Mapper:
         last = len(self.keyframes) - 1
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self.pose)
-        has_moved = apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD)
+        has_moved = _is_another(offset)
         # If a scan that does not fit became a keyframe, those after it would fit to it.
         if is_first or (has_moved and not tracked.is_misfit):
             frame = Keyframe(
@@ -223,7 +213,7 @@ class Mapper:
         if self._has_scans(stamp_ns):
             return
         if not self.trajectory or stamp_ns >= self.trajectory[-1].stamp_ns + _TRAJECTORY_NS:
-            self._continue(stamp_ns, odometry, _COAST_M, _COAST_RAD)
+            self._continue(stamp_ns, odometry)
 
     def add_observations(
         self, stamp_ns: int, odometry: Pose, observations: Sequence[Observation]
@@ -240,17 +230,14 @@ class Mapper:
         if not observations:
             return
         if not self._has_scans(stamp_ns):
-            self._continue(stamp_ns, odometry, _LOOK_M, _LOOK_RAD)
+            self._continue(stamp_ns, odometry)
         last = len(self.keyframes) - 1
         at_ns = self.keyframes[last].stamp_ns
         path = self._log.path(self.calibration.calibration, min(at_ns, stamp_ns))
         for one in observations:
             if self._builder.add(last, stamp_ns, one, path, at_ns):
-                self._contradicted = True
-        wait = max(_LEAST_BETWEEN, len(self.keyframes) // _SHARE_BETWEEN)
-        if self._contradicted and len(self.keyframes) >= self._optimized + wait:
-            self._optimize()
-            self._contradicted, self._optimized = False, len(self.keyframes)
+                self._is_contradicted = True
+        self._optimize_in_time()
 
     def resume(self, *, here: bool) -> None:
         """Continue a map that was read from a file.
@@ -330,16 +317,17 @@ class Mapper:
             done = f"{compared:,} of {planned:,} pairs of places compared, {loops:,} loops closed"
             report("loops", compared / planned, done)
         joined = self._join_driven()
-        if self._unsolved or joined:
-            self._unsolved = 0
+        if self._is_contradicted or joined:
+            self._is_contradicted = False
             self.graph.optimize()
         if self.graph.depends_on_odometry:
             self.graph.optimize()
             self._use_landmarks()
         if self._scanned_ns is None:
             return
-        for number, reach in enumerate(_REACH_M):
-            self._align_neighbors(reach, partial(_report_round, report, number))
+        rounds = (WIDE_M, NEAREST_M)
+        for number, reach in enumerate(rounds):
+            self._align_neighbors(reach, partial(_report_round, report, number, len(rounds)))
             self.graph.optimize()
         self._use_landmarks()
 
@@ -393,8 +381,8 @@ class Mapper:
     def _has_scans(self, stamp_ns: int) -> bool:
         return self._scanned_ns is not None and stamp_ns - self._scanned_ns < _SILENT_NS
 
-    def _continue(self, stamp_ns: int, odometry: Pose, meters: float, radians: float) -> None:
-        """Continue the trajectory by odometry; make a keyframe after so much motion."""
+    def _continue(self, stamp_ns: int, odometry: Pose) -> None:
+        """Continue the trajectory by odometry; make a keyframe where that moved."""
         last = len(self.keyframes) - 1
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0)
@@ -403,7 +391,7 @@ class Mapper:
             offset = self._offset(path, last, stamp_ns)
             self.pose = compose(self.graph.pose(last), offset)
         self._odometry = odometry
-        if is_first or apart(offset, (0.0, 0.0, 0.0), meters, radians):
+        if is_first or _is_another(offset):
             nothing = scan_surfaces(PointCloud(np.zeros((0, 2)), np.zeros((0, 2))))
             self._add_keyframe(Keyframe(stamp_ns, odometry, nothing, None, self._open.number), None)
             last, offset = last + 1, (0.0, 0.0, 0.0)
@@ -414,10 +402,15 @@ class Mapper:
         start, end = path.at(np.array([self.keyframes[keyframe].stamp_ns, stamp_ns])).tolist()
         return relative(start, end)
 
-    def _optimize(self) -> None:
-        last = self.graph.pose(len(self.keyframes) - 1)
+    def _optimize_in_time(self) -> None:
+        """Optimize the graph if something contradicts it, and enough keyframes are new."""
+        count = len(self.keyframes)
+        if not self._is_contradicted or count - self._solved_at < count // _KEYFRAMES_PER_PAUSE:
+            return
+        self._is_contradicted, self._solved_at = False, count
+        last = self.graph.pose(count - 1)
         self.graph.optimize_quickly()
-        self.pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self.pose))
+        self.pose = compose(self.graph.pose(count - 1), relative(last, self.pose))
         self._gains.interrupt()
         # The next scan is aligned to where the keyframes are now.
         self._set_surroundings()
@@ -481,7 +474,7 @@ class Mapper:
         count = len(self.keyframes)
         members = list(range(max(self._island, count - _SURROUNDINGS), count))
         cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
-        self.tracker.set_surroundings(cloud.thinned(DENSE_M))
+        self.tracker.set_surroundings(cloud.thinned())
 
     def _edge_to(self, number: int, step: tuple[Pose, Tracked] | None) -> Edge:
         """Return the constraint from the keyframe before: by scans if both have one that fits."""
@@ -506,11 +499,8 @@ class Mapper:
     def _close_loops(self, most: int) -> None:
         found = self.closer.work(most, self.submaps, self.graph)
         self.graph.edges += found
-        self._unsolved += len(found)
-        count = len(self.keyframes)
-        if self._unsolved and count - self._solved_at >= count // _KEYFRAMES_PER_PAUSE:
-            self._unsolved, self._solved_at = 0, count
-            self._optimize()
+        self._is_contradicted |= bool(found)
+        self._optimize_in_time()
 
     def _align_neighbors(self, reach: float, report: Callable[[float], None]) -> None:
         """Replace the constraints between neighbors by new alignments."""
@@ -550,7 +540,7 @@ class Mapper:
             for k in range(max(0, other - _BESIDE), min(len(self.keyframes), other + _BESIDE + 1))
             if k != number and abs(self.keyframes[k].submap - submap) <= 1
         ]
-        cloud = cloud_in(base, members, self.keyframes, self.graph.poses).thinned(DENSE_M)
+        cloud = cloud_in(base, members, self.keyframes, self.graph.poses).thinned()
         if not cloud.count:
             return None
         guess = relative(base, self.graph.pose(number))
@@ -566,9 +556,13 @@ class Mapper:
         return Edge(EdgeKind.MATCH, other, number, found.pose, information)
 
 
-def _report_round(report: Progress, number: int, share: float) -> None:
-    done = f"round {number + 1} of {len(_REACH_M)}"
-    report("alignment", (number + share) / len(_REACH_M), done)
+def _is_another(offset: Pose) -> bool:
+    """Return whether a pose is another one than that of the last keyframe, seen from there."""
+    return apart(offset, (0.0, 0.0, 0.0), _KEYFRAME, _KEYFRAME)
+
+
+def _report_round(report: Progress, number: int, rounds: int, share: float) -> None:
+    report("alignment", (number + share) / rounds, f"round {number + 1} of {rounds}")
 
 
 def _ignore(stage: str, share: float, done: str) -> None:

@@ -15,13 +15,10 @@ from cairn.planar.odometry_gains import GainEstimator
 
 Array = NDArray[np.float64]
 
-# Of gains, lag [s] and veer [rad/m]: bounds, how far they usually are from those that are
-# configured, and steps of the numeric derivatives.
-_LOW, _HIGH = (0.5, 0.5, -0.3, -0.1), (1.5, 1.5, 0.5, 0.1)
+# How far gains, lag [s] and veer [rad/m] usually are from those that are configured.
 _USUAL = (0.1, 0.1, 0.1, 0.01)
-_STEPS = (0.02, 0.02, 0.05, 0.005)
-# The estimate is complete after a change below this, or after so many.
-_ENOUGH, _MOST_CHANGES = (0.001, 0.001, 0.003, 0.0001), 8
+# The estimate is complete after a change below this share of that, or after so many.
+_ENOUGH, _MOST_CHANGES = 0.01, 8
 
 
 @dataclass(frozen=True)
@@ -33,6 +30,10 @@ class CalibrationEstimate:
 
     calibration: OdometryCalibration
     deviations: OdometryCalibration
+
+
+NOT_ESTIMATED = CalibrationEstimate(OdometryCalibration(), OdometryCalibration(*_USUAL))
+"""Odometry that is right, as far as it usually is."""
 
 
 def with_gains(before: CalibrationEstimate, gains: GainEstimator) -> CalibrationEstimate:
@@ -84,8 +85,8 @@ def estimate_calibration(
     show. Without either the result is `start`, the calibration that is configured.
     """
     now, origin = np.array(astuple(start)), np.array(astuple(start))
-    information = np.diag(np.array(_USUAL) ** -2.0)
-    covariance = np.linalg.inv(information)
+    usual = np.array(_USUAL)
+    information, covariance = np.diag(usual**-2.0), np.diag(usual**2.0)
     covered = log.path(start).covers(stamps)
     pairs = [
         (edge.first, edge.second)
@@ -101,7 +102,7 @@ def estimate_calibration(
     for _ in range(_MOST_CHANGES if pairs else 0):
         path = log.path(OdometryCalibration(*now))
         by_motion, by_sighting = [], []
-        for k, step in enumerate(_STEPS):
+        for k, step in enumerate(np.sqrt(np.diag(covariance)).tolist()):
             low, high = now.copy(), now.copy()
             low[k] -= step
             high[k] += step
@@ -116,12 +117,11 @@ def estimate_calibration(
             np.stack(by_sighting, axis=2),
             Prior(origin - now, information),
         )
-        before_change = now
-        now = np.clip(now + change, _LOW, _HIGH)
+        now = now + change
         if graph.depends_on_odometry:
             use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
             graph.refine()
-        if (np.abs(now - before_change) < _ENOUGH).all():
+        if (np.abs(change) < _ENOUGH * usual).all():
             break
     deviations = np.sqrt(np.diag(covariance)).tolist()
     return CalibrationEstimate(OdometryCalibration(*now.tolist()), OdometryCalibration(*deviations))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.alignment import Reference
-from cairn.components.slam.correlation import CorrelationMap
+from cairn.components.slam.correlation import CELL_M, REACH_M, CorrelationMap
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.planar.odometry_gains import SHOWN_M
 from cairn.planar.poses import Pose, apart, compose
@@ -32,8 +32,6 @@ _TRUSTED = 2.5
 # Beyond that, the heading may be off by this [rad]: a scan that is stamped 0.1 s late shows a robot
 # that turns by 0.5 rad/s. With it, the relations of fr079 are 0.43 deg off, without 0.48.
 _STAMPED_LATE_RAD = 0.05
-# Points are paired up to this distance at first [m]; less after a search.
-_REACH_M, _REACH_AFTER_SEARCH_M = 0.4, 0.2
 # A scan is searched for if it fits worse than this share of the usual fit, or if its pose is so far
 # from where odometry puts it [m], [rad].
 _POOR_FIT, _SURPRISE_M, _SURPRISE_RAD = 0.8, 0.1, 0.06
@@ -44,8 +42,6 @@ _LEAST_SCORE, _BETTER = 0.3, 2.0
 # A scan shows where the robot is with so many cells of surfaces, of this size [m]: 2 m of wall; and
 # that wheels have slipped with so many that fit. A person fills three to five, and fits anywhere.
 _LEAST_SURFACE, _SLIP_SURFACE, _SURFACE_CELL = 8, 16, 0.25
-# Points of a search: one in this many meters, no farther than this [m].
-_SEARCH_CELL, _SEARCH_REACH_M = 0.1, 15.0
 # A scan that fits worse than this, or than this share of the usual fit, is not of this place. So
 # many in a row mean that the robot was moved, if the first did not fit the scan before it either,
 # or if the wheels moved it by no more than this meanwhile [m], [rad]. Else the place is new, or
@@ -138,17 +134,17 @@ class ScanTracker:
             self._misfits = self._since_jump = 0
             return self._at(guess, noise, None, None)
         trusted = _inverse(_TRUSTED**2 * noise + np.diag([0.0, 0.0, _STAMPED_LATE_RAD**2]))
-        found = reference.align(cloud, guess, trusted, _REACH_M)
+        found = reference.align(cloud, guess, trusted)
         if found.fit < _POOR_FIT * self.usual_fit or apart(
             found.pose, guess, _SURPRISE_M, _SURPRISE_RAD
         ):
             slip = _covariance(step, _SLIP)
             prior = _inverse(slip)
-            others = [reference.align(cloud, guess, prior, _REACH_M)]
+            others = [reference.align(cloud, guess, prior)]
             sd_m, sd_rad = math.sqrt(slip[0, 0]), math.sqrt(slip[2, 2])
             searched = self._search(cloud, guess, 0.1 + 2 * sd_m, 0.1 + 3 * sd_rad)
             if searched is not None:
-                others.append(reference.align(cloud, searched, 0.1 * prior, _REACH_AFTER_SEARCH_M))
+                others.append(reference.align(cloud, searched, 0.1 * prior))
             other = max(others, key=lambda one: one.fit)
             is_better = other.fit > found.fit + _BETTER / math.sqrt(cloud.count)
             is_possible = not apart(other.pose, guess, _MOST_SLIP * sd_m, _MOST_SLIP * sd_rad)
@@ -188,14 +184,14 @@ class ScanTracker:
             return True
         if self._usual_step_m > _NEXT_M and math.hypot(step[0], step[1]) < 2 * self._usual_step_m:
             return True
-        return Reference(before).align(cloud, step, prior, _REACH_M).fit >= _NO_FIT
+        return Reference(before).align(cloud, step, prior).fit >= _NO_FIT
 
     def _followed_before(self, prior: Array) -> bool:
         """Return whether the scan before showed the same as the one before that, clearly."""
         (earlier, step), before = self._earlier, self._before
         if earlier is None or before is None or earlier.count < _LEAST_POINTS:
             return True
-        return Reference(earlier).align(before, step, prior, _REACH_M).fit >= _FOLLOWS
+        return Reference(earlier).align(before, step, prior).fit >= _FOLLOWS
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
@@ -225,8 +221,8 @@ class ScanTracker:
         assert self._reference is not None
         if self._search_map is None:
             self._search_map = CorrelationMap(self._reference.cloud.points)
-        points = cloud.thinned(_SEARCH_CELL).points
-        points = points[np.hypot(points[:, 0], points[:, 1]) < _SEARCH_REACH_M]
+        points = cloud.thinned(CELL_M).points
+        points = points[np.hypot(points[:, 0], points[:, 1]) < REACH_M]
         if len(points) < _LEAST_POINTS:
             return None
         peaks = self._search_map.search(points, guess, reach, turn, _LEAST_SCORE)
