@@ -31,7 +31,7 @@ _SAME_SIDE = 0.7
 _ROUGHNESS = 0.01
 # Least standard deviation of a point's distance to its surface [m]. The points of one scan share
 # their errors: the information counts so many times less.
-_NOISE_M, _COMMON = 0.02, 12.0
+NOISE_M, _COMMON = 0.02, 12.0
 # Added to the information, so that it has an inverse where one wall says nothing of the position
 # along it: a deviation of 1 km, 1000 rad.
 _LEAST_INFORMATION = 1e-6 * np.eye(3)
@@ -77,13 +77,14 @@ class Reference:
             cloud.points, cloud.normals, self._points, self._normals, self._first,
             self._origin, self._columns, self._rows, state, prior, reach, robust,
         )  # fmt: skip
-        paired, flat, squares, fit = numbers
+        paired, flat, squares, fit, log_fit = numbers
         deviation = math.sqrt(squares / flat) if flat else math.inf
-        noise = max(_NOISE_M, deviation if flat else 0.0)
+        noise = max(NOISE_M, deviation if flat else 0.0)
         return Alignment(
             pose=(float(state[0]), float(state[1]), wrap(float(state[2]))),
             information=hessian / (noise**2 * _COMMON) + _LEAST_INFORMATION,
             fit=float(fit / max(1, cloud.count)),
+            log_likelihood=float(log_fit / _COMMON),
             paired=float(paired / max(1, cloud.count)),
             pairs=int(flat),
             deviation=float(deviation),
@@ -99,6 +100,7 @@ class Alignment:
         information: (3, 3) over x, y and heading, in the reference's frame; without the prior's.
         fit: mean of the points' weights, 1 if each lies on its surface, 0 for a point without a
             partner.
+        log_likelihood: of the points, relative to that of a perfect fit.
         paired: share of the points that have a partner within 0.12 m.
         pairs: number of those on a surface.
         deviation: root mean square of their distances to the surface [m].
@@ -108,6 +110,7 @@ class Alignment:
     pose: Pose
     information: Array
     fit: float
+    log_likelihood: float
     paired: float
     pairs: int
     deviation: float
@@ -135,12 +138,13 @@ def _align(
     x0, y0, t0 = state[0], state[1], state[2]
     x, y, turn = x0, y0, t0
     hessian = np.zeros((3, 3))
-    numbers = np.zeros(4)
+    numbers = np.zeros(5)
+    log_least = -math.log(1.0 + (NEAREST_M / robust) ** 2)
     for _ in range(_ITERATIONS):
         cosine, sine = math.cos(turn), math.sin(turn)
         hessian[:] = 0.0
         gx, gy, gt = 0.0, 0.0, 0.0
-        paired, flat, squares, fit = 0, 0, 0.0, 0.0
+        paired, flat, squares, fit, log_fit = 0, 0, 0.0, 0.0, 0.0
         scale = max(robust, 0.4 * reach) if reach > NEAREST_M else robust
         for i in range(len(points)):
             rx = cosine * points[i, 0] - sine * points[i, 1]
@@ -167,12 +171,15 @@ def _align(
                         continue
                     best, nearest = k, squared
             if best < 0:
+                log_fit += log_least
                 continue
             paired += 1
             mx, my = reference_normals[best, 0], reference_normals[best, 1]
             if mx == 0.0 and my == 0.0:
                 if not is_flat:
-                    fit += 1.0 / (1.0 + nearest / (robust * robust))
+                    weight = 1.0 / (1.0 + nearest / (robust * robust))
+                    fit += weight
+                    log_fit += math.log(weight)
                     continue
                 mx, my = nx, ny
             dx, dy = px - reference[best, 0], py - reference[best, 1]
@@ -181,6 +188,7 @@ def _align(
             squares += error * error
             weight = 1.0 / (1.0 + (error / scale) * (error / scale))
             fit += weight
+            log_fit += math.log(weight)
             weight *= weight
             jt = my * rx - mx * ry
             hessian[0, 0] += weight * mx * mx
@@ -208,9 +216,9 @@ def _align(
         hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
         gu, gv = ux * gx + uy * gy, (ux * gy - uy * gx) * share
         gx, gy = ux * gu - uy * gv, uy * gu + ux * gv
-        numbers[0], numbers[1], numbers[2], numbers[3] = paired, flat, squares, fit
+        numbers[:] = np.array((paired, flat, squares, fit, log_fit))
         # With the prior, which counts as if all points were independent.
-        noise = _NOISE_M * _NOISE_M * _COMMON
+        noise = NOISE_M * NOISE_M * _COMMON
         ex, ey = x - x0, y - y0
         et = (turn - t0 + math.pi) % (2.0 * math.pi) - math.pi
         a = hessian + noise * prior

@@ -16,7 +16,6 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.closures import turned
 from cairn.components.slam.graph_history import (
     ChangedBlock,
     GraphChange,
@@ -27,7 +26,7 @@ from cairn.components.slam.graph_history import (
 )
 from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays, scan_surfaces
 from cairn.components.slam.map_differences import BLOCK_M, Block, MapDifferences, differing
-from cairn.components.slam.pose_graph import Edge, EdgeKind
+from cairn.components.slam.pose_graph import Edge, EdgeKind, turned
 from cairn.planar.grid import UNKNOWN, OccupancyCells
 from cairn.planar.posed_scans import PosedScan
 from cairn.planar.poses import Pose, apart, distance, relative, wrap

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 
 from cairn import SECOND
 from cairn.components.slam.alignment import NEAREST_M, WIDE_M, Reference
-from cairn.components.slam.closures import LoopCloser, turned
+from cairn.components.slam.closures import LoopCloser
+from cairn.components.slam.correlation import REACH_M
 from cairn.components.slam.keyframes import (
     Keyframe,
     PlaceIndex,
@@ -32,9 +32,10 @@ from cairn.components.slam.odometry_calibration import (
 )
 from cairn.components.slam.odometry_log import OdometryLog, OdometryPath
 from cairn.components.slam.point_cloud import PointCloud
-from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, turned
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel, move_pose, odometry_step
+from cairn.planar.odometry import FASTEST_WHEELS
 from cairn.planar.odometry_gains import GainEstimator
 from cairn.planar.poses import Pose, apart, compose, distance, relative, wrap
 from cairn.planar.renewals import Renewals
@@ -45,37 +46,18 @@ Array = NDArray[np.float64]
 
 # A keyframe is made after so much motion [m], [rad].
 _KEYFRAME = 0.2
-# Scans are aligned to so many keyframes before them.
-_SURROUNDINGS = 30
-# A submap ends after so much motion [m], and after so many keyframes.
-_SUBMAP_M, _SUBMAP_KEYFRAMES = 4.0, 40
+# Scans are aligned to so many keyframes before them, and a submap has so many.
+_SUBMAP = 25
 # Pairs of submaps that are compared while a keyframe is added: about 10 ms each.
 _COMPARED = 2
-# The graph is optimized once per so many new keyframes: the number of all divided by this. It takes
-# 0.1 s with 8,000 keyframes, which are then added in 16 to 40 s of driving.
-_KEYFRAMES_PER_PAUSE = 100
 # When the map is finished: keyframes that share this much of what they see are aligned again, with
-# this many around the partner on each side; so many partners, no nearer to each other and to the
-# keyframe than this.
-_SHARED, _BESIDE, _PARTNERS, _BETWEEN = 0.35, 2, 6, 4
-# An alignment to a partner may move a keyframe by this much [m], [rad], and must pair as many
-# points, with at most this deviation [m].
-_MOVED_M, _MOVED_RAD, _LEAST_PAIRED, _MOST_DEVIATION = 0.3, 0.1, 0.2, 0.05
-
-# A robot that continues a map has driven at most so far since the last keyframe [m], and this for
-# each second [m/s]; after more than this time [s] it has stood still, or anyone may have moved it.
-_STOOD_M, _FASTEST, _NEAR_S = 0.3, 2.0, 60.0
-# If odometry has restarted as well, the robot is up to so far from the last keyframe [m]. It is
-# where its scan fits by so much [1].
-_NEAR_M, _CONTINUED_FIT = 2.5, 0.6
+# this many around the partner on each side; so many partners, whose surroundings do not overlap.
+_SHARED, _BESIDE, _PARTNERS = 0.35, 2, 6
 # Without scans for this long [ns], odometry continues the trajectory, with poses at least so far
 # apart in time [ns].
 _SILENT_NS, _TRAJECTORY_NS = 1_000_000_000, 100_000_000
 # Where scans changed at once while the robot drove, odometry may be off by this [m], [rad].
-_JUMP_M, _JUMP_RAD = 1.0, 0.5
-# It drove if its speed differed by at most this factor from the usual one of so many scans, which
-# was at least this [m/s].
-_STEADY, _SPEEDS, _SLOWEST = 2.0, 15, 0.05
+_JUMP = 1.0
 
 Progress = Callable[[str, float, str], None]
 """Called with the name of a stage, its completed share [0 to 1], and what was done, in words."""
@@ -120,7 +102,7 @@ class Mapper:
         self.submaps: list[Submap] = []
         self.trajectory: list[Step] = []
         self.closer = LoopCloser()
-        self.tracker = ScanTracker()
+        self.tracker = ScanTracker(model)
         self.farthest = farthest
         self.renewals = Renewals()
         """Where only keyframes from a version of the map on count."""
@@ -132,8 +114,6 @@ class Mapper:
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
         self._driven_on: list[int] = []  # first keyframes of islands to which the robot drove
-        self._speeds: deque[float] = deque(maxlen=_SPEEDS)  # by odometry, of the last scans [m/s]
-        self._way = 0.0
         self._model = model
         self._log = OdometryLog()
         self._scanned_ns: int | None = None
@@ -164,9 +144,6 @@ class Mapper:
 
         """
         self._log.add(stamp_ns, odometry)
-        if self._odometry is not None and self._scanned_ns is not None:
-            seconds = max(1, stamp_ns - self._scanned_ns) / SECOND
-            self._speeds.append(distance(self._odometry, odometry) / seconds)
         self._scanned_ns = stamp_ns
         cloud = scan_cloud(rays, self.farthest)
         if self._continues:
@@ -177,14 +154,14 @@ class Mapper:
         else:
             step = odometry_step(relative(self._odometry, odometry))
             moved = move_pose((0.0, 0.0, 0.0), self._gains.corrected(step))
-            tracked = self.tracker.track(self.pose, moved, cloud)
+            tracked = self.tracker.track(self.pose, moved, cloud, self._gains.uncertain)
             if self._gains.add(step, tracked.pose, tracked.is_shown):
                 self.calibration = with_gains(self.calibration, self._gains)
         self._odometry = odometry
         self.pose = tracked.pose
         if tracked.is_lost:
             self._start_island()
-            if self._is_driving(self._misfits + 1):
+            if tracked.is_driven:
                 self._driven_on.append(len(self.keyframes))
         last = len(self.keyframes) - 1
         is_first = last < self._island
@@ -256,6 +233,7 @@ class Mapper:
             islands = self.graph.islands()
             self._island = int(np.flatnonzero(islands == islands[last])[0])
             self._set_surroundings()
+            self.tracker.usual_fit = 1.0
             self._continues = True
         else:
             self.graph.extended = len(self.keyframes)
@@ -346,7 +324,7 @@ class Mapper:
             if islands[before] != islands[number] and path.covers(stamps[[before]]).all():
                 start, end = path.at(stamps[[before, number]]).tolist()
                 x, y, turn = relative(start, end)
-                known = np.diag(np.array([_JUMP_M, _JUMP_M, _JUMP_RAD]) ** -2.0)
+                known = _JUMP**-2.0 * np.eye(3)
                 edge = Edge(EdgeKind.JUMP, before, number, (x, y, wrap(turn)), known)
                 self.graph.edges.append(edge)
                 joined = True
@@ -403,9 +381,12 @@ class Mapper:
         return relative(start, end)
 
     def _optimize_in_time(self) -> None:
-        """Optimize the graph if something contradicts it, and enough keyframes are new."""
+        """Optimize the graph if something contradicts it, and enough keyframes are new.
+
+        That takes 0.1 s with 8,000 keyframes. It waits for the square root of their number.
+        """
         count = len(self.keyframes)
-        if not self._is_contradicted or count - self._solved_at < count // _KEYFRAMES_PER_PAUSE:
+        if not self._is_contradicted or count - self._solved_at < math.isqrt(count):
             return
         self._is_contradicted, self._solved_at = False, count
         last = self.graph.pose(count - 1)
@@ -418,27 +399,14 @@ class Mapper:
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""
         last = self.keyframes[-1]
-        age_s = (stamp_ns - last.stamp_ns) / SECOND
-        is_recent = 0.0 <= age_s < _NEAR_S
-        moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
+        reach = FASTEST_WHEELS.speed * (stamp_ns - last.stamp_ns) / SECOND
         tracked = Tracked(self.pose, np.zeros((3, 3)), 0.0, is_misfit=True)
-        if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
+        if distance(last.odometry, odometry) <= reach:
             tracked = self.tracker.track(self.pose, relative(last.odometry, odometry), cloud)
-        if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
-            tracked = self.tracker.locate(self.pose, cloud, _NEAR_M)
-        is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
-        return replace(tracked, is_lost=is_lost)
-
-    def _is_driving(self, scans: int) -> bool:
-        """Return whether the wheels turned in the last scans as in those before them.
-
-        Odometry that jumps did not: its driver was restarted.
-        """
-        speeds = list(self._speeds)
-        before = sorted(speeds[:-scans])
-        usual = before[len(before) // 2] if before else 0.0
-        least, most = usual / _STEADY, usual * _STEADY
-        return usual > _SLOWEST and all(least < speed < most for speed in speeds[-scans:])
+        # If odometry has restarted as well, the robot is near, unless that was long ago.
+        if tracked.is_misfit and 0.0 <= reach < REACH_M:
+            tracked = self.tracker.locate(self.pose, cloud, reach)
+        return replace(tracked, is_lost=tracked.is_misfit)
 
     def _start_island(self) -> None:
         if self._open.last >= self._open.first:
@@ -461,10 +429,8 @@ class Mapper:
         if number > self._island:
             edge = self._edge_to(number, step)
             self.graph.edges.append(edge)
-            self._way += math.hypot(edge.measured[0], edge.measured[1])
         self._open.last = number
-        length = number - self._open.first + 1
-        if self._way > _SUBMAP_M or length > _SUBMAP_KEYFRAMES:
+        if number - self._open.first >= _SUBMAP:
             self._close_submap()
         self._close_loops(_COMPARED)
         if frame.rays is not None:
@@ -472,7 +438,7 @@ class Mapper:
 
     def _set_surroundings(self) -> None:
         count = len(self.keyframes)
-        members = list(range(max(self._island, count - _SURROUNDINGS), count))
+        members = list(range(max(self._island, count - _SUBMAP), count))
         cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
         self.tracker.set_surroundings(cloud.thinned())
 
@@ -494,7 +460,6 @@ class Mapper:
         if any(frame.rays is not None for frame in members):
             self.closer.add(self.submaps, self.keyframes, self.graph)
         self._open = Submap(len(self.submaps), len(self.keyframes), len(self.keyframes) - 1)
-        self._way = 0.0
 
     def _close_loops(self, most: int) -> None:
         found = self.closer.work(most, self.submaps, self.graph)
@@ -519,7 +484,7 @@ class Mapper:
                 if share < _SHARED or len(partners) == _PARTNERS:
                     break
                 if islands[other] == islands[number] and all(
-                    abs(other - known) >= _BETWEEN for known in (number, *partners)
+                    abs(other - known) >= 2 * _BESIDE for known in (number, *partners)
                 ):
                     partners.append(other)
             for other in partners:
@@ -546,11 +511,8 @@ class Mapper:
         guess = relative(base, self.graph.pose(number))
         prior = np.diag([0.1**-2, 0.1**-2, 0.05**-2])
         found = Reference(cloud).align(self.keyframes[number].cloud, guess, prior, reach)
-        if (
-            found.paired < _LEAST_PAIRED
-            or found.deviation > _MOST_DEVIATION
-            or apart(guess, found.pose, _MOVED_M, _MOVED_RAD)
-        ):
+        moved = np.subtract(found.pose, guess)
+        if not found.pairs or moved @ prior @ moved > AGREES**2:
             return None
         information = turned(found.information, found.pose[2])
         return Edge(EdgeKind.MATCH, other, number, found.pose, information)

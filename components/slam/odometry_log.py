@@ -17,8 +17,8 @@ from cairn.planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]
 
-# Least deviations of a motion, in x and y [m], and heading [rad].
-_LEAST_M, _LEAST_RAD = 0.003, 0.002
+LEAST_M, LEAST_RAD = 0.003, 0.002
+"""Least deviations of a motion, in x and y [m], and heading [rad]."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class OdometryPath:
         aside_sd = math.hypot(deviations[1], 0.5 * turn_sd * chord.ahead)
         ahead_sd = math.hypot(ahead_sd, 0.5 * turn_sd * chord.aside)
         variances = np.square([ahead_sd, aside_sd, turn_sd])
-        variances += np.square([_LEAST_M, _LEAST_M, _LEAST_RAD])
+        variances += np.square([LEAST_M, LEAST_M, LEAST_RAD])
         cosine, sine = math.cos(0.5 * turn), math.sin(0.5 * turn)
         # From the middle heading to the final one.
         rotation = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])

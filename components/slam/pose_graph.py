@@ -521,6 +521,14 @@ class PoseGraph:
         return _drift(origin, count, first, order, both, measured, covariances)
 
 
+def turned(matrix: Array, heading: float) -> Array:
+    """Return an information or covariance (3, 3) in the frame of a pose with this heading."""
+    cosine, sine = math.cos(heading), math.sin(heading)
+    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    result: Array = rotation.T @ matrix @ rotation
+    return result
+
+
 def relative_all(origins: Array, poses: Array) -> Array:
     """Return poses (n, 3) in the frames of others (n, 3), row by row."""
     offset = poses - origins
