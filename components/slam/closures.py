@@ -39,9 +39,9 @@ _BESIDE = 5
 _ITSELF: Pose = (0.0, 0.0, 0.0)
 # Neighbors of the alignment's points share their errors: a closure counts as this much of one.
 _WORTH = 0.2
-# A match is no coincidence if the submaps that agree show surfaces, each side of a wall counted, in
-# so many cells of this size [m] for each bit of information: the logarithm of the number of poses
-# among which it was found. A pillar with a piece of a wall fits beside each pillar.
+# A match is not a coincidence if the submaps that agree show surfaces, each side of a wall counted,
+# in so many cells of this size [m] for each bit of information: the logarithm of the number of
+# poses among which it was found. A pillar with a piece of a wall fits beside each pillar.
 _CELLS_PER_BIT, _SURFACE_CELL = 4, 0.5
 # Submaps that are searched for a new one, and peaks of a search that are aligned exactly: of more,
 # all are ambiguous. Of more places of other islands, half are the nearest ones, as by odometry,

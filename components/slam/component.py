@@ -139,6 +139,7 @@ class Slam(Component):
     def on_deactivate(self) -> None:
         """Save the map."""
         if self._mapper is not None and self._mapper.keyframes:
+            self._mapper.settle()
             self._save_graph(now=True)
             grid = self._drawn()
             if grid is not None:
@@ -162,6 +163,7 @@ class Slam(Component):
                 f"odometry on {self.odom.topic}"
             )
         if verb == "save":
+            mapper.settle()
             self._save_graph(now=True)
             grid = self._drawn()
             if grid is None:

@@ -214,7 +214,7 @@ class Mapper:
         for one in observations:
             if self._builder.add(last, stamp_ns, one, path, at_ns):
                 self._is_contradicted = True
-        self._optimize_in_time()
+        self._settle_in_time()
 
     def resume(self, *, here: bool) -> None:
         """Continue a map that was read from a file.
@@ -281,6 +281,18 @@ class Mapper:
     def landmarks(self) -> LandmarkReport:
         """Return the landmarks, and what became of the observations, of the finished map."""
         return self._builder.report()
+
+    def settle(self) -> None:
+        """Move the keyframes to where closures and observations put them that are not used yet."""
+        if not self._is_contradicted:
+            return
+        self._is_contradicted, self._solved_at = False, len(self.keyframes)
+        last = self.graph.pose(len(self.keyframes) - 1)
+        self.graph.optimize_quickly()
+        self.pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self.pose))
+        self._gains.interrupt()
+        # The next scan is aligned to where the keyframes are now.
+        self._set_surroundings()
 
     def finish(self, progress: Progress | None = None) -> None:
         """Close the last loops, and align all keyframes to those that saw the same."""
@@ -380,21 +392,10 @@ class Mapper:
         start, end = path.at(np.array([self.keyframes[keyframe].stamp_ns, stamp_ns])).tolist()
         return relative(start, end)
 
-    def _optimize_in_time(self) -> None:
-        """Optimize the graph if something contradicts it, and enough keyframes are new.
-
-        That takes 0.1 s with 8,000 keyframes. It waits for the square root of their number.
-        """
-        count = len(self.keyframes)
-        if not self._is_contradicted or count - self._solved_at < math.isqrt(count):
-            return
-        self._is_contradicted, self._solved_at = False, count
-        last = self.graph.pose(count - 1)
-        self.graph.optimize_quickly()
-        self.pose = compose(self.graph.pose(count - 1), relative(last, self.pose))
-        self._gains.interrupt()
-        # The next scan is aligned to where the keyframes are now.
-        self._set_surroundings()
+    def _settle_in_time(self) -> None:
+        """Optimize the graph in 0.1 s per 8,000 keyframes, once for each square root of them."""
+        if len(self.keyframes) - self._solved_at >= math.isqrt(len(self.keyframes)):
+            self.settle()
 
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""
@@ -465,7 +466,7 @@ class Mapper:
         found = self.closer.work(most, self.submaps, self.graph)
         self.graph.edges += found
         self._is_contradicted |= bool(found)
-        self._optimize_in_time()
+        self._settle_in_time()
 
     def _align_neighbors(self, reach: float, report: Callable[[float], None]) -> None:
         """Replace the constraints between neighbors by new alignments."""
