@@ -26,11 +26,12 @@ from cairn.components.slam.keyframes import (
 from cairn.components.slam.landmarks import LandmarkBuilder, LandmarkReport
 from cairn.components.slam.odometry_calibration import (
     NOT_ESTIMATED,
+    corrected_step,
     estimate_calibration,
     odometry_edge,
     with_gains,
 )
-from cairn.components.slam.odometry_log import OdometryLog, OdometryPath
+from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, turned
 from cairn.components.slam.tracking import ScanTracker, Tracked
@@ -126,6 +127,8 @@ class Mapper:
         # Whether closures or observations contradict the poses, and the number of keyframes at the
         # last optimization.
         self._is_contradicted, self._solved_at = False, 0
+        # With which calibration the step to a keyframe was tracked, and how it depends on odometry.
+        self._tracked_with: dict[int, tuple[OdometryCalibration, Array]] = {}
         self._misfits = 0  # scans in a row that fitted nowhere
         self._in_map_of: tuple[object, NDArray[np.bool_], object] = (None, np.zeros(0, bool), None)
 
@@ -299,6 +302,7 @@ class Mapper:
         report = progress or _ignore
         if self._open.last >= self._open.first:
             self._close_submap()
+        self._correct_steps()
         self._solved_at = 0
         planned = self.closer.pending
         while self.closer.pending:
@@ -320,6 +324,18 @@ class Mapper:
             self._align_neighbors(reach, partial(_report_round, report, number, len(rounds)))
             self.graph.optimize()
         self._use_landmarks()
+
+    def _correct_steps(self) -> None:
+        """Correct what odometry has said before its gains were known."""
+        path, stamps = self._log.path(OdometryCalibration()), self._stamps()
+        for k, edge in enumerate(self.graph.edges):
+            if edge.kind is EdgeKind.STEP and edge.second in self._tracked_with:
+                start, end = path.at(stamps[[edge.first, edge.second]]).tolist()
+                before, by_odometry = self._tracked_with.pop(edge.second)
+                self.graph.edges[k] = corrected_step(
+                    edge, relative(start, end), by_odometry, before, self.calibration
+                )
+                self._is_contradicted = True
 
     def _join_driven(self) -> bool:
         """Join islands to which the robot drove, and of which no place was recognized, by odometry.
@@ -347,7 +363,7 @@ class Mapper:
         """Estimate the odometry; optimize with it, and with observations that became clear."""
         stamps = self._stamps()
         self.calibration = estimate_calibration(
-            self.calibration.calibration, self._log, self._model, stamps, self.graph, self._builder
+            self.calibration, self._log, self._model, stamps, self.graph, self._builder
         )
         if not self.graph.depends_on_odometry:
             return
@@ -453,6 +469,8 @@ class Mapper:
             return replace(edge, first=number - 1, second=number)
         offset, tracked = step
         information = turned(tracked.information, self.pose[2])
+        by_odometry = turned(tracked.by_odometry, self.pose[2])
+        self._tracked_with[number] = self.calibration.calibration, by_odometry
         return Edge(EdgeKind.STEP, number - 1, number, offset, information)
 
     def _close_submap(self) -> None:

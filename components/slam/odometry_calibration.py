@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from cairn.components.slam.landmarks import LandmarkBuilder
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
 from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Prior, relative_all
-from cairn.planar.motion_model import MotionModel
+from cairn.planar.motion_model import MotionModel, move_pose, odometry_step
 from cairn.planar.odometry_gains import GainEstimator
+from cairn.planar.poses import Pose, compose, relative
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,40 @@ def odometry_edge(
     return Edge(EdgeKind.ODOMETRY, first, second, *motion)
 
 
+def corrected_step(
+    edge: Edge,
+    stated: Pose,
+    by_odometry: Array,
+    before: OdometryCalibration,
+    now: CalibrationEstimate,
+) -> Edge:
+    """Return a step that was tracked with other gains of the odometry.
+
+    Args:
+        edge: the step, which scans show in part.
+        stated: the motion by odometry, not calibrated.
+        by_odometry: (3, 3) how the step changes with it, in the frame of its end.
+        before: the calibration when it was tracked.
+        now: the calibration that is right.
+
+    """
+    step = odometry_step(stated)
+    old, new = (
+        move_pose(
+            (0.0, 0.0, 0.0),
+            replace(
+                step,
+                ahead=one.forward_gain * step.ahead,
+                aside=one.forward_gain * step.aside,
+                turned=one.turn_gain * step.turned + one.veer * step.ahead,
+            ),
+        )
+        for one in (before, now.calibration)
+    )
+    x, y, turn = (by_odometry @ relative(old, new)).tolist()
+    return replace(edge, measured=compose(edge.measured, (x, y, turn)))
+
+
 def use_path(
     path: OdometryPath,
     model: MotionModel,
@@ -72,7 +107,7 @@ def use_path(
 
 
 def estimate_calibration(
-    start: OdometryCalibration,
+    start: CalibrationEstimate,
     log: OdometryLog,
     model: MotionModel,
     stamps: NDArray[np.int64],
@@ -82,12 +117,12 @@ def estimate_calibration(
     """Estimate the calibration, and use it in the graph, which has been optimized.
 
     All steps between successive keyframes count, those that scans show and those that landmarks
-    show. Without either the result is `start`, the calibration that is configured.
+    show. Without either the result is `start`, which was estimated while driving.
     """
-    now, origin = np.array(astuple(start)), np.array(astuple(start))
-    usual = np.array(_USUAL)
-    information, covariance = np.diag(usual**-2.0), np.diag(usual**2.0)
-    covered = log.path(start).covers(stamps)
+    now = origin = np.array(astuple(start.calibration))
+    known = np.array(astuple(start.deviations))
+    information, covariance = np.diag(known**-2.0), np.diag(known**2.0)
+    covered = log.path(start.calibration).covers(stamps)
     pairs = [
         (edge.first, edge.second)
         for edge in graph.edges
@@ -121,7 +156,7 @@ def estimate_calibration(
         if graph.depends_on_odometry:
             use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
             graph.refine()
-        if (np.abs(change) < _ENOUGH * usual).all():
+        if (np.abs(change) < _ENOUGH * np.array(_USUAL)).all():
             break
     deviations = np.sqrt(np.diag(covariance)).tolist()
     return CalibrationEstimate(OdometryCalibration(*now.tolist()), OdometryCalibration(*deviations))

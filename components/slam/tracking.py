@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,8 @@ class Tracked:
         is_lost: whether so many scans in a row did that the robot was moved by hand: one did not
             fit the scan before it either, or the wheels stood still.
         is_driven: whether the wheels turned as before meanwhile.
+        by_odometry: (3, 3) how the pose relative to the surroundings changes with what odometry
+            states, in the map's frame.
 
     """
 
@@ -58,6 +60,7 @@ class Tracked:
     is_misfit: bool = False
     is_lost: bool = False
     is_driven: bool = False
+    by_odometry: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 class ScanTracker:
@@ -85,7 +88,8 @@ class ScanTracker:
         # What the scan before that showed, and the step to the last one.
         self._earlier: tuple[PointCloud | None, Pose] = (None, (0.0, 0.0, 0.0))
         self._driven: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan that fitted
-        self._covariance = np.zeros((3, 3))  # since the surroundings were set
+        # Since the surroundings were set, with what scans showed and by odometry alone.
+        self._covariance, self._stated = np.zeros((3, 3)), np.zeros((3, 3))
 
     def start(self) -> None:
         """Forget the keyframes: the robot is somewhere else."""
@@ -96,7 +100,7 @@ class ScanTracker:
         """Set the points, in the map, of the last keyframes."""
         self._reference, self._search_map = Reference(cloud), None
         self._shows_enough = _surface_cells(cloud) >= _LEAST_SURFACE
-        self._covariance = np.zeros((3, 3))
+        self._covariance, self._stated = np.zeros((3, 3)), np.zeros((3, 3))
 
     def track(self, pose: Pose, step: Pose, cloud: PointCloud, uncertain: float = 1.0) -> Tracked:
         """Return where a scan was taken, `step` after a scan at `pose` by odometry.
@@ -204,7 +208,7 @@ class ScanTracker:
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
     ) -> Tracked:
         """Return the result of a step with `noise` (3, 3) and of an alignment, if there is one."""
-        self._covariance = self._covariance + noise
+        self._covariance, self._stated = self._covariance + noise, self._stated + noise
         known = _inverse(self._covariance)
         is_shown = False
         if information is not None:
@@ -214,7 +218,9 @@ class ScanTracker:
             is_shown = bool(position[-1] < SHOWN_M**2)
         is_lost = self._since_jump >= _NO_FIT_IN_A_ROW
         is_driven = is_lost and self._steady > self._since_jump and _is_motion(self._driven)
-        return Tracked(pose, known, fit, is_shown, self._misfits > 0, is_lost, is_driven)
+        by_odometry = self._covariance @ _inverse(self._stated)
+        is_misfit = self._misfits > 0
+        return Tracked(pose, known, fit, is_shown, is_misfit, is_lost, is_driven, by_odometry)
 
     def locate(self, pose: Pose, cloud: PointCloud, reach: float) -> Tracked:
         """Search for where a scan was taken: up to `reach` [m] around a pose, facing anywhere."""
