@@ -326,7 +326,9 @@ class Mapper:
         self._use_landmarks()
 
     def _correct_steps(self) -> None:
-        """Correct what odometry has said before its gains were known."""
+        """Correct what odometry has stated before its gains were known."""
+        if not self._tracked_with:
+            return
         path, stamps = self._log.path(OdometryCalibration()), self._stamps()
         for k, edge in enumerate(self.graph.edges):
             if edge.kind is EdgeKind.STEP and edge.second in self._tracked_with:
