@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.point_cloud import PointCloud, cloud_of
+from cairn.components.slam.point_cloud import NOTHING, PointCloud, cloud_of
 from cairn.planar.compiled import compiled
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import Rays
@@ -138,7 +138,7 @@ def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
     with np.errstate(invalid="ignore"):
         indices = np.flatnonzero(rays.ranges < farthest)
     if not indices.size:
-        return PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+        return NOTHING
     ranges, angles = rays.ranges[indices], rays.angles[indices]
     points = rays.starts[indices] + ranges[:, None] * np.column_stack(
         (np.cos(angles), np.sin(angles))

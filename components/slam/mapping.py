@@ -32,7 +32,7 @@ from cairn.components.slam.odometry_calibration import (
     with_gains,
 )
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
-from cairn.components.slam.point_cloud import PointCloud
+from cairn.components.slam.point_cloud import NOTHING, PointCloud
 from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, turned
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel, move_pose, odometry_step
@@ -156,7 +156,7 @@ class Mapper:
             tracked = Tracked(self.pose, np.zeros((3, 3)), None)
         else:
             step = odometry_step(relative(self._odometry, odometry))
-            moved = move_pose((0.0, 0.0, 0.0), self._gains.corrected(step))
+            moved = move_pose((0.0, 0.0, 0.0), self.calibration.calibration.corrected(step))
             tracked = self.tracker.track(self.pose, moved, cloud, self._gains.uncertain)
             if self._gains.add(step, tracked.pose, tracked.is_shown):
                 self.calibration = with_gains(self.calibration, self._gains)
@@ -310,12 +310,11 @@ class Mapper:
             compared, loops = planned - self.closer.pending, self.closer.counts.accepted
             done = f"{compared:,} of {planned:,} pairs of places compared, {loops:,} loops closed"
             report("loops", compared / planned, done)
-        joined = self._join_driven()
-        if self._is_contradicted or joined:
+        joined, depends = self._join_driven(), self.graph.depends_on_odometry
+        if self._is_contradicted or joined or depends:
             self._is_contradicted = False
             self.graph.optimize()
-        if self.graph.depends_on_odometry:
-            self.graph.optimize()
+        if depends:
             self._use_landmarks()
         if self._scanned_ns is None:
             return
@@ -400,7 +399,7 @@ class Mapper:
             self.pose = compose(self.graph.pose(last), offset)
         self._odometry = odometry
         if is_first or _is_another(offset):
-            nothing = scan_surfaces(PointCloud(np.zeros((0, 2)), np.zeros((0, 2))))
+            nothing = scan_surfaces(NOTHING)
             self._add_keyframe(Keyframe(stamp_ns, odometry, nothing, None, self._open.number), None)
             last, offset = last + 1, (0.0, 0.0, 0.0)
         self.trajectory.append(Step(stamp_ns, last, offset))

@@ -74,16 +74,7 @@ def corrected_step(
     """
     step = odometry_step(stated)
     old, new = (
-        move_pose(
-            (0.0, 0.0, 0.0),
-            replace(
-                step,
-                ahead=one.forward_gain * step.ahead,
-                aside=one.forward_gain * step.aside,
-                turned=one.turn_gain * step.turned + one.veer * step.ahead,
-            ),
-        )
-        for one in (before, now.calibration)
+        move_pose((0.0, 0.0, 0.0), one.corrected(step)) for one in (before, now.calibration)
     )
     x, y, turn = (by_odometry @ relative(old, new)).tolist()
     return replace(edge, measured=compose(edge.measured, (x, y, turn)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,15 @@ class OdometryCalibration:
     turn_gain: float = 1.0
     lag_s: float = 0.0
     veer: float = 0.0
+
+    def corrected(self, step: OdometryStep) -> OdometryStep:
+        """Return a step of odometry as the robot moved, but for the lag."""
+        return replace(
+            step,
+            ahead=self.forward_gain * step.ahead,
+            aside=self.forward_gain * step.aside,
+            turned=self.turn_gain * step.turned + self.veer * step.ahead,
+        )
 
 
 @dataclass(frozen=True)

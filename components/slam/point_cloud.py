@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +61,14 @@ class PointCloud:
         return PointCloud(points, normals)
 
 
+NOTHING: Final = PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+"""What a scan shows that hits nothing."""
+
+
 def joined(clouds: Sequence[PointCloud]) -> PointCloud:
     """Return the points of all clouds, which are in one frame."""
     if not clouds:
-        return PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+        return NOTHING
     return PointCloud(
         np.concatenate([cloud.points for cloud in clouds]),
         np.concatenate([cloud.normals for cloud in clouds]),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cairn.components.slam.alignment import Alignment, Reference
 from cairn.components.slam.correlation import CELL_M, REACH_M, CorrelationMap
 from cairn.components.slam.odometry_log import LEAST_M, LEAST_RAD
-from cairn.components.slam.point_cloud import PointCloud
+from cairn.components.slam.point_cloud import NOTHING, PointCloud
 from cairn.components.slam.pose_graph import AGREES, turned
 from cairn.planar.motion_model import MEASURED, MotionModel, odometry_step
 from cairn.planar.odometry_gains import SHOWN_M
@@ -85,8 +85,9 @@ class ScanTracker:
         self._misfits = self._since_jump = 0  # scans in a row
         self._steady = 0  # scans in a row between which the wheels turned as usual
         self._usual_step_m = 0.0
-        # What the scan before that showed, and the step to the last one.
-        self._earlier: tuple[PointCloud | None, Pose] = (None, (0.0, 0.0, 0.0))
+        # What the scan before that showed, the last one, and the step between them.
+        self._earlier: tuple[PointCloud | None, PointCloud, Pose]
+        self._earlier = (None, NOTHING, (0.0, 0.0, 0.0))
         self._driven: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan that fitted
         # Since the surroundings were set, with what scans showed and by odometry alone.
         self._covariance, self._stated = np.zeros((3, 3)), np.zeros((3, 3))
@@ -113,8 +114,7 @@ class ScanTracker:
         self._steady = self._steady + 1 if 0.5 * usual < length < 2.0 * usual else 0
         tracked = self._track(pose, step, cloud, self._noise(pose, step, uncertain))
         self._usual_step_m += _MEMORY * (length - usual)
-        self._earlier = (self._before, step)
-        self._before = cloud
+        self._earlier, self._before = (self._before, cloud, step), cloud
         return tracked
 
     def _noise(self, pose: Pose, step: Pose, uncertain: float) -> Array:
@@ -158,7 +158,7 @@ class ScanTracker:
             follows = self._follows(cloud, step, prior)
             # A robot that was moved by hand sees one place and then another one. Where scan after
             # scan differs from the one before, there are leaves and grass, or nothing is near.
-            jumps = not follows and not self._since_jump and self._followed_before(prior)
+            jumps = not (follows or self._since_jump) and self._shows_same(*self._earlier, prior)
             is_new_place = self._misfits >= _NO_FIT_IN_A_ROW and not (self._since_jump or jumps)
             if is_moving and (is_new_place or (self._since_jump and not follows)):
                 # Or people stand around: only odometry shows the way.
@@ -190,19 +190,17 @@ class ScanTracker:
 
     def _follows(self, cloud: PointCloud, step: Pose, prior: Array) -> bool:
         """Return whether a scan shows the same as the one before, `step` from there."""
-        before = self._before
+        usual = self._usual_step_m
+        may_differ = usual > _NEXT_M and math.hypot(step[0], step[1]) < 2 * usual
+        return may_differ or self._shows_same(self._before, cloud, step, prior)
+
+    def _shows_same(
+        self, before: PointCloud | None, after: PointCloud, step: Pose, prior: Array
+    ) -> bool:
+        """Return whether a scan shows the same as one `step` before it, if that shows enough."""
         if before is None or _surface_cells(before) < _LEAST_SURFACE:
             return True
-        if self._usual_step_m > _NEXT_M and math.hypot(step[0], step[1]) < 2 * self._usual_step_m:
-            return True
-        return Reference(before).align(cloud, step, prior).fit >= _NO_FIT * self.usual_fit
-
-    def _followed_before(self, prior: Array) -> bool:
-        """Return whether the scan before showed the same as the one before that, clearly."""
-        (earlier, step), before = self._earlier, self._before
-        if earlier is None or before is None or _surface_cells(earlier) < _LEAST_SURFACE:
-            return True
-        return Reference(earlier).align(before, step, prior).fit >= _NO_FIT * self.usual_fit
+        return Reference(before).align(after, step, prior).fit >= _NO_FIT * self.usual_fit
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
