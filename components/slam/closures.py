@@ -201,20 +201,12 @@ class LoopCloser:
         self, peaks: list[Peak], query: PointCloud, cloud: PointCloud
     ) -> Alignment | None:
         """Return the alignment at the peak that fits clearly better than all others."""
-        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
-        reference = Reference(cloud)
-        aligned = [(peak, reference.align(query, peak.pose, prior)) for peak in peaks]
-        # Once more, with less tolerance: on a long wall, all places along it fit roughly.
-        sharp = max(NOISE_M, min(one.deviation for _, one in aligned))
-        aligned = [
-            (peak, reference.align(query, one.pose, prior, NEAREST_M, sharp))
-            for peak, one in aligned
-        ]
-        peak, best = max(aligned, key=lambda one: one[1].fit)
-        if best.paired < _LEAST_PAIRED or not _are_same(best.pose, peak.pose):
+        aligned = _aligned(peaks, query, cloud)
+        best = max(aligned, key=lambda one: one.fit)
+        if best.paired < _LEAST_PAIRED or not _are_same(best.pose, peaks[aligned.index(best)].pose):
             self.counts.misaligned += 1
             return None
-        others = [one for _, one in aligned if not _are_same(best.pose, one.pose)]
+        others = [one for one in aligned if not _are_same(best.pose, one.pose)]
         if len(peaks) >= _MOST or any(_is_as_likely(one, best) for one in others):
             self.counts.ambiguous += 1
             return None
@@ -240,12 +232,7 @@ class LoopCloser:
         peaks = CorrelationMap(cloud.points).search(
             query.points, _ITSELF, task.reach, task.turn, _LEAST_PAIRED, _MOST, 0.0
         )
-        reference = Reference(cloud)
-        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
-        sharp = max(NOISE_M, found.deviation)
-        for peak in peaks:
-            rough = reference.align(query, peak.pose, prior)
-            again = reference.align(query, rough.pose, prior, NEAREST_M, sharp)
+        for again in _aligned(peaks, query, cloud, found.deviation):
             if _are_same(again.pose, _ITSELF) or not _is_as_likely(again, found):
                 continue
             for shift in (again.pose, inverse(again.pose)):
@@ -255,21 +242,17 @@ class LoopCloser:
                     return True
         return False
 
-    def _surface(self, origin: int, middles: set[int], graph: PoseGraph) -> int:
-        """Return how many cells of surfaces some submaps, given by their middles, show together."""
-        base = graph.pose(origin)
+    def _shows_enough(self, matches: list[_Match], graph: PoseGraph) -> bool:
+        """Return whether the submaps of matches that agree show too much for a coincidence."""
+        middles = sorted({one.edge.second for one in matches})
+        base = graph.pose(middles[0])
         clouds = [
             self._views[bisect_right(self._firsts, middle) - 1]
             .nearby(REACH_M, CELL_M)
             .placed(relative(base, graph.pose(middle)))
-            for middle in sorted(middles)
+            for middle in middles
         ]
-        return joined(clouds).thinned(_SURFACE_CELL).count
-
-    def _shows_enough(self, matches: list[_Match], graph: PoseGraph) -> bool:
-        """Return whether matches that agree show too much for a coincidence."""
-        middles = {one.edge.second for one in matches}
-        shown = self._surface(min(middles), middles, graph)
+        shown = joined(clouds).thinned(_SURFACE_CELL).count
         return shown >= _CELLS_PER_BIT * min(one.bits for one in matches)
 
     def _confirmed(self, graph: PoseGraph) -> list[Edge]:
@@ -337,6 +320,17 @@ def _is_complete(edge: Edge) -> bool:
     """Return whether a match shows the position in all directions."""
     covariance = np.linalg.inv(edge.information)
     return bool(np.linalg.eigvalsh(covariance[:2, :2])[-1] < _SAME_M**2)
+
+
+def _aligned(
+    peaks: list[Peak], query: PointCloud, cloud: PointCloud, deviation: float = 0.0
+) -> list[Alignment]:
+    """Return the exact alignment at each peak, for a deviation, or the least one of them."""
+    prior, reference = np.diag([0.3**-2, 0.3**-2, 0.2**-2]), Reference(cloud)
+    rough = [reference.align(query, peak.pose, prior) for peak in peaks]
+    # Once more, with less tolerance: on a long wall, all places along it fit roughly.
+    sharp = max(NOISE_M, deviation or min(one.deviation for one in rough))
+    return [reference.align(query, one.pose, prior, NEAREST_M, sharp) for one in rough]
 
 
 def _are_same(pose: Pose, other: Pose) -> bool:

@@ -28,7 +28,6 @@ from cairn.components.slam.odometry_calibration import (
     NOT_ESTIMATED,
     corrected_step,
     estimate_calibration,
-    odometry_edge,
     with_gains,
 )
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
@@ -38,7 +37,7 @@ from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel, move_pose, odometry_step
 from cairn.planar.odometry import FASTEST_WHEELS
 from cairn.planar.odometry_gains import GainEstimator
-from cairn.planar.poses import Pose, apart, compose, distance, relative, wrap
+from cairn.planar.poses import Pose, apart, compose, distance, relative
 from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
 from cairn.visual_map.observations import Observation
@@ -352,9 +351,8 @@ class Mapper:
             before = number - 1
             if islands[before] != islands[number] and path.covers(stamps[[before]]).all():
                 start, end = path.at(stamps[[before, number]]).tolist()
-                x, y, turn = relative(start, end)
                 known = _JUMP**-2.0 * np.eye(3)
-                edge = Edge(EdgeKind.JUMP, before, number, (x, y, wrap(turn)), known)
+                edge = Edge(EdgeKind.JUMP, before, number, relative(start, end), known)
                 self.graph.edges.append(edge)
                 joined = True
         self._driven_on = []
@@ -463,11 +461,10 @@ class Mapper:
     def _edge_to(self, number: int, step: tuple[Pose, Tracked] | None) -> Edge:
         """Return the constraint from the keyframe before: by scans if both have one that fits."""
         if step is None or step[1].fit is None or self.keyframes[number - 1].rays is None:
-            start_ns = self.keyframes[number - 1].stamp_ns
-            stamps = np.array([start_ns, self.keyframes[number].stamp_ns], np.int64)
+            start_ns, end_ns = (frame.stamp_ns for frame in self.keyframes[number - 1 : number + 1])
             path = self._log.path(self.calibration.calibration, start_ns)
-            edge = odometry_edge(0, 1, stamps, path, self._model)
-            return replace(edge, first=number - 1, second=number)
+            motion = path.motion(start_ns, end_ns, self._model)
+            return Edge(EdgeKind.ODOMETRY, number - 1, number, *motion)
         offset, tracked = step
         information = turned(tracked.information, self.pose[2])
         by_odometry = turned(tracked.by_odometry, self.pose[2])

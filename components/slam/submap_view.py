@@ -107,10 +107,7 @@ def conflicts(points: Array, views: Sequence[tuple[Pose, SubmapView]]) -> float:
     seen = np.zeros(len(points), np.bool_)
     free, solid = seen.copy(), seen.copy()
     for pose, view in views:
-        x, y, turn = inverse(pose)
-        cosine, sine = np.cos(turn), np.sin(turn)
-        rotation = np.array([[cosine, sine], [-sine, cosine]])
-        evidence = view.evidence(points @ rotation + (x, y))
+        evidence = view.evidence(PointCloud(points, points).placed(inverse(pose)).points)
         seen |= evidence != NOT_SEEN
         free |= evidence == SEEN_FREE
         solid |= (evidence != NOT_SEEN) & (evidence != SEEN_FREE)
