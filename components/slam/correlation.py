@@ -28,9 +28,9 @@ _LEVELS = 6  # the coarsest cells are 2^5 times larger: 3.2 m
 # Points farther from the map than so many cells are not of it. Poses that differ by less than that,
 # or by as many of the turns that are tried, are one peak of the likelihood.
 _NEAR = 4
-# A search that has expanded so many nodes, half a second, ends without a result: the window is too
-# ambiguous.
-_MOST_NODES = 400_000
+# A search that has expanded so many nodes, a tenth of a second, ends without a result: the
+# window is too ambiguous.
+_MOST_NODES = 100_000
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,11 @@ _MEMORY = 0.1  # share of the newest scan in what is usual
 # mean that the robot was moved, if the first did not fit the scan before it either, or if the
 # wheels stood still meanwhile. Else the place is new, or people hide it.
 _NO_FIT, _NO_FIT_IN_A_ROW = 0.6, 4
-# Where scans are usually farther from each other than this [m], they need not show the same.
-_NEXT_M = 0.5
+# A scan follows the one before clearly with such a fit, where the next one could show a jump.
+_CLEARLY = 0.5
+# Where scans are usually farther from each other than this [m], they need not show the same. Steps
+# that differ by less than this factor are usual.
+_NEXT_M, _USUAL = 0.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ class ScanTracker:
         Odometry is `uncertain` times as uncertain as its model says.
         """
         length, usual = math.hypot(step[0], step[1]), self._usual_step_m
-        self._steady = self._steady + 1 if 0.5 * usual < length < 2.0 * usual else 0
+        self._steady = self._steady + 1 if usual / _USUAL < length < _USUAL * usual else 0
         tracked = self._track(pose, step, cloud, self._noise(pose, step, uncertain))
         self._usual_step_m += _MEMORY * (length - usual)
         self._earlier, self._before = (self._before, cloud, step), cloud
@@ -158,7 +161,9 @@ class ScanTracker:
             follows = self._follows(cloud, step, prior)
             # A robot that was moved by hand sees one place and then another one. Where scan after
             # scan differs from the one before, there are leaves and grass, or nothing is near.
-            jumps = not (follows or self._since_jump) and self._shows_same(*self._earlier, prior)
+            jumps = not (follows or self._since_jump) and self._shows_same(
+                *self._earlier, prior, _CLEARLY
+            )
             is_new_place = self._misfits >= _NO_FIT_IN_A_ROW and not (self._since_jump or jumps)
             if is_moving and (is_new_place or (self._since_jump and not follows)):
                 # Or people stand around: only odometry shows the way.
@@ -191,16 +196,22 @@ class ScanTracker:
     def _follows(self, cloud: PointCloud, step: Pose, prior: Array) -> bool:
         """Return whether a scan shows the same as the one before, `step` from there."""
         usual = self._usual_step_m
-        may_differ = usual > _NEXT_M and math.hypot(step[0], step[1]) < 2 * usual
-        return may_differ or self._shows_same(self._before, cloud, step, prior)
+        may_differ = usual > _NEXT_M and math.hypot(step[0], step[1]) < _USUAL * usual
+        # Of two scans that each show this share of the same place, both show the square of it.
+        return may_differ or self._shows_same(
+            self._before, cloud, step, prior, _NO_FIT**2 * self.usual_fit
+        )
 
     def _shows_same(
-        self, before: PointCloud | None, after: PointCloud, step: Pose, prior: Array
+        self, before: PointCloud | None, after: PointCloud, step: Pose, prior: Array, least: float
     ) -> bool:
-        """Return whether a scan shows the same as one `step` before it, if that shows enough."""
+        """Return whether a scan shows the same as one `step` before it, if that shows enough.
+
+        Its fit is at least `least` then.
+        """
         if before is None or _surface_cells(before) < _LEAST_SURFACE:
             return True
-        return Reference(before).align(after, step, prior).fit >= _NO_FIT * self.usual_fit
+        return Reference(before).align(after, step, prior).fit >= least
 
     def _at(
         self, pose: Pose, noise: Array, information: Array | None, fit: float | None
