@@ -32,9 +32,9 @@ _ROUGHNESS = 0.01
 # Least standard deviation of a point's distance to its surface [m]. The points of one scan share
 # their errors: the information counts so many times less.
 NOISE_M, _COMMON = 0.02, 12.0
-# Added to the information, so that it has an inverse where one wall says nothing of the position
-# along it: a deviation of 1 km, 1000 rad.
-_LEAST_INFORMATION = 1e-6 * np.eye(3)
+LEAST_INFORMATION = 1e-6 * np.eye(3)
+"""Added to the information, so that it has an inverse where one wall says nothing of the position
+along it: a deviation of 1 km, 1000 rad."""
 
 
 class Reference:
@@ -82,7 +82,7 @@ class Reference:
         noise = max(NOISE_M, deviation if flat else 0.0)
         return Alignment(
             pose=(float(state[0]), float(state[1]), wrap(float(state[2]))),
-            information=hessian / (noise**2 * _COMMON) + _LEAST_INFORMATION,
+            information=hessian / (noise**2 * _COMMON) + LEAST_INFORMATION,
             fit=float(fit / max(1, cloud.count)),
             log_likelihood=float(log_fit / _COMMON),
             paired=float(paired / max(1, cloud.count)),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cairn.components.slam.landmarks import LandmarkBuilder
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
-from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Prior, relative_all
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, Prior, relative_all
 from cairn.planar.motion_model import MotionModel, move_pose, odometry_step
 from cairn.planar.odometry_gains import GainEstimator
 from cairn.planar.poses import Pose, compose, relative
@@ -111,7 +111,7 @@ def estimate_calibration(
     show. Without either the result is `start`, which was estimated while driving.
     """
     now = origin = np.array(astuple(start.calibration))
-    known = np.array(astuple(start.deviations))
+    known, usual = np.array(astuple(start.deviations)), np.array(_USUAL)
     information, covariance = np.diag(known**-2.0), np.diag(known**2.0)
     covered = log.path(start.calibration).covers(stamps)
     pairs = [
@@ -143,11 +143,11 @@ def estimate_calibration(
             np.stack(by_sighting, axis=2),
             Prior(origin - now, information),
         )
-        now = now + change
+        now = np.clip(now + change, *(origin + k * AGREES * usual for k in (-1, 1)))
         if graph.depends_on_odometry:
             use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
             graph.refine()
-        if (np.abs(change) < _ENOUGH * np.array(_USUAL)).all():
+        if (np.abs(change) < _ENOUGH * usual).all():
             break
     deviations = np.sqrt(np.diag(covariance)).tolist()
     return CalibrationEstimate(OdometryCalibration(*now.tolist()), OdometryCalibration(*deviations))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from cairn.components.slam.alignment import LEAST_INFORMATION
 from cairn.components.slam.chains import Chains, chains_of
 from cairn.planar.compiled import compiled
 from cairn.planar.poses import Pose, compose, wrap_all
@@ -390,6 +391,12 @@ class PoseGraph:
         kept = (edge for edge in self.edges if edge.kind is not EdgeKind.ODOMETRY)
         for factor in chain(self._anchors(), (_edge_factor(edge, 1.0) for edge in kept)):
             linear.add(factor.linearize(values))
+        # Without it, a chain of thousands of poses is not solved in double precision.
+        least, nothing = np.sqrt(LEAST_INFORMATION), np.zeros(3)
+        for number in range(len(self.poses)):
+            linear.add(
+                gtsam.JacobianFactor(number, least, nothing, gtsam.noiseModel.Unit.Create(3))
+            )
         key, unit = gtsam.symbol("c", 0), gtsam.noiseModel.Unit.Create
         for edge, derivative in zip(motions, by_motion, strict=True):
             jacobian, residual = _edge_factor(edge, 1.0).linearize(values).jacobian()
@@ -511,7 +518,7 @@ class PoseGraph:
         measured = np.array([e.measured for e in self.edges]).reshape(-1, 3)
         information = np.array([e.information for e in self.edges]).reshape(-1, 3, 3)
         floor = np.diag([_DRIFT_M**2, _DRIFT_M**2, _DRIFT_RAD**2])
-        inverses = np.asarray(np.linalg.inv(information + 1e-6 * np.eye(3)), np.float64)
+        inverses = np.asarray(np.linalg.inv(information + LEAST_INFORMATION), np.float64)
         covariances = inverses + floor
         both = np.concatenate((ends, ends[:, ::-1]))
         order = np.argsort(both[:, 0], kind="stable")
