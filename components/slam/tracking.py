@@ -135,7 +135,7 @@ class ScanTracker:
         far, turn = math.hypot(step[0], step[1]), abs(step[2])
         slip = np.diag(np.square([_SLIP + far, _SLIP + far, _SLIP + turn]))
         # The robot may be pushed, and scans stamped late: that is seen before it is known.
-        trusted = noise + AGREES**2 * (self._least + np.diag(self._off)) if self._compared else slip
+        trusted = noise + AGREES**2 * (self._least + np.diag(self._off))
         found = reference.align(cloud, guess, _inverse(trusted))
         has_slipped = False
         # Could a scan that fits as usual, where wheels that slipped may have moved it, be likelier?
