@@ -65,6 +65,10 @@ class WheelLimits:
     turn: float
 
 
+FASTEST_WHEELS = WheelLimits(3.0, 7.0)
+"""A faster step is a jump: motion control accepts limits of up to 3 m/s and 6 rad/s."""
+
+
 class OdometryChange(Enum):
     """How a new pose of odometry relates to those before it."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from logging import Logger
 
 from cairn.planar.messages import planar_pose
-from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
+from cairn.planar.odometry import FASTEST_WHEELS, OdometryChange, OdometryHistory
 from cairn.planar.pose_tracker import sweep_of
 from cairn.planar.poses import Pose, compose
 from cairn.planar.scans import Rays, rays_of, sweep_s
@@ -18,9 +18,7 @@ from cairn.schemas.sensor_msgs import LaserScan
 from cairn.system.clock import SECOND
 
 _KEPT = 20  # scans that wait for their pose: those of 2 s at 10 Hz, of 0.5 s at 40 Hz
-_HISTORY_S = 5  # of odometry, longer than scans wait
-# A faster step of odometry is a jump: motion control accepts limits of up to 3 m/s and 6 rad/s.
-_WHEELS = WheelLimits(3.0, 7.0)
+HISTORY_S = 5  # of odometry, longer than scans wait
 # Scans of a pose with a less certain heading [rad] are not used: a beam of 3 m would end 0.18 m
 # beside its obstacle, about four cells of 0.05 m. Chosen by hand; half and double make no
 # difference in the demo's tour.
@@ -48,7 +46,7 @@ class PosedScans:
         self._mount = mount
         self._every_ns = round(SECOND / per_s)
         self._least_health, self._most_spread_m = least_health, most_spread_m
-        self._history = OdometryHistory[int](_HISTORY_S * SECOND, _WHEELS)
+        self._history = OdometryHistory[int](HISTORY_S * SECOND, FASTEST_WHEELS)
         self._scans: deque[LaserScan] = deque(maxlen=_KEPT)
         self._last_ns: int | None = None
         self.waiting = "no pose was received yet"

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 # has the effect of half and double. docs/benchmarks.md has the errors of the logs fr079 and fr101
 # on maps that are made so.
 
-# A cell is occupied if at least this share of the rays that reached it ended there.
-_OCCUPIED_SHARE = 0.3
+OCCUPIED_SHARE = 0.3
+"""A cell is occupied if at least this share of the rays that reached it ended there."""
 # Margin of unknown cells around the map [m].
 _BORDER_M = 1.0
 # A surface is estimated from rays this many indices apart, if their ends are this near [m].
@@ -230,7 +230,7 @@ class ScanGrid:
             rows = slice(first, first + _BLOCK)
             reached = ended[rows] + passed[rows]
             cells[rows][reached > 0] = FREE
-            is_occupied = (ended[rows] > 0) & (ended[rows] >= _OCCUPIED_SHARE * reached)
+            is_occupied = (ended[rows] > 0) & (ended[rows] >= OCCUPIED_SHARE * reached)
             cells[rows][is_occupied] = OCCUPIED
         return cells
 

@@ -14,12 +14,16 @@ from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
-_CELL = 0.25  # of the index of a reference [m]
-# The distance up to which points are paired shrinks to this [m] by this factor per iteration.
-_NEAREST_M, _SHRINK = 0.12, 0.75
+WIDE_M, NEAREST_M = 0.3, 0.12
+"""Points are paired up to the first distance [m] where a pose is uncertain, and the second in the
+end.
+"""
+
+# The distance up to which points are paired shrinks by this factor per iteration.
+_SHRINK = 0.75
 _ITERATIONS = 30
-# An alignment has converged when a step is smaller than this [m], [rad].
-_STEP_M, _STEP_RAD = 2e-4, 5e-5
+# An alignment has converged when a step is smaller than this share of its standard deviation.
+_CONVERGED = 0.03
 # Surfaces are paired if the angle between their normals is at most acos of this.
 _SAME_SIDE = 0.7
 # A direction counts as seen only as far as the surfaces across it outweigh this share of those
@@ -27,10 +31,10 @@ _SAME_SIDE = 0.7
 _ROUGHNESS = 0.01
 # Least standard deviation of a point's distance to its surface [m]. The points of one scan share
 # their errors: the information counts so many times less.
-_NOISE_M, _COMMON = 0.02, 12.0
-# Added to the information, so that it has an inverse where one wall says nothing of the position
-# along it: a deviation of 1 km, 1000 rad.
-_LEAST_INFORMATION = 1e-6 * np.eye(3)
+NOISE_M, _COMMON = 0.02, 12.0
+LEAST_INFORMATION = 1e-6 * np.eye(3)
+"""Added to the information, so that it has an inverse where one wall says nothing of the position
+along it: a deviation of 1 km, 1000 rad."""
 
 
 class Reference:
@@ -39,10 +43,10 @@ class Reference:
     def __init__(self, cloud: PointCloud) -> None:
         self.cloud = cloud
         points = cloud.points
-        self._origin = points.min(axis=0) - _CELL if cloud.count else np.zeros(2)
+        self._origin = points.min(axis=0) - NEAREST_M if cloud.count else np.zeros(2)
         extent = points.max(axis=0) - self._origin if cloud.count else np.zeros(2)
-        self._columns, self._rows = (math.floor(size / _CELL) + 2 for size in extent)
-        cells = np.floor((points - self._origin) / _CELL).astype(np.int64)
+        self._columns, self._rows = (math.floor(size / NEAREST_M) + 2 for size in extent)
+        cells = np.floor((points - self._origin) / NEAREST_M).astype(np.int64)
         keys = cells[:, 1] * self._columns + cells[:, 0]
         self._order = np.argsort(keys, kind="stable")
         counts = np.bincount(keys, minlength=self._columns * self._rows)
@@ -55,7 +59,7 @@ class Reference:
         cloud: PointCloud,
         guess: Pose,
         prior: Array,
-        reach: float,
+        reach: float = WIDE_M,
         robust: float = 0.05,
     ) -> Alignment:
         """Align a cloud to this reference.
@@ -73,13 +77,14 @@ class Reference:
             cloud.points, cloud.normals, self._points, self._normals, self._first,
             self._origin, self._columns, self._rows, state, prior, reach, robust,
         )  # fmt: skip
-        paired, flat, squares, fit = numbers
+        paired, flat, squares, fit, log_fit = numbers
         deviation = math.sqrt(squares / flat) if flat else math.inf
-        noise = max(_NOISE_M, deviation if flat else 0.0)
+        noise = max(NOISE_M, deviation if flat else 0.0)
         return Alignment(
             pose=(float(state[0]), float(state[1]), wrap(float(state[2]))),
-            information=hessian / (noise**2 * _COMMON) + _LEAST_INFORMATION,
+            information=hessian / (noise**2 * _COMMON) + LEAST_INFORMATION,
             fit=float(fit / max(1, cloud.count)),
+            log_likelihood=float(log_fit / _COMMON),
             paired=float(paired / max(1, cloud.count)),
             pairs=int(flat),
             deviation=float(deviation),
@@ -95,6 +100,7 @@ class Alignment:
         information: (3, 3) over x, y and heading, in the reference's frame; without the prior's.
         fit: mean of the points' weights, 1 if each lies on its surface, 0 for a point without a
             partner.
+        log_likelihood: of the points, relative to that of a perfect fit.
         paired: share of the points that have a partner within 0.12 m.
         pairs: number of those on a surface.
         deviation: root mean square of their distances to the surface [m].
@@ -104,6 +110,7 @@ class Alignment:
     pose: Pose
     information: Array
     fit: float
+    log_likelihood: float
     paired: float
     pairs: int
     deviation: float
@@ -131,13 +138,14 @@ def _align(
     x0, y0, t0 = state[0], state[1], state[2]
     x, y, turn = x0, y0, t0
     hessian = np.zeros((3, 3))
-    numbers = np.zeros(4)
+    numbers = np.zeros(5)
+    log_least = -math.log(1.0 + (NEAREST_M / robust) ** 2)
     for _ in range(_ITERATIONS):
         cosine, sine = math.cos(turn), math.sin(turn)
         hessian[:] = 0.0
         gx, gy, gt = 0.0, 0.0, 0.0
-        paired, flat, squares, fit = 0, 0, 0.0, 0.0
-        scale = max(robust, 0.4 * reach) if reach > _NEAREST_M else robust
+        paired, flat, squares, fit, log_fit = 0, 0, 0.0, 0.0, 0.0
+        scale = max(robust, 0.4 * reach) if reach > NEAREST_M else robust
         for i in range(len(points)):
             rx = cosine * points[i, 0] - sine * points[i, 1]
             ry = sine * points[i, 0] + cosine * points[i, 1]
@@ -146,10 +154,10 @@ def _align(
             ny = sine * normals[i, 0] + cosine * normals[i, 1]
             is_flat = normals[i, 0] != 0.0 or normals[i, 1] != 0.0
             best, nearest = -1, reach * reach
-            low_column = max(0, math.floor((px - reach - origin[0]) / _CELL))
-            high_column = min(columns - 1, math.floor((px + reach - origin[0]) / _CELL))
-            low_row = max(0, math.floor((py - reach - origin[1]) / _CELL))
-            high_row = min(rows - 1, math.floor((py + reach - origin[1]) / _CELL))
+            low_column = max(0, math.floor((px - reach - origin[0]) / NEAREST_M))
+            high_column = min(columns - 1, math.floor((px + reach - origin[0]) / NEAREST_M))
+            low_row = max(0, math.floor((py - reach - origin[1]) / NEAREST_M))
+            high_row = min(rows - 1, math.floor((py + reach - origin[1]) / NEAREST_M))
             for row in range(low_row, high_row + 1):
                 start = first[row * columns + low_column] if low_column <= high_column else 0
                 stop = first[row * columns + high_column + 1] if low_column <= high_column else 0
@@ -163,12 +171,15 @@ def _align(
                         continue
                     best, nearest = k, squared
             if best < 0:
+                log_fit += log_least
                 continue
             paired += 1
             mx, my = reference_normals[best, 0], reference_normals[best, 1]
             if mx == 0.0 and my == 0.0:
                 if not is_flat:
-                    fit += 1.0 / (1.0 + nearest / (robust * robust))
+                    weight = 1.0 / (1.0 + nearest / (robust * robust))
+                    fit += weight
+                    log_fit += math.log(weight)
                     continue
                 mx, my = nx, ny
             dx, dy = px - reference[best, 0], py - reference[best, 1]
@@ -177,6 +188,7 @@ def _align(
             squares += error * error
             weight = 1.0 / (1.0 + (error / scale) * (error / scale))
             fit += weight
+            log_fit += math.log(weight)
             weight *= weight
             jt = my * rx - mx * ry
             hessian[0, 0] += weight * mx * mx
@@ -204,9 +216,9 @@ def _align(
         hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
         gu, gv = ux * gx + uy * gy, (ux * gy - uy * gx) * share
         gx, gy = ux * gu - uy * gv, uy * gu + ux * gv
-        numbers[0], numbers[1], numbers[2], numbers[3] = paired, flat, squares, fit
+        numbers[:] = np.array((paired, flat, squares, fit, log_fit))
         # With the prior, which counts as if all points were independent.
-        noise = _NOISE_M * _NOISE_M * _COMMON
+        noise = NOISE_M * NOISE_M * _COMMON
         ex, ey = x - x0, y - y0
         et = (turn - t0 + math.pi) % (2.0 * math.pi) - math.pi
         a = hessian + noise * prior
@@ -228,11 +240,11 @@ def _align(
         x += step_x
         y += step_y
         turn += step_turn
-        is_small = math.hypot(step_x, step_y) < _STEP_M and abs(step_turn) < _STEP_RAD
-        if reach <= _NEAREST_M and is_small:
+        is_small = -(step_x * bx + step_y * by + step_turn * bt) < _CONVERGED**2 * noise
+        if reach <= NEAREST_M and is_small:
             break
-        reach = max(_NEAREST_M, reach * _SHRINK)
+        reach = max(NEAREST_M, reach * _SHRINK)
         if is_small:
-            reach = _NEAREST_M
+            reach = NEAREST_M
     state[0], state[1], state[2] = x, y, turn
     return hessian, numbers

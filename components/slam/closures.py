@@ -14,64 +14,39 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.alignment import Alignment, Reference
-from cairn.components.slam.correlation import MOST_NODES, CorrelationMap, Peak
-from cairn.components.slam.keyframes import DENSE_M, Keyframe, Submap, placed_together
+from cairn.components.slam.alignment import NEAREST_M, NOISE_M, Alignment, Reference
+from cairn.components.slam.correlation import CELL_M, REACH_M, CorrelationMap, Peak
+from cairn.components.slam.keyframes import Keyframe, Submap, placed_together
 from cairn.components.slam.point_cloud import PointCloud, joined
-from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
-from cairn.components.slam.submap_view import REACH_M, SubmapView, conflicts, view_of
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, turned
+from cairn.components.slam.submap_view import SubmapView, conflicts, view_of
 from cairn.planar.poses import Pose, apart, compose, distance, inverse, relative, wrap
 
 Array = NDArray[np.float64]
 
-# The points that are searched for: one per cell of this size [m], and at least so many.
-_SEARCH_CELL, _LEAST_POINTS = 0.1, 50
-# Submaps whose middles are farther apart see different places [m], beyond the window.
-_NEAR_M = 6.0
-# The window is so many standard deviations of the drift, and this [m], [rad] more; at most this
-# [m] on each side.
-_SIGMAS, _EXTRA_M, _EXTRA_RAD, _WIDEST_M = 3.0, 0.3, math.radians(3.0), 15.0
-# Least score of a match; higher where the whole map is searched.
-_LEAST_SCORE, _LEAST_SCORE_ANYWHERE = 0.55, 0.6
-# After the exact alignment: least share of paired points, largest deviation [m], and largest
-# distance from where the search found them [m], [rad].
-_LEAST_PAIRED, _MOST_DEVIATION, _MOVED_M, _MOVED_RAD = 0.6, 0.06, 0.4, 0.1
+# Submaps whose middles are nearer than this [m] show the same place. In a window of this size, a
+# match needs not show the position in all directions. Of other islands, one submap for each area of
+# this size is searched.
+_PLACE_M = 6.0
+# Least share of points that match.
+_LEAST_PAIRED = 0.55
 # Most points of one that lie where the other sees free space, as a share of those that it sees.
 _MOST_CONFLICTS = 0.2
-# Peaks of a search that are aligned exactly; those of more are ambiguous. The alignment that fits
-# best must fit so much better than those that end elsewhere [m], [rad].
-_MOST_PEAKS, _CLEARLY_BETTER, _SAME_M, _SAME_RAD = 20, 0.04, 0.2, 0.1
-# For this comparison, points are paired up to this distance [m]; the distance at which a pair
-# counts half is at least this [m], and so many times the deviation of the best alignment.
-_SHARP_REACH_M, _SHARP_M, _SHARP_DEVIATIONS = 0.12, 0.015, 1.5
+# Poses that differ by less are the same [m], [rad].
+_SAME_M, _SAME_RAD = 0.3, 0.1
 # A submap is compared with so many before and after it, to see whether the surroundings repeat.
-# They do if it fits elsewhere as well as in the old one, or worse by this; poses nearer than this
-# to its own are itself [m], [rad].
-_BESIDE, _REPEATED, _ITSELF_M, _ITSELF_RAD = 5, 0.1, 0.5, 0.3
+_BESIDE = 5
 _ITSELF: Pose = (0.0, 0.0, 0.0)
 # Neighbors of the alignment's points share their errors: a closure counts as this much of one.
 _WORTH = 0.2
-# A match in a window wider than this [m] is accepted only with so many in all that agree with it up
-# to this [m], [rad].
-_SURE_WINDOW_M, _CONFIRMATIONS, _AGREE_M, _AGREE_RAD = 2.5, 2, 0.5, 0.1
-# Submaps that confirm each other show surfaces in so many cells of this size [m] together, each
-# side of a wall counted: more than one room or corner, which others may look like. Less is enough
-# if it is this share of all that the other island shows.
-_SURFACE_CELL, _LEAST_SURFACE, _MOST_OF_ISLAND = 0.5, 90, 0.7
-# In a narrow window, so many cells are enough, alone or with others that agree: a pillar with a
-# piece of a wall fits beside each pillar.
-_LEAST_SURFACE_ALONE = 30
-# A match says where the robot is if the position deviates by at most this in any direction [m]:
-# along a wall without features it deviates more. Others are not counted as matches.
-_COMPLETE_SD_M = 0.3
-_REMEMBERED = 48  # matches that wait for others
-# Submaps that are searched for a new one.
-_MOST_CANDIDATES = 24
-# Of other islands, one submap in each cell of this size [m] is searched. Of more cells than
-# `_MOST_CANDIDATES`, half are the nearest ones, as by odometry, and half are others each time.
-_PLACES_M = 5.0
-# A search of other islands ends after so many nodes, a tenth of a second: it is too ambiguous.
-_MOST_NODES_ANYWHERE = 100_000
+# A match is not a coincidence if the submaps that agree show surfaces, each side of a wall counted,
+# in so many cells of this size [m] for each bit of information: the logarithm of the number of
+# poses among which it was found. A pillar with a piece of a wall fits beside each pillar.
+_CELLS_PER_BIT, _SURFACE_CELL = 4, 0.5
+# Submaps that are searched for a new one, and peaks of a search that are aligned exactly: of more,
+# all are ambiguous. Of more places of other islands, half are the nearest ones, as by odometry,
+# and half are others each time. Twice as many matches wait for others.
+_MOST = 24
 # Matches that are enough for one submap.
 _ENOUGH = 3
 
@@ -80,19 +55,26 @@ _ENOUGH = 3
 class Task:
     """Two submaps to compare: `new` is searched for in `old`, in the window by its drift.
 
-    `anywhere`: they are of different islands.
+    `anywhere`: they are of different islands; then it may be in any of so many places.
     """
 
     new: int
     old: int
     reach: float
     turn: float
-    anywhere: bool = False
+    anywhere: int = 0
 
     @property
-    def is_sure(self) -> bool:
-        """Whether the window is so narrow that a match needs no confirmation."""
-        return not self.anywhere and self.reach <= _SURE_WINDOW_M and self.turn < math.pi
+    def is_narrow(self) -> bool:
+        """Whether the window is of one place."""
+        return not self.anywhere and 2 * self.reach <= _PLACE_M and self.turn < math.pi
+
+    @property
+    def bits(self) -> float:
+        """The binary logarithm of the number of poses in the window, or in all places."""
+        side = _PLACE_M if self.anywhere else 2 * self.reach
+        steps, turns = 1 + side / _SAME_M, 1 + 2 * self.turn / _SAME_RAD
+        return math.log2(steps**2 * turns * max(1, self.anywhere))
 
 
 @dataclass
@@ -108,10 +90,10 @@ class ClosureCounts:
 
 @dataclass(frozen=True)
 class _Match:
-    """A match that waits for others that agree; `is_sure`: it was found in a narrow window."""
+    """A match that waits for others that agree, and the information that it takes in bits."""
 
     edge: Edge
-    is_sure: bool
+    bits: float
 
 
 class LoopCloser:
@@ -138,9 +120,9 @@ class LoopCloser:
             self._firsts.append(submap.first)
             self._views.append(view_of(submap, keyframes, graph.poses))
         islands = self._islands = graph.islands()
-        if self._views[new.number].cloud.count < _LEAST_POINTS:
+        if not self._views[new.number].surfaces.count:
             return
-        submaps = [one for one in submaps if self._views[one.number].cloud.count >= _LEAST_POINTS]
+        submaps = [one for one in submaps if self._views[one.number].surfaces.count]
         here = [old for old in submaps[:-2] if islands[old.middle] == islands[new.middle]]
         elsewhere = [old for old in submaps[:-1] if islands[old.middle] != islands[new.middle]]
         # A place in the own island is more urgent than those where the robot may have been.
@@ -163,12 +145,10 @@ class LoopCloser:
             if is_needed:
                 done += 1
                 edge = self._compare(task, submaps, graph)
-                if edge is not None and task.is_sure and self._is_distinctive(edge, graph):
-                    accepted.append(edge)
-                elif edge is not None:
-                    self._waiting = [*self._waiting, _Match(edge, task.is_sure)][-_REMEMBERED:]
-            if not any(other.new == task.new for other in self._tasks):
-                accepted += self._confirmed(submaps, graph)
+                if edge is not None:
+                    self._waiting = [*self._waiting, _Match(edge, task.bits)][-2 * _MOST :]
+            if task.is_narrow or not any(other.new == task.new for other in self._tasks):
+                accepted += self._confirmed(graph)
         for edge in accepted:
             if not _is_complete(edge):
                 continue
@@ -182,23 +162,21 @@ class LoopCloser:
         new, old = submaps[task.new], submaps[task.old]
         base, at = graph.pose(old.middle), graph.pose(new.middle)
         view = self._views[task.new]
-        query = view.nearby(REACH_M, _SEARCH_CELL)
+        query = view.nearby(REACH_M, CELL_M)
         around = [
             (relative(base, graph.pose(other.middle)), self._views[other.number])
             for other in submaps[max(0, task.old - 1) : task.old + 2]
             if other.number < task.new and self._islands[other.middle] == self._islands[old.middle]
         ]
-        cloud = placed_together([(one.surfaces, pose) for pose, one in around]).thinned(DENSE_M)
-        if min(query.count, cloud.count) < _LEAST_POINTS:
+        cloud = placed_together([(one.surfaces, pose) for pose, one in around]).thinned()
+        if not min(query.count, cloud.count):
             return None
-        least = _LEAST_SCORE_ANYWHERE if task.anywhere else _LEAST_SCORE
         center = (0.0, 0.0, 0.0) if task.anywhere else relative(base, at)
-        nodes = _MOST_NODES_ANYWHERE if task.anywhere else MOST_NODES
         peaks = CorrelationMap(cloud.points).search(
-            query.points, center, task.reach, task.turn, least, _MOST_PEAKS, nodes=nodes
+            query.points, center, task.reach, task.turn, _LEAST_PAIRED, _MOST
         )
         if peaks and not task.anywhere:
-            peaks.append(Peak(center, least))  # along a corridor it may be best
+            peaks.append(Peak(center, _LEAST_PAIRED))  # along a corridor it may be best
         if not peaks:
             return None
         found = self._only_alignment(peaks, query, cloud)
@@ -206,7 +184,7 @@ class LoopCloser:
             return None
         information = turned(_WORTH * found.information, found.pose[2])
         edge = Edge(EdgeKind.CLOSURE, old.middle, new.middle, found.pose, information)
-        if not task.is_sure and (
+        if not task.is_narrow and (
             not _is_complete(edge) or self._is_repeated(task, found, center, submaps, graph)
         ):
             self.counts.ambiguous += 1
@@ -223,33 +201,13 @@ class LoopCloser:
         self, peaks: list[Peak], query: PointCloud, cloud: PointCloud
     ) -> Alignment | None:
         """Return the alignment at the peak that fits clearly better than all others."""
-        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
-        reference = Reference(cloud)
-        aligned = [(peak, reference.align(query, peak.pose, prior, 0.3)) for peak in peaks]
-        # Once more, with less tolerance: on a long wall, all places along it fit roughly.
-        best_deviation = min(
-            (one.deviation for _, one in aligned if one.paired >= _LEAST_PAIRED), default=math.inf
-        )
-        if best_deviation > _MOST_DEVIATION:
+        aligned = _aligned(peaks, query, cloud)
+        best = max(aligned, key=lambda one: one.fit)
+        if best.paired < _LEAST_PAIRED or not _are_same(best.pose, peaks[aligned.index(best)].pose):
             self.counts.misaligned += 1
             return None
-        sharp = max(_SHARP_M, _SHARP_DEVIATIONS * best_deviation)
-        aligned = [
-            (peak, reference.align(query, one.pose, prior, _SHARP_REACH_M, sharp))
-            for peak, one in aligned
-        ]
-        peak, best = max(aligned, key=lambda one: one[1].fit)
-        if (
-            best.paired < _LEAST_PAIRED
-            or best.deviation > _MOST_DEVIATION
-            or apart(best.pose, peak.pose, _MOVED_M, _MOVED_RAD)
-        ):
-            self.counts.misaligned += 1
-            return None
-        others = [
-            other.fit for _, other in aligned if apart(best.pose, other.pose, _SAME_M, _SAME_RAD)
-        ]
-        if len(peaks) >= _MOST_PEAKS or best.fit - max(others, default=0.0) < _CLEARLY_BETTER:
+        others = [one for one in aligned if not _are_same(best.pose, one.pose)]
+        if len(peaks) >= _MOST or any(_is_as_likely(one, best) for one in others):
             self.counts.ambiguous += 1
             return None
         return best
@@ -269,19 +227,13 @@ class LoopCloser:
             for other in submaps[max(0, task.new - _BESIDE) : task.new + _BESIDE + 1]
             if island[other.middle] == island[new.middle] and other.number < len(self._views)
         ]
-        query = self._views[task.new].nearby(REACH_M, _SEARCH_CELL)
-        cloud = placed_together(around).thinned(DENSE_M)
+        query = self._views[task.new].nearby(REACH_M, CELL_M)
+        cloud = placed_together(around).thinned()
         peaks = CorrelationMap(cloud.points).search(
-            query.points, _ITSELF, task.reach, task.turn, _LEAST_SCORE, _MOST_PEAKS, 0.0
+            query.points, _ITSELF, task.reach, task.turn, _LEAST_PAIRED, _MOST, 0.0
         )
-        reference = Reference(cloud)
-        prior = np.diag([0.3**-2, 0.3**-2, 0.2**-2])
-        sharp = max(_SHARP_M, _SHARP_DEVIATIONS * found.deviation)
-        for peak in peaks:
-            rough = reference.align(query, peak.pose, prior, 0.3)
-            again = reference.align(query, rough.pose, prior, _SHARP_REACH_M, sharp)
-            is_itself = not apart(again.pose, _ITSELF, _ITSELF_M, _ITSELF_RAD)
-            if is_itself or again.fit < found.fit - _REPEATED:
+        for again in _aligned(peaks, query, cloud, found.deviation):
+            if _are_same(again.pose, _ITSELF) or not _is_as_likely(again, found):
                 continue
             for shift in (again.pose, inverse(again.pose)):
                 other = compose(found.pose, shift)
@@ -290,39 +242,23 @@ class LoopCloser:
                     return True
         return False
 
-    def _is_distinctive(self, edge: Edge, graph: PoseGraph) -> bool:
-        """Return whether a match in a narrow window needs no other one that agrees."""
-        return self._surface(edge.second, {edge.second}, graph) >= _LEAST_SURFACE_ALONE
-
-    def _surface(self, origin: int, middles: set[int], graph: PoseGraph) -> int:
-        """Return how many cells of surfaces some submaps, given by their middles, show together."""
-        base = graph.pose(origin)
+    def _shows_enough(self, matches: list[_Match], graph: PoseGraph) -> bool:
+        """Return whether the submaps of matches that agree show too much for a coincidence."""
+        middles = sorted({one.edge.second for one in matches})
+        base = graph.pose(middles[0])
         clouds = [
             self._views[bisect_right(self._firsts, middle) - 1]
-            .nearby(REACH_M, _SEARCH_CELL)
+            .nearby(REACH_M, CELL_M)
             .placed(relative(base, graph.pose(middle)))
-            for middle in sorted(middles)
+            for middle in middles
         ]
-        return joined(clouds).thinned(_SURFACE_CELL).count
+        shown = joined(clouds).thinned(_SURFACE_CELL).count
+        return shown >= _CELLS_PER_BIT * min(one.bits for one in matches)
 
-    def _shows_enough(self, matches: list[_Match], submaps: list[Submap], graph: PoseGraph) -> bool:
-        """Return whether matches that agree show too much for a coincidence."""
-        edge = matches[0].edge
-        shown = self._surface(edge.second, {one.edge.second for one in matches}, graph)
-        if all(one.is_sure for one in matches):
-            return shown >= _LEAST_SURFACE_ALONE
-        islands = graph.islands()
-        if shown >= _LEAST_SURFACE or islands[edge.first] == islands[edge.second]:
-            return shown >= _LEAST_SURFACE
-        others = submaps[: len(self._views)]
-        island = {one.middle for one in others if islands[one.middle] == islands[edge.first]}
-        return shown >= _MOST_OF_ISLAND * self._surface(edge.first, island, graph)
+    def _confirmed(self, graph: PoseGraph) -> list[Edge]:
+        """Return the closures that agree, and show too much for a coincidence.
 
-    def _confirmed(self, submaps: list[Submap], graph: PoseGraph) -> list[Edge]:
-        """Return the closures that others confirm, of those that need it.
-
-        They put at least two submaps in the same place, and twice as many as any other place of
-        these submaps.
+        They put twice as many submaps in the same place as in any other one.
         """
         islands = graph.islands()
         agreeing = [
@@ -331,8 +267,6 @@ class LoopCloser:
         ]
         support = [{one.edge.second for one in matches} for matches in agreeing]
         for k in sorted(range(len(support)), key=lambda k: -len(support[k])):
-            if len(support[k]) < _CONFIRMATIONS:
-                break
             rivals = [
                 len(support[i])
                 for i, other in enumerate(self._waiting)
@@ -340,7 +274,7 @@ class LoopCloser:
                 and not _agree(self._waiting[k].edge, other.edge, islands, graph)
             ]
             is_rivaled = 2 * max(rivals, default=0) > len(support[k])
-            if is_rivaled or not self._shows_enough(agreeing[k], submaps, graph):
+            if is_rivaled or not self._shows_enough(agreeing[k], graph):
                 continue
             self._waiting = [one for one in self._waiting if one.edge.second not in support[k]]
             return [one.edge for one in agreeing[k]]
@@ -354,13 +288,13 @@ def _near_tasks(new: Submap, olds: list[Submap], graph: PoseGraph) -> list[Task]
     for old in olds:
         covariance = drift[old.middle]
         sd_m = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-        reach = min(_SIGMAS * sd_m + _EXTRA_M, _WIDEST_M)
-        turn = min(_SIGMAS * math.sqrt(covariance[2, 2]) + _EXTRA_RAD, math.pi)
+        reach = min(AGREES * sd_m, REACH_M)
+        turn = min(AGREES * math.sqrt(covariance[2, 2]), math.pi)
         apart_m = distance(at, graph.pose(old.middle))
-        if apart_m < _NEAR_M + reach:
+        if apart_m < _PLACE_M + reach:
             planned.append((apart_m / reach, Task(new.number, old.number, reach, turn)))
     planned.sort(key=lambda one: (one[0], -one[1].old))
-    return [task for _, task in planned[:_MOST_CANDIDATES]]
+    return [task for _, task in planned[:_MOST]]
 
 
 def _anywhere_tasks(
@@ -371,29 +305,42 @@ def _anywhere_tasks(
     by_cell: dict[tuple[int, int, int], Submap] = {}
     for old in olds:
         x, y, _ = graph.pose(old.middle)
-        cell = int(islands[old.middle]), math.floor(x / _PLACES_M), math.floor(y / _PLACES_M)
+        cell = int(islands[old.middle]), math.floor(x / _PLACE_M), math.floor(y / _PLACE_M)
         by_cell[cell] = old
     places = sorted(by_cell.values(), key=lambda old: distance(graph.pose(old.middle), at))
-    half = _MOST_CANDIDATES // 2
-    if len(places) > _MOST_CANDIDATES:
+    count, half = len(places), _MOST // 2
+    if count > _MOST:
         others = places[half:]
         first = new.number * half % len(others)
         places = places[:half] + (others + others)[first : first + half]
-    return [Task(new.number, old.number, _WIDEST_M, math.pi, True) for old in places]
-
-
-def turned(matrix: Array, heading: float) -> Array:
-    """Return an information or covariance (3, 3) in the frame of a pose with this heading."""
-    cosine, sine = math.cos(heading), math.sin(heading)
-    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    result: Array = rotation.T @ matrix @ rotation
-    return result
+    return [Task(new.number, old.number, REACH_M, math.pi, count) for old in places]
 
 
 def _is_complete(edge: Edge) -> bool:
     """Return whether a match shows the position in all directions."""
     covariance = np.linalg.inv(edge.information)
-    return bool(np.linalg.eigvalsh(covariance[:2, :2])[-1] < _COMPLETE_SD_M**2)
+    return bool(np.linalg.eigvalsh(covariance[:2, :2])[-1] < _SAME_M**2)
+
+
+def _aligned(
+    peaks: list[Peak], query: PointCloud, cloud: PointCloud, deviation: float = 0.0
+) -> list[Alignment]:
+    """Return the exact alignment at each peak, for a deviation, or the least one of them."""
+    prior, reference = np.diag([0.3**-2, 0.3**-2, 0.2**-2]), Reference(cloud)
+    rough = [reference.align(query, peak.pose, prior) for peak in peaks]
+    # Once more, with less tolerance: on a long wall, all places along it fit roughly.
+    sharp = max(NOISE_M, deviation or min(one.deviation for one in rough))
+    return [reference.align(query, one.pose, prior, NEAREST_M, sharp) for one in rough]
+
+
+def _are_same(pose: Pose, other: Pose) -> bool:
+    """Return whether two poses are the same one."""
+    return not apart(pose, other, _SAME_M, _SAME_RAD)
+
+
+def _is_as_likely(other: Alignment, best: Alignment) -> bool:
+    """Return whether the points do not clearly lie in the best pose instead of another one."""
+    return best.log_likelihood - other.log_likelihood < 0.5 * AGREES**2
 
 
 def _agree(edge: Edge, other: Edge, islands: NDArray[np.int64], graph: PoseGraph) -> bool:
@@ -404,4 +351,4 @@ def _agree(edge: Edge, other: Edge, islands: NDArray[np.int64], graph: PoseGraph
     new = relative(graph.pose(other.second), graph.pose(edge.second))
     by_other = compose(other.measured, new)
     by_edge = compose(old, edge.measured)
-    return not apart(by_other, by_edge, _AGREE_M, _AGREE_RAD)
+    return _are_same(by_other, by_edge)

@@ -44,8 +44,14 @@ from cairn.components.slam.tracking import Tracked
 from cairn.planar.grid import OccupancyCells, map_message
 from cairn.planar.map_file import write_map
 from cairn.planar.messages import planar_pose, transform_message, with_covariance
-from cairn.planar.odometry import OdometryChange, OdometryHistory, WheelLimits
+from cairn.planar.odometry import (
+    FASTEST_WHEELS,
+    ODOMETRY_DISORDER_S,
+    OdometryChange,
+    OdometryHistory,
+)
 from cairn.planar.pose_tracker import sweep_of
+from cairn.planar.posed_scans import HISTORY_S
 from cairn.planar.poses import Pose, compose, inverse
 from cairn.planar.scans import rays_of
 from cairn.planar.waiting_scans import WaitingScans
@@ -60,22 +66,13 @@ from cairn.schemas.tf2_msgs import TFMessage
 from cairn.system.files import remove_side_files
 from cairn.visual_map.observations import observations_of
 
-# The graph is saved this often [s]: what a kill loses.
+# The graph is saved this often [s]: what a kill loses. As often, a full map follows its updates,
+# for readers that start later.
 _SAVE_S = 3.0
-# A full map follows its updates after this [s], for readers that start later.
-_FULL_MAP_S = 5.0
 # Scans that are drawn per second, at about 1 ms each.
 _DRAWN = 60
-# Odometry is kept for so long [s]: longer than scans wait.
-_HISTORY_S = 10
-# Health of the pose: full from this fit of the scans on, and none below the other.
-_FITS, _MISFITS = 0.6, 0.25
 # The most health while scans have too few points, as in the localizer.
 _MOST_WITHOUT_POINTS = 0.5
-# Recognized objects wait for odometry for so long [s], and at most so many images.
-_LATEST_ODOMETRY_S, _MOST_IMAGES = 0.5, 20
-# A faster step of odometry is a jump, as of a base that is restarted: no robot here is as fast.
-_FASTEST = WheelLimits(3.0, 6.0)
 
 
 class Slam(Component):
@@ -124,9 +121,9 @@ class Slam(Component):
         self._saved = RetriedSave(self, "map")
         self._saved_maps = RetriedSave(self, "grid map and visual map")
         self._has_landmarks = False
-        self._history: OdometryHistory[int] = OdometryHistory(_HISTORY_S * SECOND, _FASTEST)
+        self._history: OdometryHistory[int] = OdometryHistory(HISTORY_S * SECOND, FASTEST_WHEELS)
         self._waiting = WaitingScans(0.0)
-        self._objects: deque[RecognizedObjectArray] = deque(maxlen=_MOST_IMAGES)
+        self._objects: deque[RecognizedObjectArray] = deque()
         self._mapper: Mapper | None = None
         self._drawing = MapGrid(config.resolution, config.reach)
         self._published_frame: tuple[object, ...] | None = None
@@ -142,6 +139,7 @@ class Slam(Component):
     def on_deactivate(self) -> None:
         """Save the map."""
         if self._mapper is not None and self._mapper.keyframes:
+            self._mapper.settle()
             self._save_graph(now=True)
             grid = self._drawn()
             if grid is not None:
@@ -165,6 +163,7 @@ class Slam(Component):
                 f"odometry on {self.odom.topic}"
             )
         if verb == "save":
+            mapper.settle()
             self._save_graph(now=True)
             grid = self._drawn()
             if grid is None:
@@ -239,7 +238,7 @@ class Slam(Component):
                 )
             )
             self._full_map_is_outdated = True
-        if self._full_map_is_outdated and has_passed(_FULL_MAP_S, self._full_map_at, now):
+        if self._full_map_is_outdated and has_passed(_SAVE_S, self._full_map_at, now):
             self._publish_full_map(now)
         if has_passed(_SAVE_S, self._saved_at, now):
             self._save_graph()
@@ -249,9 +248,10 @@ class Slam(Component):
         newest, now = self._history.newest, self.clock.now()
         for scan in self._waiting.release(newest, now):
             self._map_scan(scan)
-        while self._objects and newest is not None:
+        while self._objects:
             stamp = to_ns(self._objects[0].header.stamp)
-            if stamp > newest and now - stamp < _LATEST_ODOMETRY_S * SECOND:
+            is_early = newest is None or stamp > newest
+            if is_early and abs(now - stamp) < ODOMETRY_DISORDER_S * SECOND:
                 return
             self._map_objects(stamp, self._objects.popleft())
 
@@ -337,7 +337,7 @@ class Slam(Component):
         mapper = self._mapper
         assert mapper is not None
         located = mapper.is_located
-        health, reason = _health(tracked, located=located)
+        health, reason = _health(tracked, mapper.tracker.usual_fit, located=located)
         covariance = np.asarray(np.linalg.inv(tracked.information + np.eye(3)), np.float64)
         pose = with_covariance(mapper.pose, covariance) if located else None
         self.localization.publish(
@@ -408,16 +408,16 @@ class Slam(Component):
             self._file = None
 
 
-def _health(tracked: Tracked, *, located: bool) -> tuple[float, Reason]:
-    """Return the health of the pose and what lowers it."""
+def _health(tracked: Tracked, usual_fit: float, *, located: bool) -> tuple[float, Reason]:
+    """Return the health of the pose, full if the scan fits as usual, and what lowers it."""
     if not located:
         text = "no place of the map is recognized yet"
         return 0.0, Reason(ReasonCode.NOT_LOCATED, text)
     if tracked.fit is None:
         text = "the scan has too few points: the pose follows odometry"
         return _MOST_WITHOUT_POINTS, Reason(ReasonCode.SCAN_HITS_NOTHING, text)
-    share = min(1.0, max(0.0, (tracked.fit - _MISFITS) / (_FITS - _MISFITS)))
-    if share < 1.0:
+    share = tracked.fit / usual_fit if tracked.fit < usual_fit else 1.0
+    if tracked.is_misfit:
         text = f"the map explains {tracked.fit:.0%} of the scan"
         return share, Reason(ReasonCode.SCAN_MISMATCH, text)
     return 1.0, NO_REASON

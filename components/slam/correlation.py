@@ -18,14 +18,19 @@ from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
-_CELL = 0.1  # of the grid [m]
-_SIGMA_M = 0.1  # of the likelihood of a point at a distance to the nearest point of the map
+CELL_M = 0.1
+"""Size of the grid's cells, and standard deviation of a point's distance to the map [m]."""
+
+REACH_M = 15.0
+"""Points farther than this are not searched for, nor is a window wider on each side [m]."""
+
 _LEVELS = 6  # the coarsest cells are 2^5 times larger: 3.2 m
-_TURN = math.radians(1.0)  # between the headings that are tried
-# Two poses nearer than this [m], [rad] are one peak of the likelihood.
-_PEAK_M, _PEAK_RAD = 0.4, math.radians(12.0)
-MOST_NODES = 400_000
-"""A search that has expanded so many nodes ends without a result: the window is too ambiguous."""
+# Points farther from the map than so many cells are not of it. Poses that differ by less than that,
+# or by as many of the turns that are tried, are one peak of the likelihood.
+_NEAR = 4
+# A search that has expanded so many nodes, a tenth of a second, ends without a result: the
+# window is too ambiguous.
+_MOST_NODES = 100_000
 
 
 @dataclass(frozen=True)
@@ -42,16 +47,16 @@ class CorrelationMap:
     def __init__(self, points: Array) -> None:
         """Make the grid of a map's points (n, 2) [m]."""
         margin = (1 << (_LEVELS - 1)) + 4
-        low = np.floor(points.min(axis=0) / _CELL).astype(int) - margin
-        high = np.floor(points.max(axis=0) / _CELL).astype(int) + margin
+        low = np.floor(points.min(axis=0) / CELL_M).astype(int) - margin
+        high = np.floor(points.max(axis=0) / CELL_M).astype(int) + margin
         columns, rows = (high - low + 1).tolist()
         free = np.ones((rows, columns), np.uint8)
-        cells = np.floor(points / _CELL).astype(int) - low
+        cells = np.floor(points / CELL_M).astype(int) - low
         free[cells[:, 1], cells[:, 0]] = 0
-        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5) * np.float32(_CELL)
+        distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_5)
         levels = np.empty((_LEVELS, rows, columns), np.float32)
-        levels[0] = np.exp(-0.5 * (distance / np.float32(_SIGMA_M)) ** 2)
-        levels[0][distance > 4 * _SIGMA_M] = 0.0
+        levels[0] = np.exp(-0.5 * distance**2)
+        levels[0][distance > _NEAR] = 0.0
         for level in range(1, _LEVELS):
             half = 1 << (level - 1)
             finer, coarser = levels[level - 1], levels[level]
@@ -59,7 +64,7 @@ class CorrelationMap:
             np.maximum(coarser[:-half], finer[half:], out=coarser[:-half])
             np.maximum(coarser[:, :-half], coarser[:, half:].copy(), out=coarser[:, :-half])
         self._levels = levels
-        self._origin = low * _CELL
+        self._origin = low * CELL_M
 
     def search(
         self,
@@ -70,7 +75,6 @@ class CorrelationMap:
         least: float,
         most: int = 1,
         share: float = 0.8,
-        nodes: int = MOST_NODES,
     ) -> list[Peak]:
         """Return the best poses of the points (n, 2) [m], the best one first.
 
@@ -82,19 +86,21 @@ class CorrelationMap:
             least: scores below this count as none.
             most: largest number of peaks.
             share: scores below this share of the best one count as none.
-            nodes: largest number of nodes that are searched.
 
         Returns:
-            The peaks of the likelihood, 0.4 m or 12 degrees apart, whose score is at least `least`
-            and `share` times the best one. Empty if none is found; `most` times the best one if
-            others remained unknown because more than `nodes` would have to be searched.
+            The peaks of the likelihood whose score is at least `least` and `share` times the best
+            one. Empty if none is found; `most` times the best one if
+            others remained unknown because the search would have taken too long.
 
         """
-        steps = min(math.ceil(turn / _TURN), math.ceil(math.pi / _TURN) - 1)
-        turns = np.asarray(center[2] + _TURN * np.arange(-steps, steps + 1), np.float64)
+        # From one heading to the next, the points move by a cell.
+        far = math.sqrt(float(np.square(points).sum()) / len(points))
+        between = CELL_M / max(CELL_M, far)
+        steps = min(math.ceil(turn / between), math.ceil(math.pi / between) - 1)
+        turns = np.asarray(center[2] + between * np.arange(-steps, steps + 1), np.float64)
         found = _search(
             np.ascontiguousarray(points), turns, self._levels, self._origin,
-            center[0], center[1], math.ceil(reach / _CELL), least, most, share, nodes,
+            center[0], center[1], math.ceil(reach / CELL_M), least, most, share, between,
         )  # fmt: skip
         return [
             Peak((float(x), float(y), wrap(float(theta))), float(score))
@@ -116,7 +122,7 @@ def _score(
 
 @compiled(
     "float64[:, ::1](float64[:, ::1], float64[::1], float32[:, :, ::1], float64[::1],"
-    " float64, float64, int64, float64, int64, float64, int64)"
+    " float64, float64, int64, float64, int64, float64, float64)"
 )
 def _search(
     points: Array,
@@ -129,7 +135,7 @@ def _search(
     least: float,
     most: int,
     share: float,
-    most_nodes: int,
+    between: float,
 ) -> Array:
     count, rotations = len(points), len(turns)
     height, rows, columns = levels.shape
@@ -139,8 +145,8 @@ def _search(
         for i in range(count):
             px = x + cosine * points[i, 0] - sine * points[i, 1]
             py = y + sine * points[i, 0] + cosine * points[i, 1]
-            cells[j, i, 0] = np.int64(math.floor((px - origin[0]) / _CELL))
-            cells[j, i, 1] = np.int64(math.floor((py - origin[1]) / _CELL))
+            cells[j, i, 0] = np.int64(math.floor((px - origin[0]) / CELL_M))
+            cells[j, i, 1] = np.int64(math.floor((py - origin[1]) / CELL_M))
     top = 0
     while top < height - 1 and (1 << (top + 1)) <= 2 * reach + 1:
         top += 1
@@ -162,17 +168,17 @@ def _search(
         # Not within a peak, nor a coarse cell that lies within it.
         known = False
         for k in range(peaks):
-            near_x = abs(x + dx * _CELL - found[k, 0])
-            near_y = abs(y + dy * _CELL - found[k, 1])
+            near_x = abs(x + dx * CELL_M - found[k, 0])
+            near_y = abs(y + dy * CELL_M - found[k, 1])
             turned = abs((turns[j] - found[k, 2] + math.pi) % (2.0 * math.pi) - math.pi)
-            span = ((1 << level) - 1) * _CELL
-            if max(near_x, near_y) + span < _PEAK_M and turned < _PEAK_RAD:
+            span = ((1 << level) - 1) * CELL_M
+            if max(near_x, near_y) + span < _NEAR * CELL_M and turned < _NEAR * between:
                 known = True
                 break
         if known:
             continue
         if level == 0:
-            found[peaks, 0], found[peaks, 1] = x + dx * _CELL, y + dy * _CELL
+            found[peaks, 0], found[peaks, 1] = x + dx * CELL_M, y + dy * CELL_M
             found[peaks, 2], found[peaks, 3] = turns[j], -negative
             peaks += 1
             if peaks == most:
@@ -180,7 +186,7 @@ def _search(
             floor = max(least, share * found[0, 3])
             continue
         nodes += 1
-        if nodes > most_nodes:
+        if nodes > _MOST_NODES:
             if peaks == 0:
                 break
             # What was not searched may be as good.

@@ -153,15 +153,11 @@ class GraphFile:
     def save(self, mapper: Mapper) -> None:
         """Write what has changed since the last call; raises `CairnError` if that fails."""
         graph = mapper.graph
-        edges_changed = any(
-            old is not new for old, new in zip(self._edges, graph.edges, strict=False)
-        ) or len(graph.edges) < len(self._edges)
         with explained_errors(self._path), self._connection as connection:
             numbered = list(enumerate(mapper.keyframes))[self._keyframes :]
             insert_keyframes(connection, numbered)
-            first = 0 if edges_changed else len(self._edges)
-            if edges_changed:
-                connection.execute("DELETE FROM edges")
+            first = _first_change(self._edges, graph.edges)
+            connection.execute("DELETE FROM edges WHERE number >= ?", (first,))
             connection.executemany(
                 "INSERT INTO edges VALUES (?, ?, ?, ?, ?, ?)",
                 edge_rows(graph.edges[first:], first),
@@ -505,10 +501,10 @@ def edge_rows(edges: Iterable[Edge], first: int) -> Iterable[tuple[object, ...]]
         )
 
 
-def _first_change(old: Sequence[Sighting], new: Sequence[Sighting]) -> int:
-    """Return the number of the first sighting that was replaced or added."""
+def _first_change(old: Sequence[object], new: Sequence[object]) -> int:
+    """Return the number of the first object that was replaced, added, or removed."""
     pairs = enumerate(zip(old, new, strict=False))
-    return next((number for number, (a, b) in pairs if a is not b), len(old))
+    return next((k for k, (a, b) in pairs if a is not b), min(len(old), len(new)))
 
 
 def _sighting_rows(sightings: Sequence[Sighting], first: int) -> Iterable[tuple[object, ...]]:

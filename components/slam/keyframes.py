@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.point_cloud import PointCloud, cloud_of
+from cairn.components.slam.point_cloud import NOTHING, PointCloud, cloud_of
 from cairn.planar.compiled import compiled
 from cairn.planar.poses import Pose, relative
 from cairn.planar.scans import Rays
@@ -23,10 +23,6 @@ Float32Array = NDArray[np.float32]
 _PLACE = 0.5
 # Whole numbers of `ScanSurfaces`.
 _STEPS, _NO_SURFACE = 32767, -32768
-# Points of one scan nearer than this to each other are one [m].
-THIN_M = 0.03
-# Points of several scans together: a little more than the range noise of scanners.
-DENSE_M = 0.04
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,14 +138,14 @@ def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
     with np.errstate(invalid="ignore"):
         indices = np.flatnonzero(rays.ranges < farthest)
     if not indices.size:
-        return PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+        return NOTHING
     ranges, angles = rays.ranges[indices], rays.angles[indices]
     points = rays.starts[indices] + ranges[:, None] * np.column_stack(
         (np.cos(angles), np.sin(angles))
     )
     spacing = abs(float(rays.angles[-1] - rays.angles[0])) / max(1, len(rays.angles) - 1)
     cloud = cloud_of(points, indices, rays.starts[len(rays.starts) // 2], spacing)
-    return cloud.thinned(THIN_M)
+    return cloud.thinned()
 
 
 @dataclass(frozen=True, slots=True)

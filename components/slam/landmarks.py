@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.odometry_log import OdometryPath
-from cairn.components.slam.pose_graph import PoseGraph, Sighting, relative_all
+from cairn.components.slam.pose_graph import AGREES, PoseGraph, Sighting, relative_all
 from cairn.planar.poses import wrap_all
 from cairn.visual_map.landmarks import INITIAL_RELIABILITY, LandmarkRecord, MapPosition
 from cairn.visual_map.new_map import write_map
@@ -19,22 +19,13 @@ from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# An observation agrees with a landmark up to so many standard deviations.
-_AGREES = 3.5
-# An object that looks like others is the one whose landmark the observation agrees with, if that of
-# no other one is nearer than this [standard deviations].
-_CLEARLY_ANOTHER = 7.0
-# A landmark is certain with so many sightings that agree, and with this share of all.
-_LEAST_SIGHTINGS, _LEAST_SHARE = 3, 0.5
+# A landmark is certain with so many sightings that agree, if those are half of all.
+_LEAST_SIGHTINGS = 3
 # Errors of observations from different keyframes repeat, too, as those of ranges and of the
 # camera's direction do: so much of their information counts in the covariance of a landmark, as in
 # the localizer (`independence`). On MRCLAM data set 6 the mean normalized error squared is 1.1 and
 # 2.0 with it, 7.6 and 13.5 without; 2 is right.
 _INDEPENDENCE = 0.15
-# An object was moved if its sightings before and after some time put it so far apart [m], and if
-# two places decrease the sum of their squared errors, in standard deviations, by this much, and by
-# this share.
-_MOVED_M, _MOVED_GAIN, _MOVED_SHARE = 0.4, 30.0, 0.5
 # Most moves of one object, and times at which one is tried.
 _MOST_MOVES, _MOST_TIMES = 4, 60
 # The landmark of an object has the number of the object; after each move this more.
@@ -149,7 +140,7 @@ class LandmarkBuilder:
                 for object_id, landmark in self._newest.items()
                 if object_id in candidates
             )
-            if not near or near[0][0] > _AGREES or (near[1:2] and near[1][0] < _CLEARLY_ANOTHER):
+            if not near or near[0][0] > AGREES or (near[1:2] and near[1][0] < 2 * AGREES):
                 waiting.append(one)
                 continue
             sure = replace(one.observation, object_id=near[0][1], alternatives=())
@@ -225,8 +216,8 @@ class LandmarkBuilder:
         certain, uncertain = [], []
         for object_id, landmark in sorted(self._newest.items()):
             rows = self._rows_of(landmark)
-            agreeing = [row for row in rows if deviations[row] < _AGREES]
-            if len(agreeing) < max(_LEAST_SIGHTINGS, _LEAST_SHARE * len(rows)):
+            agreeing = [row for row in rows if deviations[row] < AGREES]
+            if len(agreeing) < max(_LEAST_SIGHTINGS, 0.5 * len(rows)):
                 uncertain.append(object_id)
                 continue
             (x, y), covariance = graph.landmarks[landmark], covariances[landmark] / _INDEPENDENCE
@@ -238,7 +229,7 @@ class LandmarkBuilder:
             moved=tuple(self._moves()),
             uncertain=tuple(uncertain),
             sightings=len(graph.sightings),
-            outliers=int((deviations > _AGREES).sum()),
+            outliers=int((deviations > AGREES).sum()),
             ambiguous=len(self._ambiguous),
         )
 
@@ -262,7 +253,7 @@ class LandmarkBuilder:
             self._graph.sightings[row] = sighting
         else:
             self._graph.add_sighting(sighting)
-        return self._graph.deviation(sighting) > _AGREES
+        return self._graph.deviation(sighting) > AGREES
 
     def _merged(self, path: OdometryPath, stamps: NDArray[np.int64]) -> Array:
         at = [int(stamps[group[0].keyframe]) for group in self._seen]
@@ -364,20 +355,22 @@ def _medians(values: Array, group_of: NDArray[np.int64], counts: NDArray[np.int6
 class _Move:
     """A move of an object before its sighting `split`.
 
-    `gain` is by how much two places decrease the sum of squared errors, `share` by which share.
+    `gain` is by how much two places decrease the sum of squared errors of its `sightings`.
     """
 
     split: int
     old: tuple[float, float]
     new: tuple[float, float]
     gain: float
-    share: float
+    sightings: int
 
     @property
     def is_clear(self) -> bool:
-        """Whether the object was certainly moved."""
-        way = math.dist(self.old, self.new)
-        return way > _MOVED_M and self.gain > _MOVED_GAIN and self.share > _MOVED_SHARE
+        """Whether the object was moved, by the Bayesian information criterion.
+
+        The second place and the time of the move are three parameters more.
+        """
+        return _INDEPENDENCE * self.gain > 3 * math.log(self.sightings)
 
 
 def _find_move(points: Array, spreads: Array) -> _Move | None:
@@ -398,10 +391,10 @@ def _move_at(split: int, points: Array, spreads: Array) -> _Move:
     def place(some: slice) -> tuple[float, tuple[float, float]]:
         x, y = np.median(points[some], axis=0).tolist()
         deviations = np.hypot(*(points[some] - (x, y)).T) / spreads[some]
-        return float((np.minimum(deviations, _AGREES) ** 2).sum()), (x, y)
+        return float((np.minimum(deviations, AGREES) ** 2).sum()), (x, y)
 
     in_one_place, _ = place(slice(None))
     before, old = place(slice(split))
     after, new = place(slice(split, None))
     gain = in_one_place - before - after
-    return _Move(split, old, new, gain, gain / max(in_one_place, 1e-9))
+    return _Move(split, old, new, gain, len(points))

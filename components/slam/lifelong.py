@@ -16,7 +16,7 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.slam.closures import turned
+from cairn import SECOND
 from cairn.components.slam.graph_history import (
     ChangedBlock,
     GraphChange,
@@ -27,7 +27,7 @@ from cairn.components.slam.graph_history import (
 )
 from cairn.components.slam.keyframes import Keyframe, scan_cloud, scan_rays, scan_surfaces
 from cairn.components.slam.map_differences import BLOCK_M, Block, MapDifferences, differing
-from cairn.components.slam.pose_graph import Edge, EdgeKind
+from cairn.components.slam.pose_graph import Edge, EdgeKind, turned
 from cairn.planar.grid import UNKNOWN, OccupancyCells
 from cairn.planar.posed_scans import PosedScan
 from cairn.planar.poses import Pose, apart, distance, relative, wrap
@@ -36,8 +36,6 @@ from cairn.planar.scan_grid import ScanGrid
 from cairn.planar.scans import Rays
 
 Array = NDArray[np.float64]
-
-_NS_PER_S = 1_000_000_000
 
 # Where no other reason is given, these constants were chosen by hand.
 
@@ -109,7 +107,7 @@ class LifelongMap:
 
         """
         self._history = history
-        self._permanent_ns = round(permanent_s * _NS_PER_S)
+        self._permanent_ns = round(permanent_s * SECOND)
         self._per_m2 = keyframes_per_m2
         state = history.state()
         self.version = state.version
@@ -301,7 +299,7 @@ class LifelongMap:
     def _note(self, now_ns: int) -> None:
         """Note in the file which blocks differ, and since when: a restart must not delay them."""
         since = self._noted_ns
-        if since is not None and 0 <= now_ns - since < round(_NOTES_S * _NS_PER_S):
+        if since is not None and 0 <= now_ns - since < round(_NOTES_S * SECOND):
             return
         noted = {
             block: ChangedBlock(one.since_ns, one.cells) for block, one in self._pending.items()
@@ -335,17 +333,17 @@ class LifelongMap:
     def _is_due(self, place: Collection[Block], seen: Collection[Block], now_ns: int) -> bool:
         """Return whether a place is tried now: all of it was seen, or there was time to see it."""
         blocks = [self._pending[block] for block in seen]
-        longest = round(_LAST_RETRY_S * _NS_PER_S)
+        longest = round(_LAST_RETRY_S * SECOND)
         # Time that was set back must not delay a place further.
         if not any(one.retry_ns <= now_ns or one.retry_ns > now_ns + longest for one in blocks):
             return False
         first = min(now_ns if one.seen_ns is None else one.seen_ns for one in blocks)
-        return len(seen) == len(place) or now_ns - first >= round(_GATHERING_S * _NS_PER_S)
+        return len(seen) == len(place) or now_ns - first >= round(_GATHERING_S * SECOND)
 
     def _postpone(self, cluster: Iterable[Block], now_ns: int) -> None:
         for block in cluster:
             one = self._pending[block]
-            one.retry_ns = now_ns + round(one.wait_s * _NS_PER_S)
+            one.retry_ns = now_ns + round(one.wait_s * SECOND)
             one.wait_s = min(2.0 * one.wait_s, _LAST_RETRY_S)
 
     def _renewal(
@@ -382,7 +380,7 @@ class LifelongMap:
         if best is None:
             return None
         chosen, renewals, new = best
-        stood_s = (now_ns - min(self._pending[block].since_ns for block in cluster)) / _NS_PER_S
+        stood_s = (now_ns - min(self._pending[block].since_ns for block in cluster)) / SECOND
         shown_by = "1 scan shows" if len(chosen) == 1 else f"{len(chosen)} scans show"
         reason = f"the grid map had it for {stood_s:.0f} s; {shown_by} it"
         change = change_between(old, new, corner, differences.resolution, now_ns, reason)

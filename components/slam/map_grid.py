@@ -15,18 +15,17 @@ from cairn.planar.scan_grid import ScanGrid
 
 Array = NDArray[np.float64]
 
-# A scan is drawn again when its pose has changed by more than this [m], [rad]: less than a cell.
-_MOVED_M, _MOVED_RAD = 0.02, 0.006
-
 
 class MapGrid:
     """The grid map of keyframes, each drawn at the pose that was known at that time."""
 
     def __init__(self, resolution: float, reach: float) -> None:
         """Make an empty map with cells of `resolution` [m] of rays up to `reach` [m]."""
+        self._resolution = resolution
         self.counts = ScanGrid(resolution, reach)
         """The ends and passages of rays."""
         self._drawn = np.zeros((0, 3))  # where each keyframe is drawn; NaN: nowhere
+        self._far = np.zeros(0)  # the distance of its surfaces [m]
 
     def renew(self, renewals: Renewals) -> None:
         """Draw in renewed places only keyframes from their version on, see `ScanGrid.renew`."""
@@ -51,11 +50,15 @@ class MapGrid:
             Whether anything was drawn. Raises `ValueError` if the map became too large.
 
         """
-        new = np.full((len(keyframes) - len(self._drawn), 3), np.nan)
-        self._drawn = np.concatenate((self._drawn, new))
+        new = keyframes[len(self._drawn) :]
+        far = [np.sqrt(np.square(one.cloud.points).sum() / max(1, one.cloud.count)) for one in new]
+        self._far = np.concatenate((self._far, far))
+        self._drawn = np.concatenate((self._drawn, np.full((len(new), 3), np.nan)))
         is_drawn = ~np.isnan(self._drawn[:, 0])
-        moved = np.hypot(*(poses - self._drawn)[:, :2].T) > _MOVED_M
-        moved |= np.abs(wrap_all(poses[:, 2] - self._drawn[:, 2])) > _MOVED_RAD
+        # A scan is drawn again when its surfaces have moved by half a cell.
+        way = np.hypot(*(poses - self._drawn)[:, :2].T)
+        way += self._far * np.abs(wrap_all(poses[:, 2] - self._drawn[:, 2]))
+        moved = way > 0.5 * self._resolution
         outdated = np.flatnonzero(np.where(is_drawn, moved | ~shown, shown))
         outdated = outdated[[keyframes[k].rays is not None for k in outdated.tolist()]]
         for number in outdated[::-1][:most].tolist():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn import SECOND
-from cairn.components.slam.alignment import Reference
-from cairn.components.slam.closures import LoopCloser, turned
+from cairn.components.slam.alignment import NEAREST_M, WIDE_M, Reference
+from cairn.components.slam.closures import LoopCloser
+from cairn.components.slam.correlation import REACH_M
 from cairn.components.slam.keyframes import (
-    DENSE_M,
     Keyframe,
     PlaceIndex,
     Submap,
@@ -26,18 +25,19 @@ from cairn.components.slam.keyframes import (
 )
 from cairn.components.slam.landmarks import LandmarkBuilder, LandmarkReport
 from cairn.components.slam.odometry_calibration import (
-    CalibrationEstimate,
+    NOT_ESTIMATED,
+    corrected_step,
     estimate_calibration,
-    odometry_edge,
     with_gains,
 )
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
-from cairn.components.slam.point_cloud import PointCloud
-from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph
+from cairn.components.slam.point_cloud import NOTHING, PointCloud
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, turned
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel, move_pose, odometry_step
+from cairn.planar.odometry import FASTEST_WHEELS
 from cairn.planar.odometry_gains import GainEstimator
-from cairn.planar.poses import Pose, apart, compose, distance, relative, wrap
+from cairn.planar.poses import Pose, apart, compose, distance, relative
 from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
 from cairn.visual_map.observations import Observation
@@ -45,45 +45,19 @@ from cairn.visual_map.observations import Observation
 Array = NDArray[np.float64]
 
 # A keyframe is made after so much motion [m], [rad].
-_KEYFRAME_M, _KEYFRAME_RAD = 0.2, 0.2
-# Scans are aligned to so many keyframes before them.
-_SURROUNDINGS = 30
-# A submap ends after so much motion [m], and after so many keyframes.
-_SUBMAP_M, _SUBMAP_KEYFRAMES = 4.0, 40
+_KEYFRAME = 0.2
+# Scans are aligned to so many keyframes before them, and a submap has so many.
+_SUBMAP = 25
 # Pairs of submaps that are compared while a keyframe is added: about 10 ms each.
 _COMPARED = 2
-# The graph is optimized once per so many new keyframes: the number of all divided by this. It takes
-# 0.1 s with 8,000 keyframes, which are then added in 8 to 20 s of driving.
-_KEYFRAMES_PER_PAUSE = 200
 # When the map is finished: keyframes that share this much of what they see are aligned again, with
-# this many around the partner on each side; so many partners, no nearer to each other and to the
-# keyframe than this.
-_SHARED, _BESIDE, _PARTNERS, _BETWEEN = 0.35, 2, 6, 4
-# Points are paired up to this distance [m] in the first and in later rounds.
-_REACH_M = (0.3, 0.15)
-# An alignment to a partner may move a keyframe by this much [m], [rad], and must pair as many
-# points, with at most this deviation [m].
-_MOVED_M, _MOVED_RAD, _LEAST_PAIRED, _MOST_DEVIATION = 0.3, 0.1, 0.2, 0.05
-
-# A robot that continues a map has driven at most so far since the last keyframe [m], and this for
-# each second [m/s]; after more than this time [s] it has stood still, or anyone may have moved it.
-_STOOD_M, _FASTEST, _NEAR_S = 0.3, 2.0, 60.0
-# If odometry has restarted as well, the robot is up to so far from the last keyframe [m]. It is
-# where its scan fits by so much [1].
-_NEAR_M, _CONTINUED_FIT = 2.5, 0.6
+# this many around the partner on each side; so many partners, whose surroundings do not overlap.
+_SHARED, _BESIDE, _PARTNERS = 0.35, 2, 6
 # Without scans for this long [ns], odometry continues the trajectory, with poses at least so far
-# apart in time [ns]. A keyframe is made after so much motion [m], [rad]: while objects are
-# observed, and else.
+# apart in time [ns].
 _SILENT_NS, _TRAJECTORY_NS = 1_000_000_000, 100_000_000
-_LOOK_M, _LOOK_RAD, _COAST_M, _COAST_RAD = 0.1, 0.1, 0.3, 0.3
 # Where scans changed at once while the robot drove, odometry may be off by this [m], [rad].
-_JUMP_M, _JUMP_RAD = 1.0, 0.5
-# It drove if its speed differed by at most this factor from the usual one of so many scans, which
-# was at least this [m/s].
-_STEADY, _SPEEDS, _SLOWEST = 2.0, 15, 0.05
-# Observations that contradict the map wait for so many keyframes, and for this share of all (1 in
-# ...), until the map is optimized.
-_LEAST_BETWEEN, _SHARE_BETWEEN = 10, 20
+_JUMP = 1.0
 
 Progress = Callable[[str, float, str], None]
 """Called with the name of a stage, its completed share [0 to 1], and what was done, in words."""
@@ -128,7 +102,7 @@ class Mapper:
         self.submaps: list[Submap] = []
         self.trajectory: list[Step] = []
         self.closer = LoopCloser()
-        self.tracker = ScanTracker()
+        self.tracker = ScanTracker(model)
         self.farthest = farthest
         self.renewals = Renewals()
         """Where only keyframes from a version of the map on count."""
@@ -140,22 +114,20 @@ class Mapper:
         self._island = 0  # number of the first keyframe since the robot was moved
         self._open = Submap(0, 0, -1)
         self._driven_on: list[int] = []  # first keyframes of islands to which the robot drove
-        self._speeds: deque[float] = deque(maxlen=_SPEEDS)  # by odometry, of the last scans [m/s]
-        self._way = 0.0
         self._model = model
         self._log = OdometryLog()
         self._scanned_ns: int | None = None
         self._builder = LandmarkBuilder(self.graph)
-        self._contradicted = False  # by an observation since the last optimization
-        self._optimized = 0  # number of keyframes then
-        as_stated, deviations = OdometryCalibration(), OdometryCalibration(0.1, 0.1, 0.1, 0.01)
-        self.calibration = CalibrationEstimate(as_stated, deviations)
+        self.calibration = NOT_ESTIMATED
         """How the robot moves when odometry states a motion: its gains are estimated while driving
         by scans; and with the lag, by all, when the map is finished."""
         self._gains = GainEstimator(model)
         self._continues = False  # the next scan is the first since the map was read
-        # Closures since the last optimization, and the number of keyframes then.
-        self._unsolved, self._solved_at = 0, 0
+        # Whether closures or observations contradict the poses, and the number of keyframes at the
+        # last optimization.
+        self._is_contradicted, self._solved_at = False, 0
+        # With which calibration the step to a keyframe was tracked, and how it depends on odometry.
+        self._tracked_with: dict[int, tuple[OdometryCalibration, Array]] = {}
         self._misfits = 0  # scans in a row that fitted nowhere
         self._in_map_of: tuple[object, NDArray[np.bool_], object] = (None, np.zeros(0, bool), None)
 
@@ -174,9 +146,6 @@ class Mapper:
 
         """
         self._log.add(stamp_ns, odometry)
-        if self._odometry is not None and self._scanned_ns is not None:
-            seconds = max(1, stamp_ns - self._scanned_ns) / SECOND
-            self._speeds.append(distance(self._odometry, odometry) / seconds)
         self._scanned_ns = stamp_ns
         cloud = scan_cloud(rays, self.farthest)
         if self._continues:
@@ -186,20 +155,20 @@ class Mapper:
             tracked = Tracked(self.pose, np.zeros((3, 3)), None)
         else:
             step = odometry_step(relative(self._odometry, odometry))
-            moved = move_pose((0.0, 0.0, 0.0), self._gains.corrected(step))
-            tracked = self.tracker.track(self.pose, moved, cloud)
+            moved = move_pose((0.0, 0.0, 0.0), self.calibration.calibration.corrected(step))
+            tracked = self.tracker.track(self.pose, moved, cloud, self._gains.uncertain)
             if self._gains.add(step, tracked.pose, tracked.is_shown):
                 self.calibration = with_gains(self.calibration, self._gains)
         self._odometry = odometry
         self.pose = tracked.pose
         if tracked.is_lost:
             self._start_island()
-            if self._is_driving(self._misfits + 1):
+            if tracked.is_driven:
                 self._driven_on.append(len(self.keyframes))
         last = len(self.keyframes) - 1
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0) if is_first else relative(self.graph.pose(last), self.pose)
-        has_moved = apart(offset, (0.0, 0.0, 0.0), _KEYFRAME_M, _KEYFRAME_RAD)
+        has_moved = _is_another(offset)
         # If a scan that does not fit became a keyframe, those after it would fit to it.
         if is_first or (has_moved and not tracked.is_misfit):
             frame = Keyframe(
@@ -223,7 +192,7 @@ class Mapper:
         if self._has_scans(stamp_ns):
             return
         if not self.trajectory or stamp_ns >= self.trajectory[-1].stamp_ns + _TRAJECTORY_NS:
-            self._continue(stamp_ns, odometry, _COAST_M, _COAST_RAD)
+            self._continue(stamp_ns, odometry)
 
     def add_observations(
         self, stamp_ns: int, odometry: Pose, observations: Sequence[Observation]
@@ -240,17 +209,14 @@ class Mapper:
         if not observations:
             return
         if not self._has_scans(stamp_ns):
-            self._continue(stamp_ns, odometry, _LOOK_M, _LOOK_RAD)
+            self._continue(stamp_ns, odometry)
         last = len(self.keyframes) - 1
         at_ns = self.keyframes[last].stamp_ns
         path = self._log.path(self.calibration.calibration, min(at_ns, stamp_ns))
         for one in observations:
             if self._builder.add(last, stamp_ns, one, path, at_ns):
-                self._contradicted = True
-        wait = max(_LEAST_BETWEEN, len(self.keyframes) // _SHARE_BETWEEN)
-        if self._contradicted and len(self.keyframes) >= self._optimized + wait:
-            self._optimize()
-            self._contradicted, self._optimized = False, len(self.keyframes)
+                self._is_contradicted = True
+        self._settle_in_time()
 
     def resume(self, *, here: bool) -> None:
         """Continue a map that was read from a file.
@@ -269,6 +235,7 @@ class Mapper:
             islands = self.graph.islands()
             self._island = int(np.flatnonzero(islands == islands[last])[0])
             self._set_surroundings()
+            self.tracker.usual_fit = 1.0
             self._continues = True
         else:
             self.graph.extended = len(self.keyframes)
@@ -317,11 +284,24 @@ class Mapper:
         """Return the landmarks, and what became of the observations, of the finished map."""
         return self._builder.report()
 
+    def settle(self) -> None:
+        """Move the keyframes to where closures and observations put them that are not used yet."""
+        if not self._is_contradicted:
+            return
+        self._is_contradicted, self._solved_at = False, len(self.keyframes)
+        last = self.graph.pose(len(self.keyframes) - 1)
+        self.graph.optimize_quickly()
+        self.pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self.pose))
+        self._gains.interrupt()
+        # The next scan is aligned to where the keyframes are now.
+        self._set_surroundings()
+
     def finish(self, progress: Progress | None = None) -> None:
         """Close the last loops, and align all keyframes to those that saw the same."""
         report = progress or _ignore
         if self._open.last >= self._open.first:
             self._close_submap()
+        self._correct_steps()
         self._solved_at = 0
         planned = self.closer.pending
         while self.closer.pending:
@@ -329,19 +309,33 @@ class Mapper:
             compared, loops = planned - self.closer.pending, self.closer.counts.accepted
             done = f"{compared:,} of {planned:,} pairs of places compared, {loops:,} loops closed"
             report("loops", compared / planned, done)
-        joined = self._join_driven()
-        if self._unsolved or joined:
-            self._unsolved = 0
+        joined, depends = self._join_driven(), self.graph.depends_on_odometry
+        if self._is_contradicted or joined or depends:
+            self._is_contradicted = False
             self.graph.optimize()
-        if self.graph.depends_on_odometry:
-            self.graph.optimize()
+        if depends:
             self._use_landmarks()
         if self._scanned_ns is None:
             return
-        for number, reach in enumerate(_REACH_M):
-            self._align_neighbors(reach, partial(_report_round, report, number))
+        rounds = (WIDE_M, NEAREST_M)
+        for number, reach in enumerate(rounds):
+            self._align_neighbors(reach, partial(_report_round, report, number, len(rounds)))
             self.graph.optimize()
         self._use_landmarks()
+
+    def _correct_steps(self) -> None:
+        """Correct what odometry has stated before its gains were known."""
+        if not self._tracked_with:
+            return
+        path, stamps = self._log.path(OdometryCalibration()), self._stamps()
+        for k, edge in enumerate(self.graph.edges):
+            if edge.kind is EdgeKind.STEP and edge.second in self._tracked_with:
+                start, end = path.at(stamps[[edge.first, edge.second]]).tolist()
+                before, by_odometry = self._tracked_with.pop(edge.second)
+                self.graph.edges[k] = corrected_step(
+                    edge, relative(start, end), by_odometry, before, self.calibration
+                )
+                self._is_contradicted = True
 
     def _join_driven(self) -> bool:
         """Join islands to which the robot drove, and of which no place was recognized, by odometry.
@@ -357,9 +351,8 @@ class Mapper:
             before = number - 1
             if islands[before] != islands[number] and path.covers(stamps[[before]]).all():
                 start, end = path.at(stamps[[before, number]]).tolist()
-                x, y, turn = relative(start, end)
-                known = np.diag(np.array([_JUMP_M, _JUMP_M, _JUMP_RAD]) ** -2.0)
-                edge = Edge(EdgeKind.JUMP, before, number, (x, y, wrap(turn)), known)
+                known = _JUMP**-2.0 * np.eye(3)
+                edge = Edge(EdgeKind.JUMP, before, number, relative(start, end), known)
                 self.graph.edges.append(edge)
                 joined = True
         self._driven_on = []
@@ -369,7 +362,7 @@ class Mapper:
         """Estimate the odometry; optimize with it, and with observations that became clear."""
         stamps = self._stamps()
         self.calibration = estimate_calibration(
-            self.calibration.calibration, self._log, self._model, stamps, self.graph, self._builder
+            self.calibration, self._log, self._model, stamps, self.graph, self._builder
         )
         if not self.graph.depends_on_odometry:
             return
@@ -393,8 +386,8 @@ class Mapper:
     def _has_scans(self, stamp_ns: int) -> bool:
         return self._scanned_ns is not None and stamp_ns - self._scanned_ns < _SILENT_NS
 
-    def _continue(self, stamp_ns: int, odometry: Pose, meters: float, radians: float) -> None:
-        """Continue the trajectory by odometry; make a keyframe after so much motion."""
+    def _continue(self, stamp_ns: int, odometry: Pose) -> None:
+        """Continue the trajectory by odometry; make a keyframe where that moved."""
         last = len(self.keyframes) - 1
         is_first = last < self._island
         offset = (0.0, 0.0, 0.0)
@@ -403,8 +396,8 @@ class Mapper:
             offset = self._offset(path, last, stamp_ns)
             self.pose = compose(self.graph.pose(last), offset)
         self._odometry = odometry
-        if is_first or apart(offset, (0.0, 0.0, 0.0), meters, radians):
-            nothing = scan_surfaces(PointCloud(np.zeros((0, 2)), np.zeros((0, 2))))
+        if is_first or _is_another(offset):
+            nothing = scan_surfaces(NOTHING)
             self._add_keyframe(Keyframe(stamp_ns, odometry, nothing, None, self._open.number), None)
             last, offset = last + 1, (0.0, 0.0, 0.0)
         self.trajectory.append(Step(stamp_ns, last, offset))
@@ -414,38 +407,22 @@ class Mapper:
         start, end = path.at(np.array([self.keyframes[keyframe].stamp_ns, stamp_ns])).tolist()
         return relative(start, end)
 
-    def _optimize(self) -> None:
-        last = self.graph.pose(len(self.keyframes) - 1)
-        self.graph.optimize_quickly()
-        self.pose = compose(self.graph.pose(len(self.keyframes) - 1), relative(last, self.pose))
-        self._gains.interrupt()
-        # The next scan is aligned to where the keyframes are now.
-        self._set_surroundings()
+    def _settle_in_time(self) -> None:
+        """Optimize the graph in 0.1 s per 8,000 keyframes, once for each square root of them."""
+        if len(self.keyframes) - self._solved_at >= math.isqrt(len(self.keyframes)):
+            self.settle()
 
     def _find_near(self, stamp_ns: int, odometry: Pose, cloud: PointCloud) -> Tracked:
         """Return where the first scan of a continued map was taken, if that is near its end."""
         last = self.keyframes[-1]
-        age_s = (stamp_ns - last.stamp_ns) / SECOND
-        is_recent = 0.0 <= age_s < _NEAR_S
-        moved_m = _STOOD_M + (_FASTEST * age_s if is_recent else 0.0)
+        reach = FASTEST_WHEELS.speed * (stamp_ns - last.stamp_ns) / SECOND
         tracked = Tracked(self.pose, np.zeros((3, 3)), 0.0, is_misfit=True)
-        if age_s >= 0.0 and distance(last.odometry, odometry) <= moved_m:
+        if distance(last.odometry, odometry) <= reach:
             tracked = self.tracker.track(self.pose, relative(last.odometry, odometry), cloud)
-        if tracked.fit is not None and tracked.fit < _CONTINUED_FIT and is_recent:
-            tracked = self.tracker.locate(self.pose, cloud, _NEAR_M)
-        is_lost = tracked.fit is not None and tracked.fit < _CONTINUED_FIT
-        return replace(tracked, is_lost=is_lost)
-
-    def _is_driving(self, scans: int) -> bool:
-        """Return whether the wheels turned in the last scans as in those before them.
-
-        Odometry that jumps did not: its driver was restarted.
-        """
-        speeds = list(self._speeds)
-        before = sorted(speeds[:-scans])
-        usual = before[len(before) // 2] if before else 0.0
-        least, most = usual / _STEADY, usual * _STEADY
-        return usual > _SLOWEST and all(least < speed < most for speed in speeds[-scans:])
+        # If odometry has restarted as well, the robot is near, unless that was long ago.
+        if tracked.is_misfit and 0.0 <= reach < REACH_M:
+            tracked = self.tracker.locate(self.pose, cloud, reach)
+        return replace(tracked, is_lost=tracked.is_misfit)
 
     def _start_island(self) -> None:
         if self._open.last >= self._open.first:
@@ -468,10 +445,8 @@ class Mapper:
         if number > self._island:
             edge = self._edge_to(number, step)
             self.graph.edges.append(edge)
-            self._way += math.hypot(edge.measured[0], edge.measured[1])
         self._open.last = number
-        length = number - self._open.first + 1
-        if self._way > _SUBMAP_M or length > _SUBMAP_KEYFRAMES:
+        if number - self._open.first >= _SUBMAP:
             self._close_submap()
         self._close_loops(_COMPARED)
         if frame.rays is not None:
@@ -479,20 +454,21 @@ class Mapper:
 
     def _set_surroundings(self) -> None:
         count = len(self.keyframes)
-        members = list(range(max(self._island, count - _SURROUNDINGS), count))
+        members = list(range(max(self._island, count - _SUBMAP), count))
         cloud = cloud_in((0.0, 0.0, 0.0), members, self.keyframes, self.graph.poses)
-        self.tracker.set_surroundings(cloud.thinned(DENSE_M))
+        self.tracker.set_surroundings(cloud.thinned())
 
     def _edge_to(self, number: int, step: tuple[Pose, Tracked] | None) -> Edge:
         """Return the constraint from the keyframe before: by scans if both have one that fits."""
         if step is None or step[1].fit is None or self.keyframes[number - 1].rays is None:
-            start_ns = self.keyframes[number - 1].stamp_ns
-            stamps = np.array([start_ns, self.keyframes[number].stamp_ns], np.int64)
+            start_ns, end_ns = (frame.stamp_ns for frame in self.keyframes[number - 1 : number + 1])
             path = self._log.path(self.calibration.calibration, start_ns)
-            edge = odometry_edge(0, 1, stamps, path, self._model)
-            return replace(edge, first=number - 1, second=number)
+            motion = path.motion(start_ns, end_ns, self._model)
+            return Edge(EdgeKind.ODOMETRY, number - 1, number, *motion)
         offset, tracked = step
         information = turned(tracked.information, self.pose[2])
+        by_odometry = turned(tracked.by_odometry, self.pose[2])
+        self._tracked_with[number] = self.calibration.calibration, by_odometry
         return Edge(EdgeKind.STEP, number - 1, number, offset, information)
 
     def _close_submap(self) -> None:
@@ -501,16 +477,12 @@ class Mapper:
         if any(frame.rays is not None for frame in members):
             self.closer.add(self.submaps, self.keyframes, self.graph)
         self._open = Submap(len(self.submaps), len(self.keyframes), len(self.keyframes) - 1)
-        self._way = 0.0
 
     def _close_loops(self, most: int) -> None:
         found = self.closer.work(most, self.submaps, self.graph)
         self.graph.edges += found
-        self._unsolved += len(found)
-        count = len(self.keyframes)
-        if self._unsolved and count - self._solved_at >= count // _KEYFRAMES_PER_PAUSE:
-            self._unsolved, self._solved_at = 0, count
-            self._optimize()
+        self._is_contradicted |= bool(found)
+        self._settle_in_time()
 
     def _align_neighbors(self, reach: float, report: Callable[[float], None]) -> None:
         """Replace the constraints between neighbors by new alignments."""
@@ -529,7 +501,7 @@ class Mapper:
                 if share < _SHARED or len(partners) == _PARTNERS:
                     break
                 if islands[other] == islands[number] and all(
-                    abs(other - known) >= _BETWEEN for known in (number, *partners)
+                    abs(other - known) >= 2 * _BESIDE for known in (number, *partners)
                 ):
                     partners.append(other)
             for other in partners:
@@ -550,25 +522,26 @@ class Mapper:
             for k in range(max(0, other - _BESIDE), min(len(self.keyframes), other + _BESIDE + 1))
             if k != number and abs(self.keyframes[k].submap - submap) <= 1
         ]
-        cloud = cloud_in(base, members, self.keyframes, self.graph.poses).thinned(DENSE_M)
+        cloud = cloud_in(base, members, self.keyframes, self.graph.poses).thinned()
         if not cloud.count:
             return None
         guess = relative(base, self.graph.pose(number))
         prior = np.diag([0.1**-2, 0.1**-2, 0.05**-2])
         found = Reference(cloud).align(self.keyframes[number].cloud, guess, prior, reach)
-        if (
-            found.paired < _LEAST_PAIRED
-            or found.deviation > _MOST_DEVIATION
-            or apart(guess, found.pose, _MOVED_M, _MOVED_RAD)
-        ):
+        moved = np.subtract(found.pose, guess)
+        if not found.pairs or moved @ prior @ moved > AGREES**2:
             return None
         information = turned(found.information, found.pose[2])
         return Edge(EdgeKind.MATCH, other, number, found.pose, information)
 
 
-def _report_round(report: Progress, number: int, share: float) -> None:
-    done = f"round {number + 1} of {len(_REACH_M)}"
-    report("alignment", (number + share) / len(_REACH_M), done)
+def _is_another(offset: Pose) -> bool:
+    """Return whether a pose is another one than that of the last keyframe, seen from there."""
+    return apart(offset, (0.0, 0.0, 0.0), _KEYFRAME, _KEYFRAME)
+
+
+def _report_round(report: Progress, number: int, rounds: int, share: float) -> None:
+    report("alignment", (number + share) / rounds, f"round {number + 1} of {rounds}")
 
 
 def _ignore(stage: str, share: float, done: str) -> None:

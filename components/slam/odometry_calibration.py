@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.landmarks import LandmarkBuilder
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
-from cairn.components.slam.pose_graph import Edge, EdgeKind, PoseGraph, Prior, relative_all
-from cairn.planar.motion_model import MotionModel
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, Prior, relative_all
+from cairn.planar.motion_model import MotionModel, move_pose, odometry_step
 from cairn.planar.odometry_gains import GainEstimator
+from cairn.planar.poses import Pose, compose, relative
 
 Array = NDArray[np.float64]
 
-# Of gains, lag [s] and veer [rad/m]: bounds, how far they usually are from those that are
-# configured, and steps of the numeric derivatives.
-_LOW, _HIGH = (0.5, 0.5, -0.3, -0.1), (1.5, 1.5, 0.5, 0.1)
+# How far gains, lag [s] and veer [rad/m] usually are from those that are configured.
 _USUAL = (0.1, 0.1, 0.1, 0.01)
-_STEPS = (0.02, 0.02, 0.05, 0.005)
-# The estimate is complete after a change below this, or after so many.
-_ENOUGH, _MOST_CHANGES = (0.001, 0.001, 0.003, 0.0001), 8
+# The estimate is complete after a change below this share of that, or after so many.
+_ENOUGH, _MOST_CHANGES = 0.01, 8
 
 
 @dataclass(frozen=True)
@@ -33,6 +31,10 @@ class CalibrationEstimate:
 
     calibration: OdometryCalibration
     deviations: OdometryCalibration
+
+
+NOT_ESTIMATED = CalibrationEstimate(OdometryCalibration(), OdometryCalibration(*_USUAL))
+"""Odometry that is right, as far as it usually is."""
 
 
 def with_gains(before: CalibrationEstimate, gains: GainEstimator) -> CalibrationEstimate:
@@ -53,6 +55,31 @@ def odometry_edge(
     return Edge(EdgeKind.ODOMETRY, first, second, *motion)
 
 
+def corrected_step(
+    edge: Edge,
+    stated: Pose,
+    by_odometry: Array,
+    before: OdometryCalibration,
+    now: CalibrationEstimate,
+) -> Edge:
+    """Return a step that was tracked with other gains of the odometry.
+
+    Args:
+        edge: the step, which scans show in part.
+        stated: the motion by odometry, not calibrated.
+        by_odometry: (3, 3) how the step changes with it, in the frame of its end.
+        before: the calibration when it was tracked.
+        now: the calibration that is right.
+
+    """
+    step = odometry_step(stated)
+    old, new = (
+        move_pose((0.0, 0.0, 0.0), one.corrected(step)) for one in (before, now.calibration)
+    )
+    x, y, turn = (by_odometry @ relative(old, new)).tolist()
+    return replace(edge, measured=compose(edge.measured, (x, y, turn)))
+
+
 def use_path(
     path: OdometryPath,
     model: MotionModel,
@@ -71,7 +98,7 @@ def use_path(
 
 
 def estimate_calibration(
-    start: OdometryCalibration,
+    start: CalibrationEstimate,
     log: OdometryLog,
     model: MotionModel,
     stamps: NDArray[np.int64],
@@ -81,12 +108,12 @@ def estimate_calibration(
     """Estimate the calibration, and use it in the graph, which has been optimized.
 
     All steps between successive keyframes count, those that scans show and those that landmarks
-    show. Without either the result is `start`, the calibration that is configured.
+    show. Without either the result is `start`, which was estimated while driving.
     """
-    now, origin = np.array(astuple(start)), np.array(astuple(start))
-    information = np.diag(np.array(_USUAL) ** -2.0)
-    covariance = np.linalg.inv(information)
-    covered = log.path(start).covers(stamps)
+    now = origin = np.array(astuple(start.calibration))
+    known, usual = np.array(astuple(start.deviations)), np.array(_USUAL)
+    information, covariance = np.diag(known**-2.0), np.diag(known**2.0)
+    covered = log.path(start.calibration).covers(stamps)
     pairs = [
         (edge.first, edge.second)
         for edge in graph.edges
@@ -101,7 +128,7 @@ def estimate_calibration(
     for _ in range(_MOST_CHANGES if pairs else 0):
         path = log.path(OdometryCalibration(*now))
         by_motion, by_sighting = [], []
-        for k, step in enumerate(_STEPS):
+        for k, step in enumerate(np.sqrt(np.diag(covariance)).tolist()):
             low, high = now.copy(), now.copy()
             low[k] -= step
             high[k] += step
@@ -116,12 +143,11 @@ def estimate_calibration(
             np.stack(by_sighting, axis=2),
             Prior(origin - now, information),
         )
-        before_change = now
-        now = np.clip(now + change, _LOW, _HIGH)
+        now = np.clip(now + change, *(origin + k * AGREES * usual for k in (-1, 1)))
         if graph.depends_on_odometry:
             use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
             graph.refine()
-        if (np.abs(now - before_change) < _ENOUGH).all():
+        if (np.abs(change) < _ENOUGH * usual).all():
             break
     deviations = np.sqrt(np.diag(covariance)).tolist()
     return CalibrationEstimate(OdometryCalibration(*now.tolist()), OdometryCalibration(*deviations))

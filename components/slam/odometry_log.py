@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn import SECOND
 from cairn.planar.motion_model import MotionModel, OdometryStep, odometry_step
-from cairn.planar.odometry import is_jump
+from cairn.planar.odometry import FASTEST_WHEELS, is_jump
+from cairn.planar.pose_tracker import EXACT_S
 from cairn.planar.poses import Pose, relative, wrap
 
 Array = NDArray[np.float64]
 
-# Faster steps are jumps: the driver was restarted [m/s], [rad/s].
-_FASTEST, _FASTEST_TURN = 3.0, 7.0
-# Least deviations of a motion, in x and y [m], and heading [rad].
-_LEAST_M, _LEAST_RAD = 0.003, 0.002
-# When the wheels start or stop is known up to this [s]; velocities are averaged over twice that.
-_TIMING_S = 0.1
-_NS_PER_S = 1_000_000_000
+LEAST_M, LEAST_RAD = 0.003, 0.002
+"""Least deviations of a motion, in x and y [m], and heading [rad]."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +37,15 @@ class OdometryCalibration:
     turn_gain: float = 1.0
     lag_s: float = 0.0
     veer: float = 0.0
+
+    def corrected(self, step: OdometryStep) -> OdometryStep:
+        """Return a step of odometry as the robot moved, but for the lag."""
+        return replace(
+            step,
+            ahead=self.forward_gain * step.ahead,
+            aside=self.forward_gain * step.aside,
+            turned=self.turn_gain * step.turned + self.veer * step.ahead,
+        )
 
 
 @dataclass(frozen=True)
@@ -67,17 +73,18 @@ class OdometryPath:
 
     def at(self, stamps_ns: NDArray[np.int64]) -> Array:
         """Return the poses (n, 3) at some times; before and after the path its ends."""
-        seconds = (stamps_ns - self.origin_ns) / _NS_PER_S
+        seconds = (stamps_ns - self.origin_ns) / SECOND
         return np.column_stack([np.interp(seconds, self.time, one) for one in self.poses.T])
 
     def motion(self, start_ns: int, end_ns: int, model: MotionModel) -> tuple[Pose, Array]:
         """Return the motion between two times, and its information (3, 3) in the final frame."""
-        half = round(_TIMING_S * _NS_PER_S)
+        # When the wheels start or stop is known up to this; velocities are means over twice that.
+        half = round(EXACT_S * SECOND)
         around = [start_ns - half, start_ns, start_ns + half, end_ns - half, end_ns, end_ns + half]
         poses = self.at(np.array(around))
         start, end = poses[1].tolist(), poses[4].tolist()
         (x, y, _), turn = relative(start, end), end[2] - start[2]
-        seconds = (np.array([start_ns, end_ns]) - self.origin_ns) / _NS_PER_S
+        seconds = (np.array([start_ns, end_ns]) - self.origin_ns) / SECOND
         moving = float(np.diff(np.interp(seconds, self.time, self.moving))[0])
         chord = odometry_step((x, y, turn))
         deviations = model.deviations(OdometryStep(chord.ahead, chord.aside, turn, moving))
@@ -88,7 +95,7 @@ class OdometryPath:
         aside_sd = math.hypot(deviations[1], 0.5 * turn_sd * chord.ahead)
         ahead_sd = math.hypot(ahead_sd, 0.5 * turn_sd * chord.aside)
         variances = np.square([ahead_sd, aside_sd, turn_sd])
-        variances += np.square([_LEAST_M, _LEAST_M, _LEAST_RAD])
+        variances += np.square([LEAST_M, LEAST_M, LEAST_RAD])
         cosine, sine = math.cos(0.5 * turn), math.sin(0.5 * turn)
         # From the middle heading to the final one.
         rotation = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
@@ -111,11 +118,12 @@ class OdometryLog:
             self._origin_ns = stamp_ns
             self._append(0.0, (0.0, 0.0, 0.0))
         else:
-            seconds = (stamp_ns - self._origin_ns) / _NS_PER_S
+            seconds = (stamp_ns - self._origin_ns) / SECOND
             since = seconds - self._time[-1]
             if since <= 0.0:
                 return
-            jumped = is_jump(self._newest, pose, since, _FASTEST, _FASTEST_TURN)
+            fastest = FASTEST_WHEELS
+            jumped = is_jump(self._newest, pose, since, fastest.speed, fastest.turn)
             self._append(seconds, (0.0, 0.0, 0.0) if jumped else relative(self._newest, pose))
         self._newest = pose
 
@@ -130,7 +138,7 @@ class OdometryLog:
         """Return the calibrated path, from its start or from `since_ns` [ns] on."""
         first = 0
         if since_ns is not None:
-            seconds = (since_ns - self._origin_ns) / _NS_PER_S - calibration.lag_s - 2 * _TIMING_S
+            seconds = (since_ns - self._origin_ns) / SECOND - calibration.lag_s - 2 * EXACT_S
             first = max(0, int(np.searchsorted(np.frombuffer(self._time), seconds)) - 1)
         time, ahead, aside, turned = (
             np.array(values[first:])

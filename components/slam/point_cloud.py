@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,12 @@ Array = NDArray[np.float64]
 # multiple of the distance between the ends of two beams on a wall that faces the scanner.
 _SURFACE_M, _SURFACE_SPACINGS = 0.15, 4.0
 # A surface is estimated from at most so many beams on each side, and at least so many in all.
-_SIDE, _LEAST = 5, 4
-# The points of a surface lie this near to its line [m, standard deviation].
-_FLAT_M = 0.04
+_SIDE = 5
+DENSE_M = 0.04
+"""Points nearer than this to each other are one [m]: a little more than the noise of scanners.
+
+The points of a surface deviate by no more from its line.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class PointCloud:
         rotation = np.array([[cosine, sine], [-sine, cosine]])
         return PointCloud(self.points @ rotation + (x, y), self.normals @ rotation)
 
-    def thinned(self, cell: float) -> PointCloud:
+    def thinned(self, cell: float = DENSE_M) -> PointCloud:
         """Return the mean point and normal of each cell of `cell` [m].
 
         The two sides of a thin wall stay apart: points of one cell whose normals are opposite are
@@ -57,10 +61,14 @@ class PointCloud:
         return PointCloud(points, normals)
 
 
+NOTHING: Final = PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+"""What a scan shows that hits nothing."""
+
+
 def joined(clouds: Sequence[PointCloud]) -> PointCloud:
     """Return the points of all clouds, which are in one frame."""
     if not clouds:
-        return PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
+        return NOTHING
     return PointCloud(
         np.concatenate([cloud.points for cloud in clouds]),
         np.concatenate([cloud.normals for cloud in clouds]),
@@ -111,7 +119,7 @@ def _normals(points: Array, indices: NDArray[np.int64], scanner: Array, spacing:
                     sum_yy += dy * dy
                 last_x, last_y = px, py
                 k += side
-        if number < _LEAST:
+        if number < _SIDE:
             continue
         mean_x, mean_y = sum_x / number, sum_y / number
         xx = sum_xx / number - mean_x * mean_x
@@ -120,7 +128,7 @@ def _normals(points: Array, indices: NDArray[np.int64], scanner: Array, spacing:
         half = 0.5 * (xx + yy)
         root = math.sqrt(max(0.0, 0.25 * (xx - yy) * (xx - yy) + xy * xy))
         least, most = half - root, half + root
-        if least > _FLAT_M * _FLAT_M or most < 4.0 * least or most <= 0.0:
+        if least > DENSE_M * DENSE_M or most < 4.0 * least or most <= 0.0:
             continue
         angle = 0.5 * math.atan2(2.0 * xy, xx - yy)  # along the surface
         nx, ny = -math.sin(angle), math.cos(angle)

@@ -16,31 +16,30 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from cairn.components.slam.alignment import LEAST_INFORMATION
 from cairn.components.slam.chains import Chains, chains_of
 from cairn.planar.compiled import compiled
-from cairn.planar.poses import Pose, apart, compose, wrap_all
+from cairn.planar.poses import Pose, compose, wrap_all
 
 Array = NDArray[np.float64]
 
+AGREES = 3.7
+"""A measurement agrees up to so many standard deviations: one in 1000 is off by more."""
+
 # A constraint's error from which on it counts less, in standard deviations: for alignments of
 # neighbors (Cauchy), places that were recognized (Geman and McClure: it may be wrong altogether),
-# and observations of landmarks (Cauchy: one in fifty is of something else).
-_MATCH_KERNEL, _CLOSURE_KERNEL, _SIGHTING_KERNEL = 2.0, 3.0, 2.0
-# A closure whose error is larger after the optimization is wrong [standard deviations].
-_WRONG_CLOSURE = 10.0
-# The kernels of constraints with large errors start wider and are halved until they have their own
-# width (graduated non-convexity, Yang et al. 2020).
-_MOST_STAGES = 8
+# and observations of landmarks (Cauchy: one in fifty is of something else). The kernels of
+# constraints with large errors start wider and are halved until they have this width (graduated
+# non-convexity, Yang et al. 2020).
+_KERNEL = 2.0
 # The uncertainty of each constraint, beyond what its information says, when the drift along a path
 # is predicted [m], [rad]: the errors of successive alignments have a common sign.
 _DRIFT_M, _DRIFT_RAD = 0.006, math.radians(0.12)
-# Landmarks that two parts of the map have in common: at least this far from each other [m], and
-# equally far up to this [m]. A part is moved to them if it is farther from there [m], [rad].
-_LEAST_APART_M, _SAME_M, _ASIDE_M, _ASIDE_RAD = 1.0, 0.4, 0.5, 0.2
-# Landmarks of which pairs are tried to find that motion.
-_MOST_POINTS = 20
-# Poses that represent the map when covariances relative to it are computed.
-_MOST_REFERENCES = 50
+# Landmarks that two parts of the map have in common are equally far from each other up to this [m].
+_SAME_M = 0.4
+# Landmarks that are paired to move a part to another one, and poses that represent the map when
+# covariances relative to it are computed.
+_MOST_CHOSEN = 30
 _ANCHOR_SD = 1e-4  # of the pose that stays [m], [rad]
 
 
@@ -237,9 +236,8 @@ class PoseGraph:
                     break
             else:
                 return
-            if apart(moved, (0.0, 0.0, 0.0), _ASIDE_M, _ASIDE_RAD):
-                for number in members.tolist():
-                    self.poses[number] = compose(moved, self.pose(number))
+            for number in members.tolist():
+                self.poses[number] = compose(moved, self.pose(number))
             placed[members] = island
             waiting.remove(part)
 
@@ -299,12 +297,12 @@ class PoseGraph:
         """
         self._align_parts()
         closures = [edge.kind is EdgeKind.CLOSURE for edge in self.edges]
-        closure = float(self.deviations()[closures].max(initial=0.0)) / _CLOSURE_KERNEL
+        closure = float(self.deviations()[closures].max(initial=0.0)) / _KERNEL
         sightings = self.sighting_deviations()[self._joined_rows()]
-        sighting = float(sightings.max(initial=0.0)) / _SIGHTING_KERNEL
+        sighting = float(sightings.max(initial=0.0)) / _KERNEL
         stages = math.ceil(math.log2(max(1.0, closure, sighting)))
         start = self.poses, dict(self.landmarks)
-        for stage in range(min(_MOST_STAGES, stages), -1, -1):
+        for stage in range(stages, -1, -1):
             error = self._optimize(2.0**stage)
         if stages and closure <= 1.0:
             # Many gross errors lead the wide kernels astray: the poses may have been nearly right.
@@ -312,7 +310,7 @@ class PoseGraph:
             self.poses, self.landmarks = start
             if self._optimize(1.0) > error:
                 self.poses, self.landmarks = far
-        wrong = self.deviations() > _WRONG_CLOSURE
+        wrong = self.deviations() > AGREES
         kept = [
             edge
             for edge, is_wrong in zip(self.edges, wrong.tolist(), strict=True)
@@ -393,6 +391,12 @@ class PoseGraph:
         kept = (edge for edge in self.edges if edge.kind is not EdgeKind.ODOMETRY)
         for factor in chain(self._anchors(), (_edge_factor(edge, 1.0) for edge in kept)):
             linear.add(factor.linearize(values))
+        # Without it, a chain of thousands of poses is not solved in double precision.
+        least, nothing = np.sqrt(LEAST_INFORMATION), np.zeros(3)
+        for number in range(len(self.poses)):
+            linear.add(
+                gtsam.JacobianFactor(number, least, nothing, gtsam.noiseModel.Unit.Create(3))
+            )
         key, unit = gtsam.symbol("c", 0), gtsam.noiseModel.Unit.Create
         for edge, derivative in zip(motions, by_motion, strict=True):
             jacobian, residual = _edge_factor(edge, 1.0).linearize(values).jacobian()
@@ -408,7 +412,7 @@ class PoseGraph:
             s = self.sightings[row]
             jacobian, residual = _sighting_factor(s, 1.0).linearize(values).jacobian()
             # The weight of an error by Cauchy's kernel, as it is in the jacobian.
-            weight = 1.0 / math.hypot(1.0, deviations[row] / _SIGHTING_KERNEL)
+            weight = 1.0 / math.hypot(1.0, deviations[row] / _KERNEL)
             by = -weight / np.array([[s.bearing_sd], [s.range_sd]]) * by_sighting[row][::-1]
             pose, point = jacobian[:, :3], jacobian[:, 3:]
             linear.add(
@@ -472,7 +476,7 @@ class PoseGraph:
             poses.add(s.keyframe)
         found: dict[int, Array] = {}
         for landmarks, poses in members.values():
-            every = sorted(poses)[:: max(1, len(poses) // _MOST_REFERENCES)]
+            every = sorted(poses)[:: max(1, len(poses) // _MOST_CHOSEN)]
             found |= self._relative_covariances(marginals, sorted(landmarks), every)
         return found
 
@@ -514,7 +518,7 @@ class PoseGraph:
         measured = np.array([e.measured for e in self.edges]).reshape(-1, 3)
         information = np.array([e.information for e in self.edges]).reshape(-1, 3, 3)
         floor = np.diag([_DRIFT_M**2, _DRIFT_M**2, _DRIFT_RAD**2])
-        inverses = np.asarray(np.linalg.inv(information + 1e-6 * np.eye(3)), np.float64)
+        inverses = np.asarray(np.linalg.inv(information + LEAST_INFORMATION), np.float64)
         covariances = inverses + floor
         both = np.concatenate((ends, ends[:, ::-1]))
         order = np.argsort(both[:, 0], kind="stable")
@@ -522,6 +526,14 @@ class PoseGraph:
             (np.zeros(1, np.int64), np.cumsum(np.bincount(both[:, 0], minlength=count)))
         )
         return _drift(origin, count, first, order, both, measured, covariances)
+
+
+def turned(matrix: Array, heading: float) -> Array:
+    """Return an information or covariance (3, 3) in the frame of a pose with this heading."""
+    cosine, sine = math.cos(heading), math.sin(heading)
+    rotation = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    result: Array = rotation.T @ matrix @ rotation
+    return result
 
 
 def relative_all(origins: Array, poses: Array) -> Array:
@@ -541,15 +553,15 @@ def relative_all(origins: Array, poses: Array) -> Array:
 def aligned(points: Array, targets: Array) -> Pose | None:
     """Return the motion that puts points (n, 2) to where most of their targets (n, 2) are.
 
-    It follows from a pair of points that are equally far from each other in both, and at least
-    1 m; None if no pair is.
+    It follows from a pair of points that are equally far from each other in both, and farther than
+    that is uncertain; None if no pair is.
     """
     best: tuple[int, float, list[int]] | None = None
-    chosen = range(0, len(points), 1 + len(points) // _MOST_POINTS)
+    chosen = range(0, len(points), 1 + len(points) // _MOST_CHOSEN)
     for i, j in combinations(chosen, 2):
         a, b = points[j] - points[i], targets[j] - targets[i]
         far = math.hypot(*a)
-        if far < _LEAST_APART_M or abs(far - math.hypot(*b)) > _SAME_M:
+        if far < 2 * _SAME_M or abs(far - math.hypot(*b)) > _SAME_M:
             continue
         errors = np.hypot(*(_moved(points, _fit(points[[i, j]], targets[[i, j]])) - targets).T)
         agree = np.flatnonzero(errors < _SAME_M).tolist()
@@ -578,15 +590,15 @@ def _edge_factor(edge: Edge, widened: float) -> gtsam.BetweenFactorPose2:
     noise: Any = gtsam.noiseModel.Gaussian.Information(edge.information)
     estimator, robust = gtsam.noiseModel.mEstimator, gtsam.noiseModel.Robust.Create
     if edge.kind is EdgeKind.MATCH:
-        noise = robust(estimator.Cauchy.Create(_MATCH_KERNEL), noise)
+        noise = robust(estimator.Cauchy.Create(_KERNEL), noise)
     elif edge.kind is EdgeKind.CLOSURE:
-        noise = robust(estimator.GemanMcClure.Create(_CLOSURE_KERNEL * widened), noise)
+        noise = robust(estimator.GemanMcClure.Create(_KERNEL * widened), noise)
     return gtsam.BetweenFactorPose2(edge.first, edge.second, gtsam.Pose2(*edge.measured), noise)
 
 
 def _sighting_factor(s: Sighting, widened: float) -> gtsam.BearingRangeFactor2D:
     deviations = gtsam.noiseModel.Diagonal.Sigmas(np.array([s.bearing_sd, s.range_sd]))
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_SIGHTING_KERNEL * widened)
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_KERNEL * widened)
     noise = gtsam.noiseModel.Robust.Create(kernel, deviations)
     key, bearing = _landmark_key(s.landmark), gtsam.Rot2(s.bearing)
     return gtsam.BearingRangeFactor2D(s.keyframe, key, bearing, s.range_m, noise)

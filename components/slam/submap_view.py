@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cairn.components.slam.correlation import CELL_M, REACH_M
 from cairn.components.slam.keyframes import (
-    DENSE_M,
     Keyframe,
     ScanSurfaces,
     Submap,
@@ -21,18 +21,12 @@ from cairn.components.slam.keyframes import (
 from cairn.components.slam.point_cloud import PointCloud
 from cairn.planar.grid import Frame, Grid
 from cairn.planar.poses import Pose, inverse, relative
-from cairn.planar.scan_grid import NOT_SEEN, SEEN_FREE, ScanGrid
+from cairn.planar.scan_grid import NOT_SEEN, OCCUPIED_SHARE, SEEN_FREE, ScanGrid
 
 Array = NDArray[np.float64]
 
-# Surfaces farther from the middle keyframe are not part of the view [m].
-REACH_M = 15.0
-# Size of the cells in which space is free [m], and rays that must have passed one.
-_CELL, _PASSES = 0.1, 3
-# A point does not stand still if a smaller share of the rays ended around it: beams pass where a
-# person was before or after.
-_STANDING_SHARE = 0.25
-_COMPRESSION = 1  # of zlib: the fastest, to a tenth or less
+# Rays that must have passed a cell that is free.
+_PASSES = 3
 
 
 @dataclass(frozen=True)
@@ -84,7 +78,7 @@ class SubmapView:
 def view_of(submap: Submap, keyframes: Sequence[Keyframe], poses: Array) -> SubmapView:
     """Return what a submap shows, from the poses (n, 3) of the keyframes."""
     origin = pose_of(poses, submap.middle)
-    grid = ScanGrid(_CELL, REACH_M)
+    grid = ScanGrid(CELL_M, REACH_M)
     placed = []
     for number in range(submap.first, submap.last + 1):
         at, frame = relative(origin, pose_of(poses, number)), keyframes[number]
@@ -92,12 +86,13 @@ def view_of(submap: Submap, keyframes: Sequence[Keyframe], poses: Array) -> Subm
             grid.add(at, frame.rays.rays())
         placed.append((frame.surfaces, at))
     cloud = placed_together(placed)
-    stands = grid.ended_share(cloud.points) >= _STANDING_SHARE
+    # Beams pass where a person was before or after.
+    stands = grid.ended_share(cloud.points) >= OCCUPIED_SHARE
     cloud = PointCloud(cloud.points[stands], cloud.normals[stands])
     space = grid.evidence(_PASSES)
     return SubmapView(
-        scan_surfaces(cloud.thinned(DENSE_M)),
-        zlib.compress(space.values.tobytes(), _COMPRESSION),
+        scan_surfaces(cloud.thinned()),
+        zlib.compress(space.values.tobytes(), zlib.Z_BEST_SPEED),
         space.values.shape,
         space.frame,
     )
@@ -112,10 +107,7 @@ def conflicts(points: Array, views: Sequence[tuple[Pose, SubmapView]]) -> float:
     seen = np.zeros(len(points), np.bool_)
     free, solid = seen.copy(), seen.copy()
     for pose, view in views:
-        x, y, turn = inverse(pose)
-        cosine, sine = np.cos(turn), np.sin(turn)
-        rotation = np.array([[cosine, sine], [-sine, cosine]])
-        evidence = view.evidence(points @ rotation + (x, y))
+        evidence = view.evidence(PointCloud(points, points).placed(inverse(pose)).points)
         seen |= evidence != NOT_SEEN
         free |= evidence == SEEN_FREE
         solid |= (evidence != NOT_SEEN) & (evidence != SEEN_FREE)

@@ -111,7 +111,7 @@ def test_published_map_shows_the_room_and_updates_keep_a_copy_current(
     values = copy.values.copy()
 
     robot.drive(30)
-    slam.run_for(1.0)
+    slam.run_for(3.0)
 
     for update in slam.take("map_updates"):
         window = values[update.y : update.y + update.height, update.x : update.x + update.width]
