@@ -228,7 +228,7 @@ class Localizer(Component):
             known = find_start_pose(self.config, odom, stamp, self.log)
             if known is not None:
                 self._localization.set_pose(known.mean, known.covariance)
-        elif stamp - latest > self.config.hold_s:
+        elif stamp - latest > self.config.hold_s + BEHIND_S:
             self._warnings.warn(
                 "gap", f"no odometry on {self.odom.topic} for {stamp - latest:.1f} s"
             )

@@ -19,14 +19,12 @@ from cairn.components.localizer.global_search import (
     RecentMeasurements,
     search,
 )
-from cairn.components.localizer.observations import RARE
 from cairn.components.localizer.particle_set import (
     ParticleSet,
     PoseEstimate,
     estimate,
 )
 from cairn.components.localizer.pose_differences import (
-    PLACE_M,
     is_elsewhere,
     is_same,
     slip_covariance,
@@ -38,6 +36,10 @@ from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
+# Logarithm of how likely it is that the robot was carried away when a search looks for it, if
+# nothing suggests that; if the scans stopped fitting at once; and that its wheels slipped, when
+# scans fit badly.
+_CARRIED, _CARRIED_AT_ONCE, _SLIPPED = -9.0, -5.0, -4.0
 # A pose that was found just now is as likely as others that explain the measurements as well.
 # It is kept against them as any other after so much of the way [m]; searches check it until then.
 _SETTLED_M = 10.0
@@ -45,16 +47,22 @@ GOOD_FIT = 0.8
 """A scan of which the map explains this share or more does not indicate a slip."""
 # So many hypotheses are kept besides the current one.
 _MOST = 12
-# A pose is replaced by one that is so probable (0 to 1): against it, and against all others. From
-# these odds on (logarithm) the robot is certainly not there: any likely position is a better one to
-# go on from; and positions so unlikely against the best one are dropped.
-_LIKELY, _REFUTED = 0.9, 15.0
-# Period of the search [s] of a robot that is not located or probably lost; others search half as
-# often, at most.
-_EVERY_S = 1.0
+# A pose is replaced when another one is so much likelier (logarithm of odds), and when that one is
+# so probable (0 to 1) against all others. From the third on the robot is certainly not there: any
+# likely position is a better one to go on from. Those less likely than the best by more than the
+# last are dropped.
+_BETTER, _LIKELY, _REFUTED, _UNLIKELY = math.log(9.0), 0.9, 15.0, 12.0
+MOST_DOUBT = 0.01
+"""From this probability of other positions on, the pose is not confirmed.
+
+One object that agrees by chance does not suffice to confirm it.
+"""
+# Periods of the search [s]: of a robot that is not located; that is probably lost; that was found
+# just now; and of one whose scans fit by less than `GOOD_FIT`.
+_UNKNOWN_EVERY_S, _LOST_EVERY_S, _FOUND_EVERY_S, _DOUBTFUL_EVERY_S = 0.5, 1.0, 2.0, 3.0
 # Without scans, a robot waits so long [s] for a second object before it believes a result by one
-# object; or for the particles around the only object to narrow to a place and its neighbors.
-_WAIT_S = 15.0
+# object; or for the particles around the only object to narrow to this spread [m].
+_WAIT_FOR_SECOND_S, _WAIT_FOR_SPREAD_S, _ONE_OBJECT_SPREAD_M = 15.0, 10.0, 0.8
 
 
 @dataclass
@@ -88,10 +96,9 @@ class PoseHypotheses:
 
     A hypothesis arises from a search: of the whole map, or around the current pose. It begins with
     the odds of the event that could have brought the robot there, against the number of positions
-    to which it could have: that wheels slipped when scans fit badly, or that the robot was carried
-    away when they stopped fitting at once, is rare; if nothing suggests it, as rare again. From
-    then on a hypothesis is carried on by odometry like the current pose, and each scan changes its
-    odds, by as much as the scan is new. What objects say is that of the recent observations.
+    to which it could have. From then on it is carried on by odometry like the current pose, and
+    each scan changes its odds, by as much as the scan is new. What objects say is that of the
+    recent observations.
     """
 
     def __init__(
@@ -120,14 +127,15 @@ class PoseHypotheses:
         """
         since = stamp - self._searched_at
         if contradicted or fit.lost:
-            return since >= _EVERY_S
-        fits_badly = fit.value is not None and fit.value < GOOD_FIT
-        return (self._settled_m < _SETTLED_M or fits_badly) and since >= 2.0 * _EVERY_S
+            return since >= _LOST_EVERY_S
+        if self._settled_m < _SETTLED_M:
+            return since >= _FOUND_EVERY_S
+        return fit.value is not None and fit.value < GOOD_FIT and since >= _DOUBTFUL_EVERY_S
 
     def find(self, stamp: float, recent: RecentMeasurements) -> Array | None:
         """Return poses (3, n) of a robot whose position is unknown; None while it is ambiguous."""
         self._first_measured = min(self._first_measured, stamp)
-        if stamp - self._searched_at < _EVERY_S:
+        if stamp - self._searched_at < _UNKNOWN_EVERY_S:
             return None
         self.search(stamp, recent, None)
         found = self._last
@@ -140,11 +148,11 @@ class PoseHypotheses:
             return None
         waited = stamp - self._first_measured
         again = any(one.searches > 1 and is_same(one.pose, found.pose.mean) for one in self.others)
-        firm = agreeing >= 2 or waited >= _WAIT_S
+        firm = agreeing >= 2 or waited >= _WAIT_FOR_SECOND_S
         if found.share >= _LIKELY and firm:
             return found.modes[0] if again else None
         spread = estimate(found.everywhere, np.zeros(found.everywhere.shape[1])).spread
-        if waited >= _WAIT_S and spread < 2.0 * PLACE_M:
+        if waited >= _WAIT_FOR_SPREAD_S and spread < _ONE_OBJECT_SPREAD_M:
             # One object alone leaves an arc around it open; its width is published, and the filter
             # narrows it sooner than waiting does.
             return found.everywhere
@@ -159,7 +167,7 @@ class PoseHypotheses:
         last = self._last
         return (
             last is not None
-            and stamp - self._searched_at <= 2.0 * _EVERY_S
+            and stamp - self._searched_at <= _DOUBTFUL_EVERY_S
             and last.share >= _LIKELY
             and is_same(last.pose.mean, here.mean)
         )
@@ -223,7 +231,7 @@ class PoseHypotheses:
         by_scans = recent.scan_worth(np.array(means).T)
         if here is not None:
             base = float(recent.scan_worth(np.array([here.mean]).T)[0])
-            carried = RARE if at_once else 2.0 * RARE
+            carried = _CARRIED_AT_ONCE if at_once else _CARRIED
             prior = (carried - math.log(recent.places)) * min(1.0, self._settled_m / _SETTLED_M)
         else:
             base, prior = self._base(recent, by_scans), 0.0
@@ -271,8 +279,8 @@ class PoseHypotheses:
         slip = np.asarray(found) - np.asarray(here.mean)
         slip[2] = wrap(slip[2])
         size = float(slip @ np.linalg.solve(slip_covariance(), slip))
-        odds = RARE - 0.5 * size + SEARCH_SHARE * float(there - current)
-        if odds > 2.0 * RARE:
+        odds = _SLIPPED - 0.5 * size + SEARCH_SHARE * float(there - current)
+        if odds > _CARRIED:
             self._add(slipped.sample(PARTICLES, self.random), odds)
 
     def take_better(
@@ -293,8 +301,9 @@ class PoseHypotheses:
             return None
         odds = self._odds(recent, here)
         best = int(np.argmax(odds))
-        share = self._share(odds, best) if odds[best] < _REFUTED else 1.0
-        if min(share, 1.0 / (1.0 + math.exp(-odds[best]))) < _LIKELY:
+        if odds[best] < _BETTER:
+            return None
+        if odds[best] < _REFUTED and self._share(odds, best) < _LIKELY:
             return None
         pose = self.others[best].particles.estimate()
         elsewhere = is_elsewhere(pose.mean, here.mean)
@@ -312,10 +321,7 @@ class PoseHypotheses:
         self._keep_likely(recent, here)
 
     def alternatives(self, recent: RecentMeasurements, here: PoseEstimate) -> list[Alternative]:
-        """Return the other positions at which the robot may be, the most probable first.
-
-        None if they are together improbable.
-        """
+        """Return the other positions at which the robot may be, the most probable first."""
         if not self.others:
             return []
         weights = np.exp(np.minimum(self._odds(recent, here), 50.0))
@@ -325,8 +331,6 @@ class PoseHypotheses:
             for one, weight in zip(self.others, weights, strict=True)
             if is_elsewhere(one.pose, here.mean)
         ]
-        if sum(one.probability for one in pairs) < math.exp(RARE):
-            return []
         return sorted(pairs, key=lambda pair: -pair.probability)
 
     def _take_likely(self, recent: RecentMeasurements) -> Array | None:
@@ -381,7 +385,7 @@ class PoseHypotheses:
         if not self.others:
             return
         odds = self._odds(recent, here)
-        least = odds.max() - _REFUTED if here is None else 2.0 * RARE - math.log(recent.places)
+        least = odds.max() - _UNLIKELY if here is None else _CARRIED - math.log(recent.places)
         kept: list[Hypothesis] = []
         for k in np.argsort(-odds):
             one = self.others[k]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import median
 from typing import Literal
@@ -35,26 +35,34 @@ from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-# So many contradictions from different poses, of which each may be of the position that the others
-# imply, corroborate each other. So many near another object, which may be what was observed, do;
-# and as many of the newest observations from different poses are averaged and compared.
-CORROBORATED, NEWEST = 3, 8
-# A shift smaller than this [m] matters to no reader of the map. Where scans fix the position, the
-# poses with and without an object differ by no more.
-_SMALL_M = 0.15
+# Where no other reason is given, the constants of this module were chosen by hand;
+# `lab/constants.yaml` has the effect of half and double.
+
+# An implied position this near another live object [m] may be that object. In simulation this veto
+# removed all false removals at 1 % and at 5 % of false matches.
+VETO = 0.35
+# Implied positions this near each other [m] support one position: the errors of two observations.
+# Half and double change nothing in four runs of MRCLAM with two landmarks displaced, nor do two
+# instead of three below (`python -m cairn_lab.benchmarks.localization_mrclam`).
+SAME_POSITION = 0.6
+# So many contradictions from different poses corroborate each other; so many near another object,
+# which may be what was observed.
+CORROBORATED, CORROBORATED_NEAR_ANOTHER = 3, 8
 
 # How an observation is compared with the pose.
 SimilarityMode = Literal["lr", "paper"]
+# Where scans fix the position, the poses with and without an object differ by no more than this
+# [m]: a cell of the map and the noise of two particle sets.
+_EXACT_M = 0.15
+# So many contradictions of each object are remembered: more than corroboration needs.
+_MOST_CONTRADICTIONS = 20
 
 
 @dataclass(frozen=True)
 class _Contradiction:
-    observation: Observation
-    pose: PoseEstimate
-
-    def may_be_of(self, landmark: Landmark) -> bool:
-        """Whether the observation fits a position, which may be uncertain."""
-        return innovation(self.pose, self.observation, landmark).nis <= GATE
+    x: float
+    y: float
+    seen_from: Pose
 
 
 class LandmarkEvaluator:
@@ -71,7 +79,7 @@ class LandmarkEvaluator:
         self.mode = mode
         self.ring_samples = ring_samples
         self.random = random
-        self._contradictions: dict[int, deque[_Contradiction]] = {}
+        self._contradictions: dict[int, list[_Contradiction]] = {}
         self._displacements = DisplacementDetector()
         self.ranges = RangeScaleEstimator()
 
@@ -155,8 +163,7 @@ class LandmarkEvaluator:
             vouched
             and scanned
             and not misled
-            and not contradicts
-            and meters_between(pose.mean, by_all.mean) <= _SMALL_M
+            and meters_between(pose.mean, by_all.mean) <= _EXACT_M
             and self._displacements.shifted(observation, pose, landmark)
         ):
             near = self._near_another(observation, pose, landmarks)
@@ -184,31 +191,37 @@ class LandmarkEvaluator:
         landmarks: Mapping[int, Landmark],
     ) -> tuple[EvidenceVerdict, bool]:
         """Return the verdict on a contradiction, and whether others corroborate it."""
-        x, y, covariance = implied_position(pose, observation)
-        (xx, xy), (_, yy) = covariance.tolist()
-        implied = Landmark(observation.object_id, x, y, xx, xy, yy)
-        known = self._contradictions.setdefault(observation.object_id, deque(maxlen=NEWEST))
-        if not known or is_another(known[-1].pose.mean, pose.mean):
-            known.append(_Contradiction(observation, pose))
-        together = sum(one.may_be_of(implied) for one in known)
-        if together < NEWEST and self._near_another(observation, pose, landmarks):
+        x, y, _ = implied_position(pose, observation)
+        known = self._contradictions.setdefault(observation.object_id, [])
+        if not known or is_another(known[-1].seen_from, pose.mean):
+            known.append(_Contradiction(x, y, pose.mean))
+            del known[:-_MOST_CONTRADICTIONS]
+        together = sum(math.hypot(c.x - x, c.y - y) < SAME_POSITION for c in known)
+        if together < CORROBORATED_NEAR_ANOTHER and self._near_another(
+            observation, pose, landmarks
+        ):
             return EvidenceVerdict.FALSE_MATCH, False
         return EvidenceVerdict.DISAGREES, together >= CORROBORATED
 
     def _near_another(
         self, observation: Observation, pose: PoseEstimate, landmarks: Mapping[int, Landmark]
     ) -> bool:
-        """Whether the observed object may be another one, which was not observed in its place."""
+        """Whether the observed object may be another one that stands at the implied position."""
+        x, y, _ = implied_position(pose, observation)
         here = landmarks[observation.object_id]
-        it = _Contradiction(observation, pose)
         return any(
             other.live
             and other.object_id != observation.object_id
-            and it.may_be_of(other)
-            and not any(
-                one.may_be_of(here) for one in self._contradictions.get(other.object_id, ())
-            )
+            and math.hypot(other.x - x, other.y - y) < VETO
+            and not self._stands_at(other.object_id, here)
             for other in landmarks.values()
+        )
+
+    def _stands_at(self, object_id: int, position: Landmark) -> bool:
+        """Whether an object was observed at the position of another one: the two were exchanged."""
+        return any(
+            math.hypot(one.x - position.x, one.y - position.y) < VETO
+            for one in self._contradictions.get(object_id, ())
         )
 
     def distance_to_new_samples(
@@ -264,18 +277,20 @@ def evidence_of(
 
 # Equation (2) never returns from 0 or 1, so a similarity never reaches them. The paper shows 0.5 ->
 # 0.9 after one evaluation (figures 7 and 10): its similarities were at most 0.9.
-LEAST, NEUTRAL = 0.1, 0.5
+LEAST, MOST, NEUTRAL = 0.1, 0.9, 0.5
 # Density [1/(m rad)] of an observation of an object that stands anywhere in view: 4 m by 60
 # degrees.
 CLUTTER = 1.0 / (4.0 * math.radians(60.0))
+# A prediction must exceed clutter by this factor at its peak: its similarity is then up to 0.8.
+_CLEAR = 4.0
 
 
 def likelihood_ratio_similarity(difference: Innovation) -> float:
     """Mode "lr": the odds of "stands where the map says" against "stands anywhere in view".
 
-    A prediction too vague to reach the highest similarity by an exact match is neutral.
+    A prediction too vague to exceed clutter even for an exact match is neutral.
     """
-    if difference.peak < (1.0 - LEAST) * (difference.peak + CLUTTER):
+    if difference.peak < _CLEAR * CLUTTER:
         return NEUTRAL
     return clamp(difference.density / (difference.density + CLUTTER))
 
@@ -287,7 +302,7 @@ def paper_similarity(radius: float, distance: float) -> float:
 
 def clamp(similarity: float) -> float:
     """Return a similarity within [0.1, 0.9]."""
-    return min(1.0 - LEAST, max(LEAST, similarity))
+    return min(MOST, max(LEAST, similarity))
 
 
 def convergence_radius(pose: PoseEstimate) -> float:
@@ -342,6 +357,16 @@ def converge(
     return pose if pose.spread < 0.5 * PLACE_M else None
 
 
+# So many of the newest observations from different poses are averaged: few detect a large shift
+# soon, many detect a small one.
+_WINDOWS = (6, 10, 20)
+# What observations from all poses have in common through errors of map and pose [m].
+_COMMON_M = 0.05
+# A shift smaller than this [m] matters to no reader of the map; a larger one shows in single
+# observations, and an implied position beyond that is of another object.
+_SMALL_M, _LARGE_M = 0.15, 0.8
+
+
 @dataclass(frozen=True)
 class _Implied:
     """The position [m] that an observation implies, its own covariance [m^2], and the robot's
@@ -375,20 +400,19 @@ class DisplacementDetector:
         """Add an observation from a reliable pose; return whether the object clearly stands
         beside its position.
         """
-        known = self._implied.setdefault(observation.object_id, deque(maxlen=2 * NEWEST))
+        known = self._implied.setdefault(observation.object_id, deque(maxlen=_WINDOWS[-1]))
         x, y, whole = implied_position(pose, observation)
+        if math.hypot(x - landmark.x, y - landmark.y) > _LARGE_M:
+            return False
         exact = PoseEstimate(pose.mean, np.zeros((3, 3)))
         noise = implied_position(exact, observation)[2]
         if not known or is_another(known[-1].seen_from, pose.mean):
             known.append(_Implied(np.array([x, y]), noise, pose.mean))
         mapped = np.array([[landmark.xx, landmark.xy], [landmark.xy, landmark.yy]])
-        common = whole - noise + mapped + MAP_SIGMA**2 * np.eye(2)
+        common = whole - noise + mapped + (_COMMON_M**2 + MAP_SIGMA**2) * np.eye(2)
         mapped_position = np.array([landmark.x, landmark.y])
-        if len(known) < NEWEST:
-            return False
-        # A few observations detect a large shift soon, twice as many a smaller one.
-        newest = list(known)[-NEWEST:]
-        return any(_beside(_agreed(some), mapped_position, common) for some in (newest, known))
+        windows = [list(known)[-count:] for count in _WINDOWS if count <= len(known)]
+        return any(_beside(_agreed(window), mapped_position, common) for window in windows)
 
 
 @dataclass(frozen=True)
@@ -407,17 +431,17 @@ def _beside(agreed: _Agreed | None, there: Array, common: Array) -> bool:
     return far and float(off @ np.linalg.solve(common + agreed.noise, off)) > GATE
 
 
-def _agreed(implied: Sequence[_Implied]) -> _Agreed | None:
-    """Return the mean that all implied positions but one agree on; None if they do not.
+def _agreed(implied: list[_Implied]) -> _Agreed | None:
+    """Return the mean that five in six of the implied positions agree on; None if they do not.
 
-    One may be a false match.
+    Of the smallest window, six, one may be a false match.
     """
     mean = _weighted_mean(implied)
     kept = [one for one in implied if _squared_distance(one, mean) <= GATE]
-    return _weighted_mean(kept) if len(kept) >= len(implied) - 1 else None
+    return _weighted_mean(kept) if 6 * len(kept) >= 5 * len(implied) else None
 
 
-def _weighted_mean(implied: Sequence[_Implied]) -> _Agreed:
+def _weighted_mean(implied: list[_Implied]) -> _Agreed:
     information = [np.linalg.inv(one.noise) for one in implied]
     noise = np.linalg.inv(np.sum(information, axis=0))
     weighted = [of_one @ one.position for of_one, one in zip(information, implied, strict=True)]
@@ -426,47 +450,55 @@ def _weighted_mean(implied: Sequence[_Implied]) -> _Agreed:
 
 def _squared_distance(one: _Implied, mean: _Agreed) -> float:
     off = one.position - mean.position
-    total = one.noise + mean.noise + MAP_SIGMA**2 * np.eye(2)
+    total = one.noise + mean.noise + _COMMON_M**2 * np.eye(2)
     return float(off @ np.linalg.solve(total, off))
 
 
-# An observation in the direction of its object [rad] whose ratio of ranges is within this factor
-# may be used for the range scale; others are false matches, or their object was moved.
-_ALONG_RAD, _OTHER = 0.1, 2.0
-# Ratios nearer to 1 than this are noise; a common one of all objects beyond it is a wrong
+# An observation in the direction of its object [rad], within these ratios of ranges, may be used
+# for the range scale; others are false matches, or their object was moved.
+_ALONG_RAD = 0.1
+_LEAST, _MOST = 0.4, 2.5
+# Newest ratios kept of each object, and objects observed last.
+_RATIOS, _OBJECTS = 5, 8
+# So many objects are needed to know whether ranges err, if the map has as many.
+_ENOUGH = 3
+# Ratios nearer to 1 than this are noise; a common one of all objects beyond the second is a wrong
 # calibration.
-_WRONG = 0.05
+_NOISE, _WRONG = 0.04, 0.06
+# Most objects share an error of the camera: this share of them has ratios within that share of it.
+_MOST_OF_THEM, _ALIKE = 0.75, 0.5
 
 
 class RangeScaleEstimator:
     """Detects that the ranges of all objects err by one factor, as with a wrongly calibrated
     camera.
 
-    It keeps the relative errors of observed ranges by the map. A moved object is observed at
+    It keeps the ratios of observed ranges to those of the map. A moved object is observed at
     another range, but for the others the map is right. If they all seem to be nearer by the same
     factor, the camera is wrong.
     """
 
     def __init__(self) -> None:
-        self._errors: dict[int, deque[float]] = {}  # in the order of the last observation
+        self._ratios: dict[int, deque[float]] = {}  # in the order of the last observation
 
     def forget(self, object_id: int) -> None:
         """Forget an object whose position in the map changed."""
-        self._errors.pop(object_id, None)
+        self._ratios.pop(object_id, None)
 
     def clear(self) -> None:
         """Forget everything, as the robot was somewhere else."""
-        self._errors.clear()
+        self._ratios.clear()
 
     @property
     def wrong(self) -> float | None:
         """The factor by which all ranges err, if it is clear that they do."""
-        errors = [median(newest) for newest in self._errors.values()]
-        if len(errors) < CORROBORATED:
+        medians = [median(ratios) for ratios in self._ratios.values()]
+        if len(medians) < _ENOUGH:
             return None
-        shared = median(errors)
-        alike = sum(_is_nearer(one, shared) for one in errors)
-        return 1.0 + shared if abs(shared) > _WRONG and alike >= len(errors) - 1 else None
+        factor = median(medians)
+        error = abs(factor - 1.0)
+        alike = sum(abs(one - factor) <= _ALIKE * error for one in medians)
+        return factor if error > _WRONG and alike >= _MOST_OF_THEM * len(medians) else None
 
     def may_err(
         self, observation: Observation, pose: PoseEstimate, landmarks: Mapping[int, Landmark]
@@ -477,25 +509,23 @@ class RangeScaleEstimator:
         """
         landmark = landmarks[observation.object_id]
         dx, dy = landmark.x - pose.mean[0], landmark.y - pose.mean[1]
-        distance = max(math.hypot(dx, dy), NEAREST_M)
-        error = observation.range_m / distance - 1.0
         off_rad = wrap(observation.bearing + pose.mean[2] - math.atan2(dy, dx))
-        if abs(off_rad) > _ALONG_RAD or not 1.0 / _OTHER < 1.0 + error < _OTHER:
+        ratio = observation.range_m / max(math.hypot(dx, dy), NEAREST_M)
+        if abs(off_rad) > _ALONG_RAD or not _LEAST < ratio < _MOST:
             return False
-        known = self._errors.pop(observation.object_id, deque(maxlen=NEWEST))
-        others = [median(errors) for errors in self._errors.values()]
-        known.append(error)
-        self._errors[observation.object_id] = known
-        while len(self._errors) > NEWEST:
-            self._errors.pop(next(iter(self._errors)))
-        if abs(error) <= _WRONG:
+        known = self._ratios.pop(observation.object_id, deque(maxlen=_RATIOS))
+        others = [median(ratios) for ratios in self._ratios.values()]
+        known.append(ratio)
+        self._ratios[observation.object_id] = known
+        while len(self._ratios) > _OBJECTS:
+            self._ratios.pop(next(iter(self._ratios)))
+        if abs(ratio - 1.0) <= _NOISE:
             return False
         live = sum(one.live for one in landmarks.values()) - 1
-        if len(others) < min(CORROBORATED, live):
+        if len(others) < min(_ENOUGH, live):
             return True
-        return bool(others) and abs(median(others)) > _WRONG and _is_nearer(error, median(others))
-
-
-def _is_nearer(error: float, shared: float) -> bool:
-    """Whether a relative error is nearer to the one that others share than to none."""
-    return abs(error - shared) < abs(error)
+        if not others:
+            return False
+        shared = median(others) - 1.0
+        own = ratio - 1.0
+        return abs(shared) > _NOISE and shared * own > 0.0 and abs(shared) >= _ALIKE * abs(own)

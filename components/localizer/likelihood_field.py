@@ -7,8 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.observations import RARE
-from cairn.components.localizer.pose_differences import PLACE_M
 from cairn.planar.compiled import compiled
 from cairn.planar.grid import (
     FREE_TO,
@@ -22,6 +20,15 @@ from cairn.planar.grid import (
 from cairn.planar.poses import Pose
 
 Array = NDArray[np.float64]
+
+# The map explains a beam that ends this near to an obstacle [m]: a little more than `beam_sd`.
+_EXPLAINED_M = 0.12
+# A beam within so many deviations of an obstacle measures it, and nothing else: 99.7 % of them do.
+_NEAR_SD = 3.0
+# A beam passes an obstacle if it meets one more than this before its end [m]: a beam along a wall
+# meets it early if the pose is a little off. So far from the robot's center [m] it begins.
+_BEYOND_M, _NEARER_M = 0.5, 0.3
+
 
 # Rows of which a field is computed at once, to limit the memory for a large map.
 _BAND = 1024
@@ -75,24 +82,23 @@ class LikelihoodField:
         return total
 
     def fit(self, pose: Pose, points: Array) -> float:
-        """Return the share (0 to 1) of the end points (m, 2) that lie within a deviation and
-        half a cell of an obstacle's middle.
+        """Return the share (0 to 1) of the end points (m, 2) that lie within 0.12 m of an
+        obstacle.
         """
         if not len(points):
             return math.nan
-        near = np.full(1, self.sigma + 0.5 * self.frame.resolution, np.float32)
-        explained = self._values(near)[0]
+        explained = self._values(np.full(1, _EXPLAINED_M, np.float32))[0]
         return float(np.mean(self._each(pose, points) >= explained))
 
     def deviation(self, pose: Pose, points: Array) -> float:
         """Return the root mean square distance [m] of end points to the nearest obstacle.
 
-        Of those (m, 2) [m] near enough to one to be no stray beams; 0 if there are none.
+        Of those (m, 2) [m] within three deviations of one; NaN if there are none.
         """
         peak = (np.exp(self._each(pose, points)) - self.stray) / (1.0 - self.stray)
-        near = peak[peak > math.exp(RARE)]
+        near = peak[peak > math.exp(-0.5 * _NEAR_SD**2)]
         if not near.size:
-            return 0.0
+            return math.nan
         return self.sigma * math.sqrt(float(np.mean(np.maximum(0.0, -2.0 * np.log(near)))))
 
     def clear(self, pose: Pose, starts: Array, ends: Array) -> float:
@@ -107,16 +113,14 @@ class LikelihoodField:
         """Return by how much beams that pass an obstacle before they end (m, 2) [m] explain less.
 
         Their ends may lie at obstacles, but from this pose those are hidden: such a beam measures
-        something else. A beam along a wall meets it early if the pose is a little off: by less than
-        a place. Beams begin at the robot's edge. The sum of log-likelihoods that `log_likelihood`
-        counts too much, at most 0.
+        something else. The sum of log-likelihoods that `log_likelihood` counts too much, at most 0.
         """
         far = np.hypot(points[:, 0], points[:, 1])
-        is_long = far > 1.5 * PLACE_M
-        if not is_long.any():
+        some = points[far > _BEYOND_M + _NEARER_M]
+        if not len(some):
             return 0.0
-        some, part = points[is_long], PLACE_M / far[is_long, None]
-        met = self._meet(pose, 0.5 * part * some, (1.0 - part) * some)
+        far = far[far > _BEYOND_M + _NEARER_M, None]
+        met = self._meet(pose, some * (_NEARER_M / far), some * (1.0 - _BEYOND_M / far))
         each = self._each(pose, some[met])
         return float(np.sum(math.log(self.stray) - each))
 
@@ -314,6 +318,11 @@ class FreeSpace:
         return poses
 
 
+# Deviation of a beam [m] for a first look at the whole map, where few poses are drawn near any: of
+# 300 poses per m^2 (`global_search`), 115 lie within this distance of the robot, 0.05 rad apart.
+_WIDE_M = 0.35
+
+
 class ScanMap:
     """Likelihood fields of one grid map: `field` for a beam of deviation `beam_sd_m`, and,
     computed on first use, `wide` for a loose beam, and the `free` space.
@@ -328,9 +337,9 @@ class ScanMap:
 
     @property
     def wide(self) -> LikelihoodField:
-        """The field of a loose beam, for a first look: as wide as a place, half its diagonal."""
+        """The field of a loose beam."""
         if self._wide is None:
-            self._wide = LikelihoodField(self._grid, PLACE_M / math.sqrt(2.0), self._stray)
+            self._wide = LikelihoodField(self._grid, _WIDE_M, self._stray)
         return self._wide
 
     @property

@@ -15,6 +15,7 @@ from cairn.components.localizer.covariance_calibration import CovarianceCalibrat
 from cairn.components.localizer.global_search import SEARCH_SHARE, RecentMeasurements
 from cairn.components.localizer.hypotheses import (
     GOOD_FIT,
+    MOST_DOUBT,
     Alternative,
     PoseHypotheses,
 )
@@ -30,7 +31,7 @@ from cairn.components.localizer.observations import (
 )
 from cairn.components.localizer.odometry import OdometryTrack
 from cairn.components.localizer.particle_set import ParticleSet, PoseEstimate
-from cairn.components.localizer.pose_differences import PLACE_M, is_elsewhere
+from cairn.components.localizer.pose_differences import is_elsewhere
 from cairn.components.localizer.pose_health import (
     LOST,
     PoseHealth,
@@ -55,8 +56,12 @@ from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
-_SHARED_BEAMS = 60.0
-"""The parameter `scan_share` is of so many beams."""
+# The parameter `scan_share` is of so many beams; of fewer beams than the second the share does not
+# grow further, as it is about 1 there.
+_SHARED_BEAMS, _LEAST_BEAMS = 60.0, 20
+# A landmark whose position changes by more than this [m] was moved; improvements are smaller.
+# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
+_MOVED_M = 0.3
 # The starts and ends of no rays.
 NO_RAYS = (np.empty((0, 2)), np.empty((0, 2)))
 
@@ -142,15 +147,15 @@ class Localization:
             if old.live and (new is None or not new.live):
                 # All its observations were compared with a position that it had left.
                 self.filters.replace_by_filter_without(object_id)
-            elif old.live and new and math.hypot(new.x - old.x, new.y - old.y) > 0.5 * PLACE_M:
-                # It was moved: improvements of its position are smaller.
+            elif (
+                old.live and new is not None and math.hypot(new.x - old.x, new.y - old.y) > _MOVED_M
+            ):
                 self.evaluator.forget(object_id)
 
     def set_grid(self, grid: OccupancyCells) -> None:
         """Replace the grid map."""
         if self.map is None or not self.map.replace(grid):
             self.map = ScanMap(grid, self.settings.beam_sd_m, self.settings.stray)
-            self._calibrator = CovarianceCalibrator()
 
     def add_odometry(self, stamp: float, pose: Pose, forward: float, turn: float) -> OdometryChange:
         """Add odometry: pose, and velocities [m/s, rad/s]."""
@@ -180,7 +185,8 @@ class Localization:
         estimate = self.filters.estimate()
         if self.map is None:
             return estimate
-        return PoseEstimate(estimate.mean, self._calibrator.calibrated(estimate))
+        resolution = self.map.field.frame.resolution
+        return PoseEstimate(estimate.mean, self._calibrator.calibrated(estimate, resolution))
 
     @property
     def contradicted(self) -> bool:
@@ -256,7 +262,7 @@ class Localization:
         self._gains.add(odometry_step(self._stated), pose.mean, pose.widest < SHOWN_M)
         self._stated = (0.0, 0.0, 0.0)
         self._calibrator.add_correction(before, pose, new)
-        self._calibrator.add_scan(field, pose, selected, share)
+        self._calibrator.add_deviation(field.deviation(pose.mean, selected), field.frame.resolution)
         was_lost = self._fit.lost
         self._fit.update(stamp, field, pose.mean, selected, len(points), *misses, new)
         if self._fit.lost and not was_lost:
@@ -392,7 +398,7 @@ class Localization:
                 f"scans fit the map by {fit.value or 0.0:.0%}, usually by {fit.usual or 0.0:.0%}",
             )
         others = self.alternatives()
-        if not others:
+        if sum(one.probability for one in others) < MOST_DOUBT:
             return None
         x, y, _ = others[0].pose
         return Reason(
@@ -436,7 +442,7 @@ class Localization:
         )
 
     def _scan_share(self, beams: int) -> float:
-        return min(1.0, self.settings.scan_share * _SHARED_BEAMS / max(1, beams))
+        return self.settings.scan_share * _SHARED_BEAMS / max(beams, _LEAST_BEAMS)
 
     def _find(self, stamp: float) -> bool:
         found = self.hypotheses.find(stamp, self._recent())

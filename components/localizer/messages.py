@@ -36,9 +36,10 @@ from cairn.schemas.geometry_msgs import (
 from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
-# The most reliability of a landmark, and of a lack of it, as the map builder keeps them
-# (`map_builder/pose_reliability.py`).
-_MOST_RELIABILITY = 0.98
+# The limits of the reliability, as the map builder keeps them (`map_builder/pose_reliability.py`).
+_LEAST_RELIABILITY, _MOST_RELIABILITY = 0.02, 0.98
+# Less probable positions are not published.
+_LEAST_PROBABILITY = 0.001
 
 
 def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
@@ -51,7 +52,7 @@ def landmarks_of(visual_map: VisualMap) -> list[Landmark]:
             xx=float(o.covariance[0]),
             xy=float(o.covariance[1]),
             yy=float(o.covariance[3]),
-            reliability=min(_MOST_RELIABILITY, max(1.0 - _MOST_RELIABILITY, o.reliability)),
+            reliability=min(_MOST_RELIABILITY, max(_LEAST_RELIABILITY, o.reliability)),
             live=o.state == VisualObject.LIVE,
         )
         for o in visual_map.objects
@@ -98,7 +99,9 @@ def estimate_message(
         objects_contradicting=health.support.contradicting,
         particles=particles if pose else 0,
         alternatives=tuple(
-            AlternativePose(*one.pose, probability=one.probability) for one in alternatives
+            AlternativePose(*one.pose, probability=one.probability)
+            for one in alternatives
+            if one.probability >= _LEAST_PROBABILITY
         ),
         reason=health.reason.text,
         reason_code=int(health.reason.code),

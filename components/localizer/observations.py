@@ -19,18 +19,9 @@ NEAREST_M = 0.3
 """Objects nearer than this [m] count as so far away: no camera recognizes them, and bearings are
 not linear in the position.
 """
-RARE = math.log(0.01)
-"""Logarithm of the probability of what happens in one of a hundred cases.
-
-So dense is a stray observation, which is unrelated to the object's position in the map, relative to
-the peak of the observation's own Gaussian.
-"""
-GATE = -2.0 * math.log(0.001)
-"""Outside this normalized innovation squared (2 degrees of freedom, 99.9 %) two positions differ.
-
-An observation contradicts a pose, one of two objects that look alike is observed, or an object
-stands beside its position.
-"""
+# Log-density of a stray observation, which is unrelated to the object's position in the map,
+# relative to the peak of the observation's own Gaussian: that of the 99 % quantile, -9.2 / 2.
+STRAY = -4.6
 
 
 @dataclass(frozen=True)
@@ -89,16 +80,19 @@ def object_log_likelihood(
     gaussian: NDArray[np.float64] = -0.5 * nis
     if landmark.reliability >= 1.0:
         return gaussian
-    stray = (1.0 - landmark.reliability) * math.exp(RARE)
+    stray = (1.0 - landmark.reliability) * math.exp(STRAY)
     mixed: NDArray[np.float64] = np.log(landmark.reliability * np.exp(gaussian) + stray)
     return mixed
 
 
-# Errors that no covariance states [m]: of positions in the map, and a floor for the pose.
+# Errors that no covariance states [m]: of surveyed positions in the map, and a floor for the pose.
 # With a floor of 0.03 to 0.04 m objects were removed wrongly in simulation; one of 0.30 m detected
 # only 22 % of moves by 0.5 m, one of 0.12 m 89 %.
-MAP_SIGMA = 0.05
+MAP_SIGMA = 0.03
 POSE_FLOOR = 0.12
+# Outside this normalized innovation squared an observation contradicts a pose: the 99.9 % quantile
+# of chi-square with 2 degrees of freedom, -2 ln(0.001) = 13.8.
+GATE = 13.8
 
 
 @dataclass(frozen=True)
@@ -158,6 +152,11 @@ def implied_position(pose: PoseEstimate, observation: Observation) -> tuple[floa
     return x + reach * cosine, y + reach * sine, covariance
 
 
+# One object must explain an observation better than another that looks alike by this NIS: a
+# likelihood ratio of exp(6 / 2) = 20.
+_CLEAR_NIS = 6.0
+
+
 def associate(
     observations: Sequence[Observation],
     pose: PoseEstimate | None,
@@ -195,7 +194,7 @@ def _clearest(
     )
     if not ranked or ranked[0][0] > GATE:
         return []
-    if len(ranked) > 1 and ranked[1][0] < ranked[0][0] + GATE:
+    if len(ranked) > 1 and ranked[1][0] < ranked[0][0] + _CLEAR_NIS:
         return []
     return [live[ranked[0][1]]]
 

@@ -10,21 +10,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.components.localizer.observations import GATE, NEAREST_M, RARE, Landmark
+from cairn.components.localizer.observations import NEAREST_M, STRAY, Landmark
 from cairn.components.localizer.particle_set import PoseEstimate
-from cairn.components.localizer.pose_differences import PLACE_M, is_another
+from cairn.components.localizer.pose_differences import is_another
 from cairn.planar.poses import Pose, wrap_all
 from cairn.visual_map.observations import Observation
 
 Array = NDArray[np.float64]
 
+# NIS: the 99 % and 99.9 % quantiles of chi-square with 2 degrees of freedom, -2 ln 0.01 and
+# -2 ln 0.001.
+AGREES, CONTRADICTS = 9.2, 13.8
 # An object counts as two observations at most: further ones share their error. Chosen by hand;
 # `lab/constants.yaml` has the effect of half and double.
 OBJECT_WORTH = 2.0
-# An object that was recognized in less than one of so many images from one pose was confused with
-# another one. A robot that stands never sees it from elsewhere, so it would count for ever. After
-# so many images, earlier ones count half: what was hidden for a while counts again soon.
-_CONFUSED, _MOST_IMAGES = 20, 200
+# Objects no farther apart than this [m] are observed in one direction: at 3 m within 11 degrees.
+TOGETHER_M = 0.6
+# An object that was recognized in less than this share of so many images from one pose was confused
+# with another one. A robot that stands never sees it from elsewhere, so it would count for ever.
+# After so many images, earlier ones count half: what was hidden for a while counts again soon.
+_CONFUSED_SHARE, _CONFUSED_IMAGES, _MOST_IMAGES = 0.1, 20, 200
 # Seconds of motion, and observations of each object, that are kept: odometry drifts by 0.16 m and
 # 0.27 rad (drift times the root of 30 s), as much as observations err. Drifts [m/sqrt(s)],
 # [rad/sqrt(s)]: a little more than those of the parameter `base`.
@@ -57,14 +62,14 @@ class TimedObservation:
     @property
     def is_confusion(self) -> bool:
         """Whether too few images show the object for it to be there."""
-        return self.images >= _CONFUSED * self.seen
+        return self.images >= _CONFUSED_IMAGES and self.seen < _CONFUSED_SHARE * self.images
 
 
 @dataclass(frozen=True)
 class PoseSupport:
     """How many distinct positions of objects agree with a pose, and how many contradict it.
 
-    Objects that stand together (0.5 m) count once: they confirm the same direction only, so a pose
+    Objects that stand together (0.6 m) count once: they confirm the same direction only, so a pose
     rotated around them satisfies them all.
     """
 
@@ -141,7 +146,7 @@ class RecentObservations:
             for row, entry in zip(nis, entries, strict=True):
                 key = entry.observation.object_id
                 reliability = landmarks[key].reliability
-                stray = (1.0 - reliability) * math.exp(RARE)
+                stray = (1.0 - reliability) * math.exp(STRAY)
                 weight = min(1.0, worth / count[key])
                 total[block] += weight * np.log(reliability * np.exp(-0.5 * row) + stray)
         return total
@@ -149,7 +154,7 @@ class RecentObservations:
     def log_stray(self, landmarks: Mapping[int, Landmark]) -> float:
         """Return the log-likelihood if no object stood where the map says, each counted once."""
         seen = {entry.observation.object_id for entry in self.usable(landmarks)}
-        return sum(math.log1p(-landmarks[key].reliability) + RARE for key in seen)
+        return sum(math.log1p(-landmarks[key].reliability) + STRAY for key in seen)
 
     def support(
         self,
@@ -177,10 +182,14 @@ class RecentObservations:
         medians = {key: sorted(values)[len(values) // 2] for key, values in best.items()}
         return PoseSupport(
             _distinct_positions(
-                [landmarks[key] for key, value in medians.items() if value <= GATE]
+                [landmarks[key] for key, value in medians.items() if value <= AGREES]
             ),
             _distinct_positions(
-                [landmarks[key] for key, value in medians.items() if value > GATE and seen[key] > 1]
+                [
+                    landmarks[key]
+                    for key, value in medians.items()
+                    if value > CONTRADICTS and seen[key] > 1
+                ]
             ),
         )
 
@@ -273,17 +282,17 @@ class ConfirmationHistory:
                 continue
             if newest is None:
                 newest = landmark
-            elif math.hypot(landmark.x - newest.x, landmark.y - newest.y) > PLACE_M:
+            elif math.hypot(landmark.x - newest.x, landmark.y - newest.y) > TOGETHER_M:
                 return stamp
         return -math.inf
 
 
 def _distinct_positions(objects: Sequence[Landmark]) -> int:
-    """Return at how many positions the objects stand; those within 0.5 m of each other count
+    """Return at how many positions the objects stand; those within 0.6 m of each other count
     once.
     """
     heads: list[Landmark] = []
     for one in objects:
-        if all(math.hypot(one.x - head.x, one.y - head.y) > PLACE_M for head in heads):
+        if all(math.hypot(one.x - head.x, one.y - head.y) > TOGETHER_M for head in heads):
             heads.append(one)
     return len(heads)

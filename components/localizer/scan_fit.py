@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.particle_set import carry
-from cairn.components.localizer.pose_differences import ANOTHER_M, LEVER_M, PLACE_M, is_same
+from cairn.components.localizer.pose_differences import ANOTHER_M, LEVER_M, is_same
 from cairn.components.localizer.pose_health import FITS, SILENT_S
 from cairn.planar.motion_model import OdometryStep
 from cairn.planar.poses import Pose, compose, relative
@@ -29,15 +29,20 @@ _ON_THE_SPOT = 0.03
 _GOLDEN = 0.618
 # Weight of the newest scan in the running mean of the fit: a mean over five scans.
 _NEWEST = 0.2
-# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it does not fit
-# well, so that a carried robot does not get used to its wrong position for 1,000 scans.
-_USUAL_NEWEST, _USUAL_NEWEST_OF_BAD = 0.02, 0.001
+# Weight of the newest scan in the usual fit, a mean over 50 scans; a smaller one if it fits worse
+# than 0.8 of that, so that a carried robot does not get used to its wrong position for 1,000 scans.
+# Chosen by hand; `lab/constants.yaml` has the effect of half and double.
+_USUAL_NEWEST, _USUAL_NEWEST_OF_BAD, _USUAL_BAD = 0.02, 0.001, 0.8
+# About so many rays that hit nothing are traced through the map: as many as the parameter `beams`.
+_TRACED_RAYS = 60
 # So many poses are compared with a scan at a time, so that intermediate results take 0.5 MB and not
 # several for all poses of a global search. No result depends on it.
 _BLOCK = 8192
-# Scans indicate that the robot is lost if they fit less than this share of their usual fit, or do
-# not support a pose; they fit well from the second share of it on.
-_LOST_OF_USUAL, _WELL_OF_USUAL = 0.65, 0.9
+# Scans indicate that the robot is lost if they fit less than the first share, or less than the
+# second share of their usual fit; they fit well from the third share of it on.
+_LOST_FIT, _LOST_OF_USUAL, _WELL_OF_USUAL = 0.5, 0.65, 0.9
+# They stopped fitting at once if the robot drove less than this since they fitted well [m].
+_AT_ONCE_M = 0.3
 # So many scans of different places are kept for the search: they cover 2 m of the way, or nearly
 # half a turn.
 _KEPT = 8
@@ -159,13 +164,13 @@ class ScanFit:
     @property
     def lost(self) -> bool:
         """Whether scans indicate that the robot is lost."""
-        limit = max(FITS, _LOST_OF_USUAL * (self.usual or 0.0))
+        limit = max(_LOST_FIT, _LOST_OF_USUAL * (self.usual or 0.0))
         return self.value is not None and self.value < limit
 
     @property
     def lost_at_once(self) -> bool:
         """Whether scans stopped fitting at once, as when the robot is carried away."""
-        return self.lost and self._way_m < PLACE_M
+        return self.lost and self._way_m < _AT_ONCE_M
 
     def reset(self) -> None:
         """Start again: the robot is somewhere else."""
@@ -197,8 +202,7 @@ class ScanFit:
         those of the rays that hit nothing.
         """
         self._updated_at = stamp
-        # As many as the beams that are used.
-        some = slice(None, None, 1 + len(starts) // max(1, len(hits)))
+        some = slice(None, None, 1 + len(starts) // _TRACED_RAYS)
         clear = len(starts) * field.clear(pose, starts[some], ends[some]) if len(starts) else 0.0
         explained = count * field.fit(pose, hits) if count else 0.0
         self.contradicted = not count and clear < 0.5 * len(starts)
@@ -206,8 +210,8 @@ class ScanFit:
             fit = (explained + clear) / (count + clear)
             before = fit if self.value is None else self.value
             self.value = before + _NEWEST * (fit - before)
-            newest = _USUAL_NEWEST if self.as_usual(self.value) else _USUAL_NEWEST_OF_BAD
             usual = fit if self.usual is None else self.usual
+            newest = _USUAL_NEWEST if fit >= _USUAL_BAD * usual else _USUAL_NEWEST_OF_BAD
             self.usual = usual + new * newest * (self.value - usual)
             if self.as_usual(self.value):
                 self._way_m = 0.0

@@ -56,7 +56,7 @@ _REMEMBERED_S = 600.0
 _MOST_DEPARTURES = 20  # positions that are remembered; twice the moves of a busy chair in that time
 _RETURNS = 2
 # Errors of two implied positions that no covariance states [m]: twice that of a surveyed position
-# (0.03 m).
+# (`MAP_SIGMA` of the localizer, 0.03 m).
 _ERROR_M = 0.06
 # A candidate of at most this reliability, which no observation has confirmed (it starts at 0.1), is
 # replaced by one that contradicts it.

@@ -14,6 +14,7 @@ from cairn.components.localizer.component import Localizer
 from cairn.components.localizer.config import LocalizerConfig
 from cairn.components.localizer.landmark_evidence import (
     LEAST,
+    MOST,
     NEUTRAL,
     LandmarkEvaluator,
     evidence_of,
@@ -123,7 +124,7 @@ class ComparisonEvaluator(LandmarkEvaluator):
 def gate_similarity(difference: Innovation) -> float:
     """Agree inside the 99 % gate of the prediction, disagree outside 99.9 %."""
     if difference.nis <= _ACCEPTED:
-        return 1.0 - LEAST
+        return MOST
     return LEAST if difference.nis > GATE else NEUTRAL
 
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from cairn.components.localizer.covariance_calibration import CovarianceCalibrator
-from cairn.components.localizer.likelihood_field import LikelihoodField
 from cairn.components.localizer.particle_set import PoseEstimate
-from cairn.planar.grid import FREE, OCCUPIED, Frame, Grid
 from cairn_lab.evaluation.results import SIGMA_LIMITS
 from tests.components.localizer.random_floor import START, floor, new_robot, wander
 
-WALL = np.column_stack((np.full(60, 3.0), np.linspace(-1.0, 1.0, 60)))  # as beams see it
+CELL_M = 0.05
+EXACT_M = 0.027  # what exact beams deviate from a map of such cells
 
 
 def estimate_with(deviation: float, x: float = 0.0) -> PoseEstimate:
@@ -28,7 +27,7 @@ def after_corrections(of: float) -> CovarianceCalibrator:
 
 
 def deviation(stated: CovarianceCalibrator) -> float:
-    return math.sqrt(stated.calibrated(estimate_with(0.03))[0, 0])
+    return math.sqrt(stated.calibrated(estimate_with(0.03), CELL_M)[0, 0])
 
 
 def test_consistent_filter_publishes_its_own_covariance() -> None:
@@ -41,8 +40,8 @@ def test_corrections_smaller_than_expected_make_the_stated_covariance_narrower()
     assert deviation(after_corrections(0.01)) < 0.015
 
 
-def test_corrections_larger_than_expected_make_it_wider() -> None:
-    assert 0.05 < deviation(after_corrections(0.12)) < 0.1
+def test_corrections_larger_than_expected_make_it_wider_within_limits() -> None:
+    assert 0.05 < deviation(after_corrections(0.12)) < deviation(after_corrections(5.0)) < 0.1
 
 
 def test_scans_of_a_standing_robot_change_the_calibration_little() -> None:
@@ -63,7 +62,7 @@ def test_corrections_across_a_corridor_do_not_scale_along_it() -> None:
         y = 0.005 * (-1) ** k
         stated.add_correction(PoseEstimate((0, 0, 0), before), PoseEstimate((0, y, 0), after), 1.0)
 
-    covariance = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after))
+    covariance = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
     assert math.sqrt(covariance[0, 0]) == pytest.approx(0.3, rel=0.02)
     assert math.sqrt(covariance[1, 1]) < 0.01
@@ -77,36 +76,29 @@ def test_steady_corrections_add_a_lag(turn: float) -> None:
         x, y = 0.004 * math.cos(turn), 0.004 * math.sin(turn)
         stated.add_correction(PoseEstimate((0, 0, 0), before), PoseEstimate((x, y, 0), after), 1.0)
 
-    covariance = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after))
+    covariance = stated.calibrated(PoseEstimate((0.0, 0.0, 0.0), after), CELL_M)
 
     ahead, left = np.array([math.cos(turn), math.sin(turn)]), [-math.sin(turn), math.cos(turn)]
     assert math.sqrt(ahead @ covariance[:2, :2] @ ahead) == pytest.approx(0.02, rel=0.2)
     assert math.sqrt(left @ covariance[:2, :2] @ left) < 0.01
 
 
-def wall(x: float) -> LikelihoodField:
-    """Return the field of a map with a wall at `x` [m]."""
-    values = np.full((60, 100), FREE, np.int8)
-    values[:, round(x / 0.05)] = OCCUPIED
-    return LikelihoodField(Grid(values, Frame(0.05, (0.0, -1.5, 0.0))), 0.1, 0.05)
-
-
-def stated_by(field: LikelihoodField) -> float:
-    stated = CovarianceCalibrator()
-    stated.add_scan(field, estimate_with(0.03), WALL + np.array([0.02, 0.0]), 0.35)
-    return deviation(stated)
-
-
 def test_deviation_beyond_the_cells_is_the_error_of_the_map() -> None:
-    of_cells = 0.54 * 0.05
+    exact, crooked = CovarianceCalibrator(), CovarianceCalibrator()
+    exact.add_deviation(EXACT_M, CELL_M)
+    crooked.add_deviation(math.hypot(EXACT_M, 0.04), CELL_M)
 
-    assert stated_by(wall(3.0)) == pytest.approx(math.hypot(0.03, of_cells / math.sqrt(21)), 0.01)
-    beyond = math.sqrt(0.1**2 - of_cells**2)
-    assert stated_by(wall(3.1)) == pytest.approx(math.hypot(0.03, beyond), rel=0.02)
+    assert deviation(exact) == pytest.approx(math.hypot(0.03, CELL_M / 8), rel=0.01)
+    assert deviation(crooked) == pytest.approx(math.hypot(0.03, CELL_M / 8, 0.04), rel=0.01)
 
 
-def test_scan_that_no_wall_explains_shows_no_error_of_the_map() -> None:
-    assert stated_by(wall(4.0)) == stated_by(wall(3.0))
+def test_scan_without_deviation_changes_nothing() -> None:
+    stated = CovarianceCalibrator()
+    before = deviation(stated)
+
+    stated.add_deviation(math.nan, CELL_M)
+
+    assert deviation(stated) == before
 
 
 @pytest.mark.accuracy

@@ -15,7 +15,6 @@ from cairn.components.localizer.landmark_evidence import (
     sample_ring,
 )
 from cairn.components.localizer.observations import (
-    RARE,
     Landmark,
     as_certain,
     implied_position,
@@ -106,7 +105,7 @@ def test_no_observation_excludes_a_pose(x: float, y: float, theta: float, trust:
 
     fit = object_log_likelihood(poses, observed(2.0), landmark)[0]
 
-    assert math.log(1 - trust) + RARE - 1e-9 <= fit <= 1e-9
+    assert math.log(1 - trust) - 4.6 - 1e-9 <= fit <= 1e-9
 
 
 def test_far_displacement_is_a_contradiction() -> None:
