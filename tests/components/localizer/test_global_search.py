@@ -14,6 +14,7 @@ from cairn.components.localizer.likelihood_field import ScanMap
 from cairn.components.localizer.localization import Localization
 from cairn.components.localizer.observations import Landmark
 from cairn.components.localizer.odometry import MeasuredTrack
+from cairn.components.localizer.pose_differences import PLACE_M
 from cairn.components.localizer.recent_observations import RecentObservations
 from cairn.components.localizer.scan_fit import RecentScans
 from cairn.planar.grid import OccupancyCells
@@ -110,7 +111,7 @@ def test_two_lookalike_positions_share_the_posterior(seed: int) -> None:
     assert found.share < 0.9
     tops = [tuple(mode.mean(axis=1)) for mode in found.modes[:4]]
     for alike in ((3.4, 3.2, 0.5), (9.0 - 3.4, 7.0 - 3.2, 0.5 + math.pi)):
-        assert min(apart(top, alike)[0] for top in tops) < 0.2
+        assert min(apart(top, alike)[0] for top in tops) < 0.5 * PLACE_M
 
 
 def test_search_without_measurements_finds_nothing() -> None:
