@@ -37,6 +37,8 @@ _SAME_M, _SAME_RAD = 0.3, 0.1
 # A submap is compared with so many before and after it, to see whether the surroundings repeat.
 _BESIDE = 5
 _ITSELF: Pose = (0.0, 0.0, 0.0)
+# They do if it fits elsewhere as well as in the old one, or worse by this.
+_REPEATED = 0.1
 # Neighbors of the alignment's points share their errors: a closure counts as this much of one.
 _WORTH = 0.2
 # A match is not a coincidence if the submaps that agree show surfaces, each side of a wall counted,
@@ -233,7 +235,7 @@ class LoopCloser:
             query.points, _ITSELF, task.reach, task.turn, _LEAST_PAIRED, _MOST, 0.0
         )
         for again in _aligned(peaks, query, cloud, found.deviation):
-            if _are_same(again.pose, _ITSELF) or not _is_as_likely(again, found):
+            if _are_same(again.pose, _ITSELF) or again.fit < found.fit - _REPEATED:
                 continue
             for shift in (again.pose, inverse(again.pose)):
                 other = compose(found.pose, shift)
