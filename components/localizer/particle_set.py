@@ -87,12 +87,12 @@ class ParticleSet:
 
         `log_likelihood` returns (n,) for poses (3, n).
         """
-        resampled = tempered_update(
-            self.poses[:, None],
-            self.log_weights[None],
-            lambda poses, _: log_likelihood(poses[:, 0])[None],
-            self.random,
-        )
+        weighed = self.log_weights + log_likelihood(self.poses)
+        if effective_count(weighed) >= _EFFECTIVE * self.count:  # nearly always
+            self.log_weights = weighed - weighed.max()
+            return
+        rows = self.poses[:, None], self.log_weights[None]
+        resampled = tempered_update(*rows, lambda p, _: log_likelihood(p[:, 0])[None], self.random)
         if resampled and (due := self._due(self.poses)) != self.count:
             weights = normalized(self.log_weights)
             self.set_particles(resample(self.poses, weights, self.random, due))
