@@ -6,7 +6,7 @@ import math
 from bisect import insort
 from dataclasses import replace
 from itertools import takewhile
-from typing import Final, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cairn.planar.compiled import compiled
 from cairn.planar.motion_model import MotionModel, OdometryStep, odometry_step
 from cairn.planar.odometry import (
+    FASTEST_WHEELS,
     ODOMETRY_DISORDER_S,
     OUTDATED_IN_A_ROW,
     OdometryChange,
@@ -163,10 +164,6 @@ class CommandedTrack:
         return performed, speeds[-1], len(started)
 
 
-WHEEL_LIMITS: Final = WheelLimits(3.0, 7.0)
-"""No wheels are faster [m/s], [rad/s]: motion control accepts limits of up to 3 m/s and 6 rad/s."""
-
-
 class MeasuredTrack:
     """Odometry whose poses the wheels measured; between two of them it is interpolated.
 
@@ -175,7 +172,7 @@ class MeasuredTrack:
     """
 
     def __init__(self) -> None:
-        self.limits: WheelLimits | None = WHEEL_LIMITS
+        self.limits: WheelLimits | None = FASTEST_WHEELS
         self._history = OdometryHistory[float](
             math.inf, self.limits, resets_after=OUTDATED_IN_A_ROW, per_second=1.0
         )

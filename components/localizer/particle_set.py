@@ -92,8 +92,8 @@ class ParticleSet:
             self.log_weights = weighed - weighed.max()
             return
         rows = self.poses[:, None], self.log_weights[None]
-        resampled = tempered_update(*rows, lambda p, _: log_likelihood(p[:, 0])[None], self.random)
-        if resampled and (due := self._due(self.poses)) != self.count:
+        tempered_update(*rows, lambda p, _: log_likelihood(p[:, 0])[None], self.random)
+        if (due := self._due(self.poses)) != self.count:
             weights = normalized(self.log_weights)
             self.set_particles(resample(self.poses, weights, self.random, due))
 
@@ -190,9 +190,9 @@ def tempered_update(
     log_weights: Array,
     log_likelihood: Callable[[Array, NDArray[np.intp]], Array],
     random: np.random.Generator,
-) -> bool:
+) -> None:
     """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
-    place. Return whether any was resampled.
+    place.
 
     `log_likelihood` returns (k, n) for the poses (3, k, n) of the rows with the numbers (k,). Where
     the likelihood would leave fewer than half of a row's particles effective, it is fused in
@@ -216,7 +216,6 @@ def tempered_update(
             poses[:, row] = resample(poses[:, row], weights, random)
         log_weights[rows] = 0.0
     log_weights -= log_weights.max(axis=1, keepdims=True)
-    return stage > 0
 
 
 def _shares(log_weights: Array, added: Array, left: Array) -> Array:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cairn.components.localizer.config import LocalizerConfig
-from cairn.components.localizer.odometry import WHEEL_LIMITS
 from cairn.components.localizer.particle_set import PoseEstimate
 from cairn.components.localizer.pose_differences import PLACE_M, is_same, slip_covariance
 from cairn.limits.files import STATE_BYTES, read_bounded
 from cairn.planar.messages import is_covariance, planar_covariance, planar_pose
+from cairn.planar.odometry import FASTEST_WHEELS
 from cairn.planar.poses import Pose, compose, distance, relative
 from cairn.schemas.geometry_msgs import PoseWithCovariance
 from cairn.schemas.nav_msgs import Odometry
@@ -108,7 +108,7 @@ def load_last_pose(
     covariance = np.array(last.covariance).reshape(3, 3)
     moved_m = math.hypot(step[0], step[1])
     is_at_origin = is_same(odom, (0.0, 0.0, 0.0))
-    if moved_m > WHEEL_LIMITS.speed * age_s or (is_at_origin and moved_m > PLACE_M):
+    if moved_m > FASTEST_WHEELS.speed * age_s or (is_at_origin and moved_m > PLACE_M):
         # Odometry restarted meanwhile.
         step = (0.0, 0.0, 0.0)
         covariance += slip_covariance()

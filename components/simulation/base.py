@@ -32,8 +32,8 @@ from cairn.schemas.std_msgs import Header
 from cairn.schemas.tf2_msgs import TFMessage
 
 
-class SimulatedBaseConfig(Config):
-    """Dynamics and encoder errors of a differential-drive base."""
+class DriveConfig(Config):
+    """Dynamics of a differential-drive base."""
 
     speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
         0.6, gt=0, le=5, description="Maximum speed [m/s]."
@@ -51,6 +51,11 @@ class SimulatedBaseConfig(Config):
     command_timeout_s: float = Field(
         0.3, gt=0, le=5, description="Age of a command after which the wheels stop [s]."
     )
+
+
+class SimulatedBaseConfig(DriveConfig):
+    """Dynamics and encoder errors of a differential-drive base."""
+
     distance_scale_sd: float = Field(
         0.01,
         ge=0,
@@ -85,7 +90,7 @@ class SimulatedBaseConfig(Config):
 class WheelDrive:
     """The current speeds of the wheels, `forward` [m/s] and `turn` [rad/s]."""
 
-    def __init__(self, limits: SimulatedBaseConfig) -> None:
+    def __init__(self, limits: DriveConfig) -> None:
         self.limits = limits
         self.forward = self.turn = 0.0
         self._pending: deque[tuple[float, float, float]] = deque()

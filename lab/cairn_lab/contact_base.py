@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from importlib import import_module
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -20,15 +20,13 @@ from cairn import (
     SECOND,
     SENSOR,
     Component,
-    Config,
-    FromRobot,
     In,
     Out,
     every,
     from_ns,
     on,
 )
-from cairn.components.simulation.base import SimulatedBaseConfig, WheelDrive
+from cairn.components.simulation.base import DriveConfig, WheelDrive
 from cairn.planar.messages import transform_message, twist_message, with_covariance
 from cairn.planar.motion_model import odometry_step
 from cairn.planar.poses import Pose, compose, relative
@@ -121,21 +119,9 @@ def _model(friction: float, slope: float) -> str:
     </mujoco>"""
 
 
-class ContactBaseConfig(Config):
-    """The limits of the motors, the floor, and the scale of odometry."""
+class ContactBaseConfig(DriveConfig):
+    """What the motors can do, the floor, and the scale of odometry."""
 
-    speed: Annotated[float, FromRobot("limits.speed_m_s")] = Field(
-        0.6, gt=0, le=1.5, description="Maximum speed [m/s]."
-    )
-    turn: Annotated[float, FromRobot("limits.turn_rad_s")] = Field(
-        1.5, gt=0, le=5, description="Maximum turn rate [rad/s]."
-    )
-    acceleration: Annotated[float, FromRobot("limits.acceleration_m_s2")] = Field(
-        0.8, gt=0, le=20, description="Acceleration [m/s^2]."
-    )
-    turn_acceleration: Annotated[float, FromRobot("limits.turn_acceleration_rad_s2")] = Field(
-        3.0, gt=0, le=50, description="Angular acceleration [rad/s^2]."
-    )
     friction: float = Field(0.9, gt=0, le=2, description="Friction of the floor [1].")
     slope: float = Field(0.0, ge=0, le=0.2, description="How far the floor falls per distance [1].")
     odometry_scale: float = Field(
@@ -160,14 +146,7 @@ class ContactBase(Component):
     def on_configure(self) -> None:
         """Put the base onto its floor."""
         config = self.config
-        self._motors = WheelDrive(
-            SimulatedBaseConfig(
-                speed=config.speed,
-                turn=config.turn,
-                acceleration=config.acceleration,
-                turn_acceleration=config.turn_acceleration,
-            )
-        )
+        self._motors = WheelDrive(config)
         self._contacts = WheelContacts(
             config.friction, config.slope, config.odometry_scale, (0.0, 0.0, 0.0)
         )

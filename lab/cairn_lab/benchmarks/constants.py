@@ -35,19 +35,11 @@ import yaml
 
 from cairn import CairnError
 from cairn.deployment.shipped import FOLDER, world_file
-from cairn_lab.batch.runner import run_task_here
 from cairn_lab.benchmarks.localization_logs import LOST_M, starts
 from cairn_lab.benchmarks.localization_mrclam import Case, solve
 from cairn_lab.benchmarks.lockstep import DATASET, ROOT
 from cairn_lab.benchmarks.slam_scenarios import mapped_drive, mapped_log, mapped_objects
-from cairn_lab.evaluation.runs import (
-    Trial,
-    examination,
-    robot_start,
-    run_result,
-    survey,
-    trial_tasks,
-)
+from cairn_lab.evaluation.runs import Trial, robot_start, run_trial, survey
 from tests.components.corrected_logs import (
     LOGS,
     draw_map,
@@ -238,12 +230,7 @@ def drive(name: str, seed: int, goals: int, kidnap_at: int, maps: Path) -> dict[
         kidnap_at=kidnap_at,
         sets=(),
     )
-    with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder)
-        (task,) = trial_tasks(examination(trial, report), report, [seed])
-    run = run_result(task, run_task_here(task))
-    if run.failure:
-        raise CairnError(run.failure)
+    run = run_trial(trial, seed)
     return {
         "reached": sum(goal.reached for goal in run.goals),
         "collisions": len(run.collisions),

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn import CairnError
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.scanner import (
     BeamPattern,
@@ -39,18 +38,10 @@ from cairn.planar.poses import Pose, compose, relative, wrap
 from cairn.planar.scan_grid import ScanGrid
 from cairn.planar.scans import rays_of
 from cairn.schemas.sensor_msgs import LaserScan
-from cairn_lab.batch.runner import run_task_here
 from cairn_lab.benchmarks.result import Metric
 from cairn_lab.contact_base import WheelContacts
 from cairn_lab.evaluation.results import RunResult, summarize
-from cairn_lab.evaluation.runs import (
-    Trial,
-    examination,
-    robot_start,
-    run_result,
-    survey,
-    trial_tasks,
-)
+from cairn_lab.evaluation.runs import Trial, robot_start, run_trial, survey
 from tests.components.corrected_logs import CorrectedLog, from_known_start
 from tests.components.slam import courses
 from tests.components.slam.courses import Course
@@ -238,38 +229,29 @@ def missions(worlds: tuple[str, ...] = ("office", "ward")) -> Iterator[Metric]:
 
 
 def _missions(world: Path, floor: Floor) -> list[RunResult]:
-    runs = []
-    for seed in _SEEDS:
-        with TemporaryDirectory() as name:
-            folder = Path(name, "report")
-            folder.mkdir()
-            maps = Path(name, "world.yaml"), Path(name, "world.cairn")
-            survey(world, *maps)
-            trial = Trial(
-                deployment=FOLDER / "sim.yaml",
-                world=world,
-                map_file=maps[0],
-                visual_map=maps[1],
-                start=robot_start(world),
-                goals=_GOALS,
-                kidnap_at=0,
-                sets=(
-                    f"{_BASE}.plugin=cairn_lab.contact_base:ContactBase",
-                    f"{_BASE}.parameters.friction={floor.friction}",
-                    f"{_BASE}.parameters.slope={floor.slope}",
-                    f"{_BASE}.parameters.odometry_scale={floor.scale}",
-                    # All slip is that of the contacts.
-                    "components.world.parameters.slip.distance=0",
-                    "components.world.parameters.slip.turn=0",
-                    "components.world.parameters.slip.turn_per_meter=0",
-                ),
-            )
-            (task,) = trial_tasks(examination(trial, folder), folder, [seed])
-            run = run_result(task, run_task_here(task))
-        if run.failure:
-            raise CairnError(run.failure)
-        runs.append(run)
-    return runs
+    with TemporaryDirectory() as folder:
+        maps = Path(folder, "world.yaml"), Path(folder, "world.cairn")
+        survey(world, *maps)
+        trial = Trial(
+            deployment=FOLDER / "sim.yaml",
+            world=world,
+            map_file=maps[0],
+            visual_map=maps[1],
+            start=robot_start(world),
+            goals=_GOALS,
+            kidnap_at=0,
+            sets=(
+                f"{_BASE}.plugin=cairn_lab.contact_base:ContactBase",
+                f"{_BASE}.parameters.friction={floor.friction}",
+                f"{_BASE}.parameters.slope={floor.slope}",
+                f"{_BASE}.parameters.odometry_scale={floor.scale}",
+                # All slip is that of the contacts.
+                "components.world.parameters.slip.distance=0",
+                "components.world.parameters.slip.turn=0",
+                "components.world.parameters.slip.turn_per_meter=0",
+            ),
+        )
+        return [run_trial(trial, seed) for seed in _SEEDS]
 
 
 def main() -> None:

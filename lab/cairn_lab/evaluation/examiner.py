@@ -26,6 +26,7 @@ from cairn import (
     on,
     to_ns,
 )
+from cairn.components.localizer.pose_health import SURE_HEALTH
 from cairn.planar.messages import planar_covariance, planar_pose, planar_poses, pose_message
 from cairn.planar.odometry import OdometryHistory
 from cairn.planar.poses import Pose, distance, wrap
@@ -39,7 +40,7 @@ from cairn.schemas.cairn_nav_msgs import (
 from cairn.schemas.cairn_sim_msgs import WorldGeometry, WorldState
 from cairn.schemas.geometry_msgs import PoseStamped
 from cairn.schemas.std_msgs import Header
-from cairn_lab.evaluation.results import SURE_HEALTH, GoalResult, LocalizationQuality, RunResult
+from cairn_lab.evaluation.results import GoalResult, LocalizationQuality, RunResult
 from cairn_lab.evaluation.shortest_paths import ShortestPaths
 
 # A kidnapped robot with turning wheels needs this much room to stop [m].

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from cairn.components.localizer.pose_health import SURE_HEALTH
 from cairn.planar.poses import Pose
 
 SIGMA_LIMITS = tuple(-2.0 * math.log(math.erfc(k / math.sqrt(2.0))) for k in (1, 2, 3))
@@ -17,9 +18,6 @@ SIGMA_LIMITS = tuple(-2.0 * math.log(math.erfc(k / math.sqrt(2.0))) for k in (1,
 
 The quantiles of chi-square with 2 degrees of freedom at 68.3, 95.4 and 99.7 %.
 """
-
-SURE_HEALTH = 0.5
-"""From this health of localization on a robot completes its goal: `sure_health` of AutoMove."""
 
 ERROR_STEP_M = 1e-4
 """Resolution of the position errors that are kept [m]."""

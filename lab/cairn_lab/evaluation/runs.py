@@ -6,7 +6,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
+from cairn import CairnError
 from cairn.components.map_builder.importing import alter
 from cairn.components.simulation.survey import surveyed_grid, surveyed_models, surveyed_objects
 from cairn.components.simulation.world_file import Event, read_world
@@ -17,7 +19,7 @@ from cairn.planar.map_file import write_map as write_grid
 from cairn.planar.poses import Pose
 from cairn.visual_map.new_map import write_map
 from cairn_lab.batch.packing import pack_deployment
-from cairn_lab.batch.runner import Outcome
+from cairn_lab.batch.runner import Outcome, run_task_here
 from cairn_lab.batch.task import Task
 from cairn_lab.evaluation.map_comparison import (
     ROBOT_RADIUS_M,
@@ -107,6 +109,17 @@ def run_result(task: Task, outcome: Outcome) -> RunResult:
             return found.model_copy(update={"seed": task.seed})
         failure = result.reason
     return RunResult(seed=task.seed, failure=task.packed.with_origins(failure))
+
+
+def run_trial(trial: Trial, seed: int) -> RunResult:
+    """Run a trial in this process; raise `CairnError` if it is not valid."""
+    with TemporaryDirectory() as folder:
+        report = Path(folder)
+        (task,) = trial_tasks(examination(trial, report), report, [seed])
+        run = run_result(task, run_task_here(task))
+    if run.failure:
+        raise CairnError(run.failure)
+    return run
 
 
 def examination(trial: Trial, folder: Path) -> Deployment:
