@@ -189,8 +189,9 @@ class Encoders:
         self._full[:3, :3] += (jacobian * (distance_variance, turn_variance)) @ jacobian.T
 
 
-# A longer step [s] means that the process was delayed; the wheels stood in the rest of it.
-_LONGEST_STEP_S = 0.1
+LONGEST_STEP_S = 0.1
+"""A longer step [s] means that the process was delayed; the wheels stood in the rest of it."""
+
 _ODOM, _BASE = "odom", "base_link"  # frames
 
 
@@ -231,7 +232,7 @@ class SimulatedBase(Component):
         last, self._stepped_at = self._stepped_at, now
         if last is None or now <= last:
             return
-        seconds = min((now - last) / SECOND, _LONGEST_STEP_S)
+        seconds = min((now - last) / SECOND, LONGEST_STEP_S)
         forward, turn = self._wheels.step(now / SECOND, seconds)
         self._encoders.measure(forward * seconds, turn * seconds)
         stamp = from_ns(now)

@@ -123,7 +123,7 @@ class Slam(Component):
         self._has_landmarks = False
         self._history: OdometryHistory[int] = OdometryHistory(HISTORY_S * SECOND, FASTEST_WHEELS)
         self._waiting = WaitingScans(0.0)
-        self._objects: deque[RecognizedObjectArray] = deque()
+        self._objects: deque[RecognizedObjectArray] = deque(maxlen=self.objects.qos.depth)
         self._mapper: Mapper | None = None
         self._drawing = MapGrid(config.resolution, config.reach)
         self._published_frame: tuple[object, ...] | None = None

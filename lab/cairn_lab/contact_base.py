@@ -26,7 +26,7 @@ from cairn import (
     from_ns,
     on,
 )
-from cairn.components.simulation.base import DriveConfig, WheelDrive
+from cairn.components.simulation.base import LONGEST_STEP_S, DriveConfig, WheelDrive
 from cairn.planar.messages import transform_message, twist_message, with_covariance
 from cairn.planar.motion_model import odometry_step
 from cairn.planar.poses import Pose, compose, relative
@@ -164,7 +164,7 @@ class ContactBase(Component):
         last, self._stepped_at = self._stepped_at, now
         if last is None or now <= last:
             return
-        seconds = (now - last) / SECOND
+        seconds = min((now - last) / SECOND, LONGEST_STEP_S)
         before, stated = self._contacts.pose, self._contacts.odometry
         self._contacts.roll(seconds, *self._motors.step(now / SECOND, seconds))
         moved = odometry_step(relative(before, self._contacts.pose))
