@@ -87,13 +87,13 @@ class ParticleSet:
 
         `log_likelihood` returns (n,) for poses (3, n).
         """
-        weighed = self.log_weights + log_likelihood(self.poses)
-        if effective_count(weighed) >= _EFFECTIVE * self.count:  # nearly always
-            self.log_weights = weighed - weighed.max()
-            return
-        rows = self.poses[:, None], self.log_weights[None]
-        tempered_update(*rows, lambda p, _: log_likelihood(p[:, 0])[None], self.random)
-        if (due := self._due(self.poses)) != self.count:
+        resampled = tempered_update(
+            self.poses[:, None],
+            self.log_weights[None],
+            lambda poses, _: log_likelihood(poses[:, 0])[None],
+            self.random,
+        )
+        if resampled and (due := self._due(self.poses)) != self.count:
             weights = normalized(self.log_weights)
             self.set_particles(resample(self.poses, weights, self.random, due))
 
@@ -190,9 +190,9 @@ def tempered_update(
     log_weights: Array,
     log_likelihood: Callable[[Array, NDArray[np.intp]], Array],
     random: np.random.Generator,
-) -> None:
+) -> bool:
     """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
-    place.
+    place. Return whether any was resampled.
 
     `log_likelihood` returns (k, n) for the poses (3, k, n) of the rows with the numbers (k,). Where
     the likelihood would leave fewer than half of a row's particles effective, it is fused in
@@ -216,6 +216,7 @@ def tempered_update(
             poses[:, row] = resample(poses[:, row], weights, random)
         log_weights[rows] = 0.0
     log_weights -= log_weights.max(axis=1, keepdims=True)
+    return stage > 0
 
 
 def _shares(log_weights: Array, added: Array, left: Array) -> Array:
