@@ -26,8 +26,8 @@ _EFFECTIVE = 0.5
 # Kernel width of resampling as a share of the particles' deviation. Liu and West 2001 recommend
 # discounts of 0.95 to 0.99, which are widths of 0.23 to 0.10.
 _BANDWIDTH = 0.2
-# A likelihood is fused in at most so many stages, and the share of a stage is found by as many
-# halvings: 1/256 of a log-likelihood.
+# A likelihood is fused in at most so many stages, each of which leaves one in so many particles
+# effective. The share of a stage is found by as many halvings: 1/256 of a log-likelihood.
 _STAGES = 8
 
 
@@ -194,13 +194,15 @@ def tempered_update(
     """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
     place. Return whether any was resampled.
 
-    `log_likelihood` returns (k, n) for the poses (3, k, n) of the rows with the numbers (k,). Where
-    the likelihood would leave fewer than half of a row's particles effective, it is fused in
-    stages, each followed by resampling (progressive correction: Musso, Oudjane, Le Gland 2001), so
-    that a few hundred particles survive the first observation after a long time without any.
+    `log_likelihood` returns (k, n) for the poses (3, k, n) of the rows with the numbers (k,). A row
+    of which fewer than half of the particles are effective then is resampled. Where the likelihood
+    would leave too few of them even for that, it is fused in stages, each followed by resampling
+    (progressive correction: Musso, Oudjane, Le Gland 2001), so that a few hundred particles
+    survive the first observation after a long time without any.
     """
     rows = np.arange(log_weights.shape[0])
     left = np.ones(rows.size)
+    is_resampled = False
     for stage in range(_STAGES):
         added = log_likelihood(poses[:, rows], rows)
         share = left[rows]
@@ -208,23 +210,23 @@ def tempered_update(
             share = _shares(log_weights[rows], added, share)
         log_weights[rows] += share[:, None] * added
         left[rows] -= share
+        thin = effective_count(log_weights[rows]) < _EFFECTIVE * added.shape[1]
+        for row in rows[thin | (left[rows] > 0.0)]:
+            poses[:, row] = resample(poses[:, row], normalized(log_weights[row]), random)
+            log_weights[row] = 0.0
+            is_resampled = True
         rows = rows[left[rows] > 0.0]
         if not rows.size:
             break
-        for row in rows:
-            weights = normalized(log_weights[row])
-            poses[:, row] = resample(poses[:, row], weights, random)
-        log_weights[rows] = 0.0
     log_weights -= log_weights.max(axis=1, keepdims=True)
-    return stage > 0
+    return is_resampled
 
 
 def _shares(log_weights: Array, added: Array, left: Array) -> Array:
     """Return the largest share (by halving) of what is left that leaves enough effective."""
     share = left.copy()
     for _ in range(_STAGES):
-        effective = effective_count(log_weights + added * share[:, None])
-        thin = effective < _EFFECTIVE * added.shape[1]
+        thin = effective_count(log_weights + added * share[:, None]) < added.shape[1] / _STAGES
         if not thin.any():
             break
         share[thin] *= 0.5
