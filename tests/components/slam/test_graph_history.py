@@ -35,6 +35,7 @@ from cairn.system.clock import SECOND
 from tests.components.localizer.room import room
 from tests.components.slam.box_room import drive, scan
 from tests.components.slam.changing_room import REACH, ROUND, TABLE, scan_at, write_room_graph
+from tests.components.slam.map_errors import islands_of
 from tests.wording import words_in_order
 
 FEW = ROUND[::4]
@@ -110,7 +111,7 @@ def test_parts_that_nothing_joins_to_the_map_are_not_drawn(tmp_path: Path) -> No
         rays = Rays(seen.starts, seen.angles, 0.6 * seen.ranges, seen.reach)
         mapper.add_scan((40 + k) * SECOND, (3.9 + 0.1 * k, 0.0, 0.0), rays)
     mapper.finish()
-    assert len(mapper.islands) == 2
+    assert len(islands_of(mapper)) == 2
     write_graph(path, mapper, "a test")
     grid = MapGrid(0.1, 10.0)
     grid.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
