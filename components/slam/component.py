@@ -265,7 +265,7 @@ class Slam(Component):
         stamp = to_ns(scan.header.stamp)
         if self._mapper is None:
             self._mapper = self._start(scan)
-            self._drawing.renew(self._mapper.renewals)
+            self._drawing.counts.renew(self._mapper.renewals)
         mapper = self._mapper
         motion = sweep.motion
         rays = rays_of(scan, self.config.mount.pose, motion).placed(motion)
@@ -373,7 +373,7 @@ class Slam(Component):
     def _drawn(self) -> OccupancyCells | None:
         """Return the grid map with all scans, None if they show nothing."""
         self._draw(None)
-        return self._drawing.grid() if any(self._drawing.counts.shape) else None
+        return self._drawing.counts.grid() if any(self._drawing.counts.shape) else None
 
     def _save_maps(self, grid: OccupancyCells) -> None:
         mapper, file = self._mapper, self.config.map_file

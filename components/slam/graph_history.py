@@ -119,15 +119,6 @@ class ChangedBlock:
     cells: frozenset[tuple[int, int]]
 
 
-@dataclass(frozen=True)
-class HistoryBudget:
-    """How much of the past a file keeps: retired keyframes, former tiles, and rows of changes."""
-
-    keyframes: int
-    tiles: int
-    changes: int
-
-
 class GraphHistory:
     """A graph file that is open for changes of finished maps."""
 
@@ -299,17 +290,22 @@ class GraphHistory:
             _insert_change(connection, new, change)
         return new
 
-    def prune(self, budget: HistoryBudget) -> None:
-        """Delete the oldest history beyond a budget; raises `CairnError` if that fails."""
+    def prune(self, *, keyframes: int, tiles: int, changes: int) -> None:
+        """Delete the oldest history: keep so many retired keyframes, former tiles, and changes.
+
+        Raises `CairnError` if that fails.
+        """
         with explained_errors(self.path), self._connection as connection:
-            oldest = max(_excess(connection, budget.keyframes, _ENDED_KEYFRAMES),
-                         _excess(connection, budget.tiles, _ENDED_TILES))  # fmt: skip
+            oldest = max(
+                _excess(connection, keyframes, _ENDED_KEYFRAMES),
+                _excess(connection, tiles, _ENDED_TILES),
+            )
             if oldest:
                 _forget(connection, oldest)
             connection.execute(
                 "DELETE FROM changes WHERE version < (SELECT oldest FROM graph) AND version <= "
                 "(SELECT max(version) FROM changes) - ?",
-                (budget.changes,),
+                (changes,),
             )
 
     def _return_free_pages(self) -> None:

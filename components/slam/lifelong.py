@@ -21,7 +21,6 @@ from cairn.components.slam.graph_history import (
     ChangedBlock,
     GraphChange,
     GraphHistory,
-    HistoryBudget,
     Renewal,
     change_between,
 )
@@ -117,7 +116,8 @@ class LifelongMap:
         poses = [(x, y, theta) for x, y, theta in state.poses.tolist()]
         self._poses: dict[int, Pose] = dict(zip(state.numbers, poses, strict=True))
         self._edges = history.edges(state.numbers)
-        self._drawing: ScanGrid | None = None
+        self.drawing: ScanGrid | None = None
+        """The drawing of the keyframes; None before `set_map`."""
         self._undrawn: list[int] = []
         self._grid: OccupancyCells | None = None
         self._differences: MapDifferences | None = None
@@ -159,9 +159,9 @@ class LifelongMap:
         self._grid, self._differences = grid, None
         self.is_of_other_building = False
         resolution = grid.frame.resolution
-        if self._drawing is None or self._drawing.frame.resolution != resolution:
-            self._drawing = ScanGrid(resolution, self._farthest)
-            self._drawing.renew(self._renewals)
+        if self.drawing is None or self.drawing.frame.resolution != resolution:
+            self.drawing = ScanGrid(resolution, self._farthest)
+            self.drawing.renew(self._renewals)
             self._undrawn = sorted(self._frames)
         self._compare_when_drawn()
 
@@ -204,7 +204,7 @@ class LifelongMap:
         Raises `CairnError` if the file cannot be written: the map stays, and a later call tries
         again.
         """
-        self._draw(_DRAWN)
+        self._draw()
         if self._changed is not None:
             self._thin(self._changed)
             self._changed = None
@@ -229,36 +229,25 @@ class LifelongMap:
             return renewal.change
         return None
 
-    def finish_drawing(self) -> None:
-        """Draw all keyframes now, as before a first comparison."""
-        self._draw(None)
-
-    def drawn(self) -> OccupancyCells:
-        """Return the drawing; raises `ValueError` while nothing is drawn."""
-        if self._drawing is None:
-            raise ValueError("nothing is drawn yet")
-        return self._drawing.grid()
-
-    def _draw(self, most: int | None) -> None:
-        if self._drawing is None or not self._undrawn:
+    def _draw(self) -> None:
+        if self.drawing is None or not self._undrawn:
             return
-        count = len(self._undrawn) if most is None else most
-        now, self._undrawn = self._undrawn[:count], self._undrawn[count:]
+        now, self._undrawn = self._undrawn[:_DRAWN], self._undrawn[_DRAWN:]
         for number in now:
             frame = self._frames[number]
             if frame.rays is not None:
-                self._drawing.add(self._poses[number], frame.rays.rays(), frame.version)
+                self.drawing.add(self._poses[number], frame.rays.rays(), frame.version)
         self._compare_when_drawn()
 
     def _compare_when_drawn(self) -> None:
-        if self._undrawn or self._grid is None or self._drawing is None:
+        if self._undrawn or self._grid is None or self.drawing is None:
             return
-        self._differences = MapDifferences(self._grid, self._drawing)
+        self._differences = MapDifferences(self._grid, self.drawing)
         self._check_building(self._differences)
 
     def _check_building(self, differences: MapDifferences) -> None:
-        assert self._drawing is not None
-        obstacles = int(np.count_nonzero(self._drawing.whole().values > 0))
+        assert self.drawing is not None
+        obstacles = int(np.count_nonzero(self.drawing.whole().values > 0))
         self.is_of_other_building = differences.count > _FOREIGN * max(1, obstacles)
 
     def _follow(self, blocks: Mapping[Block, frozenset[tuple[int, int]]], now_ns: int) -> None:
@@ -424,25 +413,25 @@ class LifelongMap:
     def _make(self, renewal: Renewal) -> None:
         first = self._history.next_number()
         self.version = self._history.renew(self.version, renewal)
-        assert self._drawing is not None
+        assert self.drawing is not None
         self._renewals = renewal.renewals
-        self._drawing.renew(renewal.renewals)
+        self.drawing.renew(renewal.renewals)
         self._drop(renewal.retired)
         for number, (frame, pose) in enumerate(
             zip(renewal.keyframes, renewal.poses, strict=True), start=first
         ):
             self._frames[number], self._poses[number] = frame, pose
             if frame.rays is not None:
-                self._drawing.add(pose, frame.rays.rays(), frame.version)
+                self.drawing.add(pose, frame.rays.rays(), frame.version)
         self._edges += renewal.edges
         self._forget_edges()
 
     def _thin(self, renewal: Renewal) -> None:
         """Retire the least needed keyframes near a change while there are too many."""
-        assert self._drawing is not None
+        assert self.drawing is not None
         known_m2 = (
-            np.count_nonzero(self._drawing.whole().values != UNKNOWN)
-            * self._drawing.frame.resolution**2
+            np.count_nonzero(self.drawing.whole().values != UNKNOWN)
+            * self.drawing.frame.resolution**2
         )
         most = math.ceil(self._per_m2 * known_m2)
         excess = min(len(self._frames) - most, 2 * len(renewal.keyframes))
@@ -455,12 +444,14 @@ class LifelongMap:
             self._forget_edges()
         tiles = len(self._renewals.tiles)
         self._history.prune(
-            HistoryBudget(most, _TILES * tiles + _MORE_TILES, _CHANGES * tiles + _MORE_CHANGES)
+            keyframes=most,
+            tiles=_TILES * tiles + _MORE_TILES,
+            changes=_CHANGES * tiles + _MORE_CHANGES,
         )
 
     def _least_needed(self, renewal: Renewal, count: int) -> set[int]:
         """Return keyframes near a change without which the drawing changes least."""
-        drawing = self._drawing
+        drawing = self.drawing
         assert drawing is not None
         place = (renewal.change.x, renewal.change.y, 0.0)
         older = [k for k, frame in self._frames.items() if frame.version < self.version]
@@ -492,11 +483,11 @@ class LifelongMap:
         return set(chosen)
 
     def _drop(self, retired: Collection[int]) -> None:
-        assert self._drawing is not None
+        assert self.drawing is not None
         for number in retired:
             frame, pose = self._frames.pop(number), self._poses.pop(number)
             if frame.rays is not None:
-                self._drawing.remove(pose, frame.rays.rays(), frame.version)
+                self.drawing.remove(pose, frame.rays.rays(), frame.version)
 
     def _forget_edges(self) -> None:
         known = self._frames.keys()

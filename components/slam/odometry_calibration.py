@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cairn.components.slam.landmarks import LandmarkBuilder
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
-from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, Prior, relative_all
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, relative_all
 from cairn.planar.motion_model import MotionModel, move_pose, odometry_step
 from cairn.planar.odometry_gains import GainEstimator
 from cairn.planar.poses import Pose, compose, relative
@@ -141,12 +141,13 @@ def estimate_calibration(
             edges,
             np.stack(by_motion, axis=2),
             np.stack(by_sighting, axis=2),
-            Prior(origin - now, information),
+            origin - now,
+            information,
         )
         now = np.clip(now + change, *(origin + k * AGREES * usual for k in (-1, 1)))
         if graph.depends_on_odometry:
             use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
-            graph.refine()
+            graph.minimize()
         if (np.abs(change) < _ENOUGH * usual).all():
             break
     deviations = np.sqrt(np.diag(covariance)).tolist()

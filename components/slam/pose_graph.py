@@ -84,14 +84,6 @@ class Sighting:
     bearing_sd: float
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What is known of parameters (p,) without measurements: mean and information (p, p)."""
-
-    mean: Array
-    information: Array
-
-
 class PoseGraph:
     """Poses of keyframes, numbered from 0, positions of landmarks, and constraints between them."""
 
@@ -303,12 +295,12 @@ class PoseGraph:
         stages = math.ceil(math.log2(max(1.0, closure, sighting)))
         start = self.poses, dict(self.landmarks)
         for stage in range(stages, -1, -1):
-            error = self._optimize(2.0**stage)
+            error = self.minimize(2.0**stage)
         if stages and closure <= 1.0:
             # Many gross errors lead the wide kernels astray: the poses may have been nearly right.
             far = self.poses, self.landmarks
             self.poses, self.landmarks = start
-            if self._optimize(1.0) > error:
+            if self.minimize() > error:
                 self.poses, self.landmarks = far
         wrong = self.deviations() > AGREES
         kept = [
@@ -319,14 +311,13 @@ class PoseGraph:
         if len(kept) < len(self.edges):
             self.rejected += len(self.edges) - len(kept)
             self.edges = kept
-            self._optimize(1.0)
+            self.minimize()
 
-    def refine(self) -> None:
-        """Move poses and landmarks a little, after constraints have changed a little."""
-        self._optimize(1.0)
+    def minimize(self, widened: float = 1.0) -> float:
+        """Minimize the error from where poses and landmarks are; return what remains of it.
 
-    def _optimize(self, widened: float) -> float:
-        """Minimize the error with wider kernels; return what remains of it."""
+        The kernels of constraints with large errors are `widened`.
+        """
         rows = self._joined_rows()
         graph, values = self._factors(rows, widened), self._values()
         parameters = gtsam.LevenbergMarquardtParams()
@@ -368,7 +359,12 @@ class PoseGraph:
             yield gtsam.PriorFactorPose2(first, gtsam.Pose2(*self.pose(first)), anchor)
 
     def correction(
-        self, motions: Sequence[Edge], by_motion: Array, by_sighting: Array, prior: Prior
+        self,
+        motions: Sequence[Edge],
+        by_motion: Array,
+        by_sighting: Array,
+        expected: Array,
+        information: Array,
     ) -> tuple[Array, Array]:
         """Return the change of parameters of measurements with which they agree best.
 
@@ -380,7 +376,8 @@ class PoseGraph:
                 `EdgeKind.ODOMETRY`.
             by_motion: (n, 3, p) derivatives of the motions, in the frame of `second`.
             by_sighting: (m, 2, p) derivatives of range and bearing of `sightings`.
-            prior: the change that is expected without measurements.
+            expected: (p,) change that is expected without measurements.
+            information: (p, p) of that.
 
         Returns:
             The change (p,) and its covariance (p, p).
@@ -420,8 +417,8 @@ class PoseGraph:
                     s.keyframe, pose, _landmark_key(s.landmark), point, key, by, residual, unit(2)
                 )
             )
-        root = np.linalg.cholesky(prior.information).T
-        linear.add(gtsam.JacobianFactor(key, root, root @ prior.mean, unit(len(root))))
+        root = np.linalg.cholesky(information).T
+        linear.add(gtsam.JacobianFactor(key, root, root @ expected, unit(len(root))))
         change: Array = linear.optimize().at(key)
         covariance: Array = gtsam.Marginals(linear, values).marginalCovariance(key)
         return change, covariance
