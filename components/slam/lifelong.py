@@ -9,7 +9,7 @@ needs least. So the size of the graph depends on the area, not on the time.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 
@@ -29,7 +29,7 @@ from cairn.components.slam.map_differences import BLOCK_M, Block, MapDifferences
 from cairn.components.slam.pose_graph import Edge, EdgeKind, turned
 from cairn.planar.grid import UNKNOWN, OccupancyCells
 from cairn.planar.posed_scans import PosedScan
-from cairn.planar.poses import Pose, apart, distance, relative, wrap
+from cairn.planar.poses import Pose, apart, distance, relative, wrap_all
 from cairn.planar.renewals import Renewals, patches_of
 from cairn.planar.scan_grid import ScanGrid
 from cairn.planar.scans import Rays
@@ -72,10 +72,9 @@ _FOREIGN = 0.5
 
 @dataclass
 class _Pending:
-    """A block that differs since a time, was first seen so after long, and is tried again [ns]."""
+    """A block that differs, when it was first seen so after long, and is tried again [ns]."""
 
-    since_ns: int
-    cells: frozenset[tuple[int, int]]
+    change: ChangedBlock
     seen_ns: int | None = None
     retry_ns: int = 0
     wait_s: float = _FIRST_RETRY_S
@@ -123,9 +122,7 @@ class LifelongMap:
         self._differences: MapDifferences | None = None
         self._noted = history.differences()
         self._noted_ns: int | None = None
-        self._pending = {
-            block: _Pending(one.since_ns, one.cells) for block, one in self._noted.items()
-        }
+        self._pending = {block: _Pending(one) for block, one in self._noted.items()}
         self._waiting: list[_ChangedScan] = []
         self.is_of_other_building = False
         """Whether the grid map has mostly other obstacles than the graph, which then stays."""
@@ -262,15 +259,13 @@ class LifelongMap:
             )
             if sum(around) < _LEAST_CELLS:
                 continue
-            known = self._pending.get(block)
-            is_same = known is not None and len(known.cells ^ cells) <= max(
-                _LEAST_CELLS, _SAME_SHARE * len(known.cells)
-            )
-            # Time that was set back starts the wait again.
-            if known is not None and is_same and known.since_ns <= now_ns:
-                pending[block] = known
-            else:
-                pending[block] = _Pending(now_ns, cells)
+            pending[block] = _Pending(ChangedBlock(now_ns, cells))
+            if (known := self._pending.get(block)) is not None:
+                before = known.change.cells
+                most_others = max(_LEAST_CELLS, _SAME_SHARE * len(before))
+                # Time that was set back starts the wait again.
+                if len(before ^ cells) <= most_others and known.change.since_ns <= now_ns:
+                    pending[block] = known
         self._pending = pending
         due = self._due(now_ns)
         self._waiting = [
@@ -282,7 +277,7 @@ class LifelongMap:
         return {
             block
             for block, one in self._pending.items()
-            if now_ns - one.since_ns >= self._permanent_ns
+            if now_ns - one.change.since_ns >= self._permanent_ns
         }
 
     def _note(self, now_ns: int) -> None:
@@ -290,9 +285,7 @@ class LifelongMap:
         since = self._noted_ns
         if since is not None and 0 <= now_ns - since < round(_NOTES_S * SECOND):
             return
-        noted = {
-            block: ChangedBlock(one.since_ns, one.cells) for block, one in self._pending.items()
-        }
+        noted = {block: one.change for block, one in self._pending.items()}
         news = {block: one for block, one in noted.items() if self._noted.get(block) != one}
         gone = self._noted.keys() - noted.keys()
         if news or gone:
@@ -369,7 +362,8 @@ class LifelongMap:
         if best is None:
             return None
         chosen, renewals, new = best
-        stood_s = (now_ns - min(self._pending[block].since_ns for block in cluster)) / SECOND
+        since_ns = min(self._pending[block].change.since_ns for block in cluster)
+        stood_s = (now_ns - since_ns) / SECOND
         shown_by = "1 scan shows" if len(chosen) == 1 else f"{len(chosen)} scans show"
         reason = f"the grid map had it for {stood_s:.0f} s; {shown_by} it"
         change = change_between(old, new, corner, differences.resolution, now_ns, reason)
@@ -416,15 +410,13 @@ class LifelongMap:
         assert self.drawing is not None
         self._renewals = renewal.renewals
         self.drawing.renew(renewal.renewals)
-        self._drop(renewal.retired)
         for number, (frame, pose) in enumerate(
             zip(renewal.keyframes, renewal.poses, strict=True), start=first
         ):
             self._frames[number], self._poses[number] = frame, pose
             if frame.rays is not None:
                 self.drawing.add(pose, frame.rays.rays(), frame.version)
-        self._edges += renewal.edges
-        self._forget_edges()
+        self._retire(renewal.retired, renewal.edges)
 
     def _thin(self, renewal: Renewal) -> None:
         """Retire the least needed keyframes near a change while there are too many."""
@@ -439,9 +431,7 @@ class LifelongMap:
             retired = self._least_needed(renewal, excess)
             bridges = bridging(self._edges, retired, self._poses)
             self._history.retire(retired, bridges)
-            self._drop(retired)
-            self._edges += bridges
-            self._forget_edges()
+            self._retire(retired, bridges)
         tiles = len(self._renewals.tiles)
         self._history.prune(
             keyframes=most,
@@ -482,16 +472,15 @@ class LifelongMap:
                 drawing.add(self._poses[number], rays[number], self._frames[number].version)
         return set(chosen)
 
-    def _drop(self, retired: Collection[int]) -> None:
+    def _retire(self, retired: Collection[int], edges: Sequence[Edge]) -> None:
+        """Remove keyframes and their constraints, and add others in the place of these."""
         assert self.drawing is not None
         for number in retired:
             frame, pose = self._frames.pop(number), self._poses.pop(number)
             if frame.rays is not None:
                 self.drawing.remove(pose, frame.rays.rays(), frame.version)
-
-    def _forget_edges(self) -> None:
-        known = self._frames.keys()
-        self._edges = [e for e in self._edges if e.first in known and e.second in known]
+        every, known = [*self._edges, *edges], self._frames.keys()
+        self._edges = [e for e in every if e.first in known and e.second in known]
 
 
 def bridging(
@@ -559,8 +548,7 @@ def _seen_blocks(scan: PosedScan, blocks: Collection[Block]) -> frozenset[Block]
     first, last = float(rays.angles[0]), float(rays.angles[-1])
     middle, step = 0.5 * (first + last), (last - first) / (count - 1)
     bearings = np.arctan2(offset[:, 1], offset[:, 0]) - scan.pose[2]
-    from_middle = np.array([wrap(b - middle) for b in bearings.tolist()])
-    index = np.rint(from_middle / step + 0.5 * (count - 1)).astype(np.int64)
+    index = np.rint(wrap_all(bearings - middle) / step + 0.5 * (count - 1)).astype(np.int64)
     inside = (index >= 0) & (index < count) & (ranges < min(_SEEN_M, rays.reach))
     measured = rays.ranges[np.clip(index, 0, count - 1)]
     with np.errstate(invalid="ignore"):

@@ -17,7 +17,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from cairn.components.slam.alignment import LEAST_INFORMATION
-from cairn.components.slam.chains import Chains, chains_of
+from cairn.components.slam.chains import Chains, chains_of, turn_back
+from cairn.components.slam.keyframes import pose_of
 from cairn.planar.compiled import compiled
 from cairn.planar.poses import Pose, compose, wrap_all
 
@@ -104,8 +105,7 @@ class PoseGraph:
 
     def pose(self, number: int) -> Pose:
         """Return a pose."""
-        x, y, theta = self.poses[number].tolist()
-        return x, y, theta
+        return pose_of(self.poses, number)
 
     def add_sighting(self, sighting: Sighting) -> None:
         """Add an observation of a landmark, which is where its first observation puts it."""
@@ -640,21 +640,17 @@ def _drift(
             b = ends[row, 1]
             if done[b]:
                 continue
-            x, y, turn = measured[edge, 0], measured[edge, 1], measured[edge, 2]
-            cosine, sine = math.cos(turn), math.sin(turn)
             noise = covariances[edge]
             if backward:
+                x, y, turn = measured[edge, 0], measured[edge, 1], measured[edge, 2]
+                cosine, sine = math.cos(turn), math.sin(turn)
                 # The adjoint of the measurement turns its noise to the frame of `first`.
                 adjoint[0, 0], adjoint[0, 1], adjoint[0, 2] = cosine, -sine, y
                 adjoint[1, 0], adjoint[1, 1], adjoint[1, 2] = sine, cosine, -x
                 adjoint[2, 0], adjoint[2, 1], adjoint[2, 2] = 0.0, 0.0, 1.0
                 covariance = adjoint @ (found[a] + noise) @ adjoint.T
             else:
-                adjoint[0, 0], adjoint[0, 1] = cosine, sine
-                adjoint[1, 0], adjoint[1, 1] = -sine, cosine
-                adjoint[0, 2] = -(cosine * y - sine * x)
-                adjoint[1, 2] = sine * y + cosine * x
-                adjoint[2, 0], adjoint[2, 1], adjoint[2, 2] = 0.0, 0.0, 1.0
+                turn_back(measured[edge], adjoint)
                 covariance = adjoint @ found[a] @ adjoint.T + noise
             variance = covariance[0, 0] + covariance[1, 1]
             if variance < best[b]:
