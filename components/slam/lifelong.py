@@ -373,10 +373,7 @@ class LifelongMap:
         self, change: GraphChange, chosen: list[tuple[_ChangedScan, Rays]], renewals: Renewals
     ) -> Renewal:
         """Return a change with its keyframes, tied to the nearest ones that stay."""
-        outdated = {
-            number for number, frame in self._frames.items() if self._is_outdated(number, frame,
-                                                                                 renewals)
-        }  # fmt: skip
+        outdated = {number for number in self._frames if self._is_outdated(number, renewals)}
         first = self._history.next_number()
         frames, poses, edges = [], [], []
         for number, (one, rays) in enumerate(reversed(chosen), start=first):
@@ -394,11 +391,12 @@ class LifelongMap:
                 measured = relative(self._poses[anchor], pose)
                 information = _information(one.covariance, pose[2])
                 edges.append(Edge(EdgeKind.MATCH, anchor, number, measured, information))
-        bridges = bridging(self._edges + edges, outdated, {**self._poses, **dict(
-            enumerate(poses, start=first))})  # fmt: skip
+        every = self._poses | dict(enumerate(poses, start=first))
+        bridges = bridging([*self._edges, *edges], outdated, every)
         return Renewal(change, poses, frames, renewals, outdated, [*edges, *bridges])
 
-    def _is_outdated(self, number: int, frame: Keyframe, renewals: Renewals) -> bool:
+    def _is_outdated(self, number: int, renewals: Renewals) -> bool:
+        frame = self._frames[number]
         if not frame.surfaces.count:
             return False
         points = frame.cloud.placed(self._poses[number]).points

@@ -118,10 +118,6 @@ class PoseGraph:
                 y + sighting.range_m * math.sin(direction),
             )
 
-    def deviation(self, sighting: Sighting) -> float:
-        """Return how far an observation is from where its landmark is, in standard deviations."""
-        return float(self._sighting_deviations([sighting])[0])
-
     @property
     def depends_on_odometry(self) -> bool:
         """Whether there are observations, or steps that no scan supports."""
@@ -290,7 +286,7 @@ class PoseGraph:
         self._align_parts()
         closures = [edge.kind is EdgeKind.CLOSURE for edge in self.edges]
         closure = float(self.deviations()[closures].max(initial=0.0)) / _KERNEL
-        sightings = self.sighting_deviations()[self._joined_rows()]
+        sightings = self.sighting_deviations(self.sightings)[self._joined_rows()]
         sighting = float(sightings.max(initial=0.0)) / _KERNEL
         stages = math.ceil(math.log2(max(1.0, closure, sighting)))
         start = self.poses, dict(self.landmarks)
@@ -404,7 +400,7 @@ class PoseGraph:
                     edge.first, first, edge.second, second, key, by, residual, unit(3)
                 )
             )
-        deviations = self.sighting_deviations()
+        deviations = self.sighting_deviations(self.sightings)
         for row in self._joined_rows().tolist():
             s = self.sightings[row]
             jacobian, residual = _sighting_factor(s, 1.0).linearize(values).jacobian()
@@ -423,11 +419,8 @@ class PoseGraph:
         covariance: Array = gtsam.Marginals(linear, values).marginalCovariance(key)
         return change, covariance
 
-    def sighting_deviations(self) -> Array:
-        """Return the error of each observation (n,) in standard deviations."""
-        return self._sighting_deviations(self.sightings)
-
-    def _sighting_deviations(self, sightings: list[Sighting]) -> Array:
+    def sighting_deviations(self, sightings: Sequence[Sighting]) -> Array:
+        """Return how far observations (n,) are from where landmarks are, in standard deviations."""
         rows = [
             (*self.landmarks[s.landmark], s.range_m, s.bearing, s.range_sd, s.bearing_sd)
             for s in sightings
