@@ -397,7 +397,8 @@ def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:
         return frame
     x, y, theta = pose.tolist()
     valid = renewals.since(frame.cloud.placed((x, y, theta)).points) <= frame.version
-    return replace(frame, surfaces=frame.surfaces.part(valid))
+    surfaces = replace(frame.surfaces, values=frame.surfaces.values[valid])
+    return replace(frame, surfaces=surfaces)
 
 
 def _keyframe(

@@ -82,10 +82,6 @@ class ScanSurfaces:
         """Return the points with their normals."""
         return placed_together([(self, (0.0, 0.0, 0.0))])
 
-    def part(self, chosen: NDArray[np.bool_]) -> ScanSurfaces:
-        """Return some of the points: those that are `chosen` (n,)."""
-        return ScanSurfaces(self.values[chosen], self.step)
-
 
 def placed_together(surfaces: Sequence[tuple[ScanSurfaces, Pose]]) -> PointCloud:
     """Return the points of several scans, each in the frame in which the scan is at the pose."""

@@ -326,7 +326,7 @@ class Mapper:
         path = self._log.path(self.calibration.calibration)
         for number in self._driven_on:
             before = number - 1
-            if islands[before] != islands[number] and path.covers(stamps[[before]]).all():
+            if islands[before] != islands[number] and stamps[before] >= path.origin_ns:
                 start, end = path.at(stamps[[before, number]]).tolist()
                 known = _JUMP**-2.0 * np.eye(3)
                 edge = Edge(EdgeKind.JUMP, before, number, relative(start, end), known)

@@ -80,23 +80,6 @@ def corrected_step(
     return replace(edge, measured=compose(edge.measured, (x, y, turn)))
 
 
-def use_path(
-    path: OdometryPath,
-    model: MotionModel,
-    stamps: NDArray[np.int64],
-    graph: PoseGraph,
-    builder: LandmarkBuilder,
-) -> None:
-    """Replace what follows from odometry in the graph: steps without scans, and sightings."""
-    graph.edges = [
-        odometry_edge(edge.first, edge.second, stamps, path, model)
-        if edge.kind is EdgeKind.ODOMETRY and path.covers(stamps[edge.first])
-        else edge
-        for edge in graph.edges
-    ]
-    builder.rebuild(path, stamps)
-
-
 def estimate_calibration(
     start: CalibrationEstimate,
     log: OdometryLog,
@@ -113,7 +96,7 @@ def estimate_calibration(
     now = origin = np.array(astuple(start.calibration))
     known, usual = np.array(astuple(start.deviations)), np.array(_USUAL)
     information, covariance = np.diag(known**-2.0), np.diag(known**2.0)
-    covered = log.path(start.calibration).covers(stamps)
+    covered = stamps >= log.path(start.calibration).origin_ns
     pairs = [
         (edge.first, edge.second)
         for edge in graph.edges
@@ -146,7 +129,15 @@ def estimate_calibration(
         )
         now = np.clip(now + change, *(origin + k * AGREES * usual for k in (-1, 1)))
         if graph.depends_on_odometry:
-            use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
+            # Steps without scans, and sightings, follow from odometry.
+            path = log.path(OdometryCalibration(*now))
+            graph.edges = [
+                odometry_edge(edge.first, edge.second, stamps, path, model)
+                if edge.kind is EdgeKind.ODOMETRY and covered[edge.first]
+                else edge
+                for edge in graph.edges
+            ]
+            builder.rebuild(path, stamps)
             graph.minimize()
         if (np.abs(change) < _ENOUGH * usual).all():
             break
