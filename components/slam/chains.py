@@ -123,7 +123,7 @@ def _relative(base: Array, pose: Array, result: Array) -> None:
 
 
 @compiled()
-def _turn_back(motion: Array, adjoint: Array) -> None:
+def turn_back(motion: Array, adjoint: Array) -> None:
     """Write the adjoint (3, 3) that takes errors before a motion to the frame after it."""
     x, y = motion[0], motion[1]
     cosine, sine = math.cos(motion[2]), math.sin(motion[2])
@@ -145,7 +145,7 @@ def _joined(
     for k in range(len(nodes)):
         motion, covariance = np.zeros(3), np.zeros((3, 3))
         for number in range(nodes[k] - steps[k] + 1, nodes[k] + 1):
-            _turn_back(measured[number], adjoint)
+            turn_back(measured[number], adjoint)
             covariance = adjoint @ covariance @ adjoint.T + covariances[number]
             _compose(motion, measured[number], motion)
         motions[k], found[k] = motion, covariance
@@ -181,7 +181,7 @@ def _spread(
             total, covariance = np.zeros(3), np.zeros((3, 3))
             for i in range(count):
                 _relative(way[i + 1], way[count], motion)
-                _turn_back(motion, adjoint)
+                turn_back(motion, adjoint)
                 transports[i] = adjoint
                 total += adjoint @ errors[i]
                 covariance += adjoint @ covariances[first + 1 + i] @ adjoint.T

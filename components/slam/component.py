@@ -139,12 +139,8 @@ class Slam(Component):
     def on_deactivate(self) -> None:
         """Save the map."""
         if self._mapper is not None and self._mapper.keyframes:
-            self._mapper.settle()
-            self._save_graph(now=True)
-            grid = self._drawn()
-            if grid is not None:
-                self._save_maps(grid)
-            self._warn_unless_extended()
+            self._save(self._mapper)
+            self._warn_unless_extended(self._mapper)
         self._close()
 
     def on_error(self, _: Exception) -> bool:
@@ -163,18 +159,14 @@ class Slam(Component):
                 f"odometry on {self.odom.topic}"
             )
         if verb == "save":
-            mapper.settle()
-            self._save_graph(now=True)
-            grid = self._drawn()
-            if grid is None:
+            if not self._save(mapper):
                 raise CairnError(
                     f"{self.name}: has no map yet: scans on {self.scan.topic} show nothing; check "
                     "that nothing covers the scanner"
                 )
-            self._save_maps(grid)
             if self._saved.has_failed or self._saved_maps.has_failed:
                 raise CairnError(f"{self.name}: the map is not saved; `cairn ps` has the reason")
-            self._warn_unless_extended()
+            self._warn_unless_extended(mapper)
             file = self.config.map_file.absolute()
             written = [".yaml", ".pgm", ".graph", *([".cairn"] if self._has_landmarks else [])]
             return {
@@ -219,7 +211,7 @@ class Slam(Component):
         mapper = self._mapper
         if mapper is None or not mapper.keyframes:
             return
-        self._draw(_DRAWN)
+        self._draw(mapper, _DRAWN)
         now = self.clock.now()
         changes = self._drawing.counts.take_changes()
         frame = self._drawing.counts.frame
@@ -265,7 +257,7 @@ class Slam(Component):
         stamp = to_ns(scan.header.stamp)
         if self._mapper is None:
             self._mapper = self._start(scan)
-            self._drawing.renew(self._mapper.renewals)
+            self._drawing.counts.renew(self._mapper.renewals)
         mapper = self._mapper
         motion = sweep.motion
         rays = rays_of(scan, self.config.mount.pose, motion).placed(motion)
@@ -282,7 +274,8 @@ class Slam(Component):
         if located and not self._was_located:
             self.log.info("found the robot in the map at (%.2f m, %.2f m, %.2f rad)", *mapper.pose)
         self._was_located = located
-        self._publish_pose(Header(stamp=scan.header.stamp, frame_id="map"), sweep.start, tracked)
+        header = Header(stamp=scan.header.stamp, frame_id="map")
+        self._publish_pose(header, mapper, sweep.start, tracked)
 
     def _map_objects(self, stamp: int, message: RecognizedObjectArray) -> None:
         odometry = self._odometry_at(stamp)
@@ -317,9 +310,7 @@ class Slam(Component):
         self._file = GraphFile.create(path, mapper.farthest, f"mapped by {self.name}", created_s)
         return mapper
 
-    def _draw(self, most: int | None) -> None:
-        mapper = self._mapper
-        assert mapper is not None
+    def _draw(self, mapper: Mapper, most: int | None) -> None:
         try:
             self._drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map(), most)
         except ValueError as error:
@@ -333,9 +324,9 @@ class Slam(Component):
         stamp = from_ns(now)
         self.map.publish(map_message(Header(stamp=stamp, frame_id="map"), grid, stamp))
 
-    def _publish_pose(self, header: Header, odometry: Pose, tracked: Tracked) -> None:
-        mapper = self._mapper
-        assert mapper is not None
+    def _publish_pose(
+        self, header: Header, mapper: Mapper, odometry: Pose, tracked: Tracked
+    ) -> None:
         located = mapper.is_located
         health, reason = _health(tracked, mapper.tracker.usual_fit, located=located)
         covariance = np.asarray(np.linalg.inv(tracked.information + np.eye(3)), np.float64)
@@ -370,14 +361,17 @@ class Slam(Component):
     def _graph_file(self) -> Path:
         return self.config.map_file.with_suffix(".graph")
 
-    def _drawn(self) -> OccupancyCells | None:
-        """Return the grid map with all scans, None if they show nothing."""
-        self._draw(None)
-        return self._drawing.grid() if any(self._drawing.counts.shape) else None
+    def _save(self, mapper: Mapper) -> bool:
+        """Save the map with all scans; return whether they show anything.
 
-    def _save_maps(self, grid: OccupancyCells) -> None:
-        mapper, file = self._mapper, self.config.map_file
-        assert mapper is not None
+        Without that, there is no grid map.
+        """
+        mapper.settle()
+        self._save_graph(now=True)
+        self._draw(mapper, None)
+        if not any(self._drawing.counts.shape):
+            return False
+        grid, file = self._drawing.counts.grid(), self.config.map_file
         landmarks = mapper.landmarks().landmarks
         self._has_landmarks = bool(landmarks)
         created_s = self.clock.now() / SECOND
@@ -391,10 +385,9 @@ class Slam(Component):
 
         lost = "the grid map and the visual map are not written; the graph has all of them"
         self._saved_maps.attempt(write, lambda: lost, now=True)
+        return True
 
-    def _warn_unless_extended(self) -> None:
-        mapper = self._mapper
-        assert mapper is not None
+    def _warn_unless_extended(self, mapper: Mapper) -> None:
         extended = mapper.graph.extended
         if extended and not mapper.in_map()[extended:].any():
             self.log.warning(

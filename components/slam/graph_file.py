@@ -12,12 +12,12 @@ import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cairn.components.slam.keyframes import Keyframe, ScanRays, Submap, scan_surfaces
 from cairn.components.slam.mapping import Mapper
@@ -122,10 +122,8 @@ class GraphFile:
             with replacing(path) as part, closing(sqlite3.connect(part)) as connection, connection:
                 for name, columns in _TABLES.items():
                     connection.execute(f"CREATE TABLE {name} ({columns})")
-                connection.execute(
-                    "INSERT INTO graph VALUES (?, ?, ?, '', 0, 0, 0)",
-                    (farthest, time.time() if created_s is None else created_s, source),
-                )
+                created_s = time.time() if created_s is None else created_s
+                insert(connection, "graph", [(farthest, created_s, source, "", 0, 0, 0)])
                 connection.execute(f"PRAGMA application_id = {APPLICATION}")
                 connection.execute(f"PRAGMA user_version = {_FORMAT}")
             return cls(called, open_connection(path))
@@ -154,32 +152,20 @@ class GraphFile:
         """Write what has changed since the last call; raises `CairnError` if that fails."""
         graph = mapper.graph
         with explained_errors(self._path), self._connection as connection:
-            numbered = list(enumerate(mapper.keyframes))[self._keyframes :]
-            insert_keyframes(connection, numbered)
+            insert_keyframes(connection, mapper.keyframes[self._keyframes :], self._keyframes)
             first = _first_change(self._edges, graph.edges)
             connection.execute("DELETE FROM edges WHERE number >= ?", (first,))
-            connection.executemany(
-                "INSERT INTO edges VALUES (?, ?, ?, ?, ?, ?)",
-                edge_rows(graph.edges[first:], first),
-            )
-            connection.executemany(
-                "REPLACE INTO submaps VALUES (?, ?, ?)",
-                [(s.number, s.first, s.last) for s in mapper.submaps[self._submaps :]],
-            )
-            connection.executemany(
-                "REPLACE INTO sightings VALUES (?, ?, ?, ?)",
-                _sighting_rows(graph.sightings, _first_change(self._sightings, graph.sightings)),
+            insert_edges(connection, graph.edges[first:], first)
+            submaps = [astuple(submap) for submap in mapper.submaps[self._submaps :]]
+            insert(connection, "submaps", submaps, replacing=True)
+            _replace_sightings(
+                connection, graph.sightings, _first_change(self._sightings, graph.sightings)
             )
             same = len(self._poses)
             if not np.array_equal(self._poses, graph.poses[:same]):
                 same = 0
-            connection.executemany(
-                "REPLACE INTO poses VALUES (?, ?, ?, ?)",
-                [
-                    (number, *pose)
-                    for number, pose in enumerate(graph.poses[same:].tolist(), start=same)
-                ],
-            )
+            poses = enumerate(graph.poses[same:].tolist(), start=same)
+            insert(connection, "poses", [(k, *pose) for k, pose in poses], replacing=True)
             connection.execute(
                 "UPDATE graph SET version = ?, oldest = ?, extended = ?",
                 (mapper.version, mapper.version, graph.extended),
@@ -187,10 +173,7 @@ class GraphFile:
             if not self._has_tiles:
                 insert_tiles(connection, mapper.renewals, mapper.renewals.tiles, mapper.version)
             connection.execute("DELETE FROM landmarks")
-            connection.executemany(
-                "INSERT INTO landmarks VALUES (?, ?, ?)",
-                [(landmark, x, y) for landmark, (x, y) in graph.landmarks.items()],
-            )
+            insert(connection, "landmarks", [(k, *point) for k, point in graph.landmarks.items()])
         self._note(mapper)
 
     def seal(self) -> None:
@@ -414,7 +397,8 @@ def _valid_part(frame: Keyframe, pose: Array, renewals: Renewals) -> Keyframe:
         return frame
     x, y, theta = pose.tolist()
     valid = renewals.since(frame.cloud.placed((x, y, theta)).points) <= frame.version
-    return replace(frame, surfaces=frame.surfaces.part(valid))
+    surfaces = replace(frame.surfaces, values=frame.surfaces.values[valid])
+    return replace(frame, surfaces=surfaces)
 
 
 def _keyframe(
@@ -443,13 +427,36 @@ def _rows(connection: sqlite3.Connection, table: str, order: str) -> Iterator[tu
     return connection.execute(f"SELECT * FROM {table} ORDER BY {order}")
 
 
-def insert_keyframes(
-    connection: sqlite3.Connection, numbered: Iterable[tuple[int, Keyframe]]
+def insert(
+    connection: sqlite3.Connection,
+    table: str,
+    rows: Sequence[Sequence[object]],
+    *,
+    replacing: bool = False,
 ) -> None:
-    """Add keyframes with their numbers; each belongs to the map from its version on."""
-    rows = list(_keyframe_rows(numbered))
-    connection.executemany("INSERT INTO keyframes VALUES (?, ?, ?, ?, ?, ?, ?, ?)", rows)
-    connection.executemany("INSERT INTO lives VALUES (?, ?, NULL)", [(r[0], r[3]) for r in rows])
+    """Add rows to a table, or with `replacing`, put them in the place of those with their keys."""
+    if rows:
+        verb = "REPLACE" if replacing else "INSERT"
+        values = ", ".join("?" * len(rows[0]))
+        connection.executemany(f"{verb} INTO {table} VALUES ({values})", rows)
+
+
+def insert_keyframes(
+    connection: sqlite3.Connection, keyframes: Iterable[Keyframe], first: int
+) -> None:
+    """Add keyframes, numbered from `first` on; each belongs to the map from its version on."""
+    rows = []
+    for number, frame in enumerate(keyframes, start=first):
+        cloud, rays = frame.cloud, frame.rays
+        geometry = ranges = None
+        if rays is not None:
+            geometry = _packed((*rays.first, *rays.last, rays.reach))
+            ranges = rays.ranges.astype("<f4").tobytes()
+        surfaces = np.concatenate((cloud.points, cloud.normals), axis=1).astype("<f4").tobytes()
+        rows.append((number, frame.stamp_ns, frame.submap, frame.version,
+                     _packed(frame.odometry), surfaces, geometry, ranges))  # fmt: skip
+    insert(connection, "keyframes", rows)
+    insert(connection, "lives", [(number, version, None) for number, _, _, version, *_ in rows])
 
 
 def insert_tiles(
@@ -459,46 +466,21 @@ def insert_tiles(
     version: int,
 ) -> None:
     """Add tiles of renewed places, by column and row; they hold from a version on."""
-    connection.executemany(
-        "INSERT INTO places VALUES (?, ?, ?, NULL, ?)",
-        [
-            (column, row, version, renewals.tiles[column, row].astype("<i4").tobytes())
-            for column, row in tiles
-        ],
-    )
+    packed = {tile: renewals.tiles[tile].astype("<i4").tobytes() for tile in tiles}
+    insert(connection, "places", [(*tile, version, None, blob) for tile, blob in packed.items()])
 
 
-def _keyframe_rows(numbered: Iterable[tuple[int, Keyframe]]) -> Iterable[tuple[object, ...]]:
-    for number, frame in numbered:
-        cloud = frame.cloud
-        surfaces = np.concatenate((cloud.points, cloud.normals), axis=1)
-        rays = frame.rays
-        geometry = None
-        if rays is not None:
-            geometry = np.array((*rays.first, *rays.last, rays.reach), "<f8").tobytes()
-        yield (
-            number,
-            frame.stamp_ns,
-            frame.submap,
-            frame.version,
-            np.array(frame.odometry, "<f8").tobytes(),
-            surfaces.astype("<f4").tobytes(),
-            geometry,
-            None if rays is None else rays.ranges.astype("<f4").tobytes(),
-        )
+def insert_edges(connection: sqlite3.Connection, edges: Iterable[Edge], first: int) -> None:
+    """Add constraints, numbered from `first` on."""
+    rows = [
+        (k, int(one.kind), one.first, one.second, _packed(one.measured), _packed(one.information))
+        for k, one in enumerate(edges, start=first)
+    ]
+    insert(connection, "edges", rows)
 
 
-def edge_rows(edges: Iterable[Edge], first: int) -> Iterable[tuple[object, ...]]:
-    """Yield the rows of constraints, numbered from `first` on."""
-    for number, edge in enumerate(edges, start=first):
-        yield (
-            number,
-            int(edge.kind),
-            edge.first,
-            edge.second,
-            np.array(edge.measured, "<f8").tobytes(),
-            edge.information.astype("<f8").tobytes(),
-        )
+def _packed(numbers: ArrayLike) -> bytes:
+    return np.array(numbers, "<f8").tobytes()
 
 
 def _first_change(old: Sequence[object], new: Sequence[object]) -> int:
@@ -507,10 +489,14 @@ def _first_change(old: Sequence[object], new: Sequence[object]) -> int:
     return next((k for k, (a, b) in pairs if a is not b), min(len(old), len(new)))
 
 
-def _sighting_rows(sightings: Sequence[Sighting], first: int) -> Iterable[tuple[object, ...]]:
-    for number, s in enumerate(sightings[first:], start=first):
-        measured = np.array((s.range_m, s.bearing, s.range_sd, s.bearing_sd), "<f8").tobytes()
-        yield number, s.keyframe, s.landmark, measured
+def _replace_sightings(
+    connection: sqlite3.Connection, sightings: Sequence[Sighting], first: int
+) -> None:
+    rows = [
+        (k, s.keyframe, s.landmark, _packed((s.range_m, s.bearing, s.range_sd, s.bearing_sd)))
+        for k, s in enumerate(sightings[first:], start=first)
+    ]
+    insert(connection, "sightings", rows, replacing=True)
 
 
 def _floats(blob: object, kind: type, columns: int) -> NDArray[np.float64]:
@@ -541,13 +527,6 @@ def _numbers(blob: object, count: int) -> list[float]:
         raise ValueError("numbers are missing")
     numbers: list[float] = values[0].tolist()
     return numbers
-
-
-def has_differences(connection: sqlite3.Connection) -> bool:
-    """Return whether a file has the table of differences."""
-    query = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND name = ?"
-    ((count,),) = connection.execute(query, (DIFFERENCES,)).fetchall()
-    return bool(count)
 
 
 def create_differences(connection: sqlite3.Connection) -> None:

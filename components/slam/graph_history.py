@@ -11,7 +11,7 @@ import shutil
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -25,10 +25,10 @@ from cairn.components.slam.graph_file import (
     check_exists,
     check_format,
     create_differences,
-    edge_rows,
     explained_damage,
     explained_errors,
-    has_differences,
+    insert,
+    insert_edges,
     insert_keyframes,
     insert_tiles,
     open_connection,
@@ -42,7 +42,7 @@ from cairn.components.slam.keyframes import Keyframe
 from cairn.components.slam.pose_graph import Edge, PoseGraph
 from cairn.errors import CairnError
 from cairn.limits.sqlite import bound_connection, replaced_by_copy
-from cairn.planar.grid import OCCUPIED
+from cairn.planar.grid import OCCUPIED, changed_window
 from cairn.planar.poses import Pose
 from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
@@ -117,15 +117,6 @@ class ChangedBlock:
 
     since_ns: int
     cells: frozenset[tuple[int, int]]
-
-
-@dataclass(frozen=True)
-class HistoryBudget:
-    """How much of the past a file keeps: retired keyframes, former tiles, and rows of changes."""
-
-    keyframes: int
-    tiles: int
-    changes: int
 
 
 class GraphHistory:
@@ -215,17 +206,15 @@ class GraphHistory:
             number, submap = _next(connection, "keyframes"), _next(connection, "submaps")
             last = number + len(renewal.keyframes) - 1
             if renewal.keyframes:
-                connection.execute("INSERT INTO submaps VALUES (?, ?, ?)", (submap, number, last))
+                insert(connection, "submaps", [(submap, number, last)])
             frames = [replace(frame, submap=submap) for frame in renewal.keyframes]
-            insert_keyframes(connection, enumerate(frames, start=number))
-            connection.executemany(
-                "INSERT INTO poses VALUES (?, ?, ?, ?)",
-                [(number + k, *pose) for k, pose in enumerate(renewal.poses)],
-            )
-            _insert_edges(connection, renewal.edges)
+            insert_keyframes(connection, frames, number)
+            poses = enumerate(renewal.poses, start=number)
+            insert(connection, "poses", [(k, *pose) for k, pose in poses])
+            insert_edges(connection, renewal.edges, _next(connection, "edges"))
             _end_lives(connection, renewal.retired, version)
             _replace_tiles(connection, renewal.renewals, version)
-            _insert_change(connection, version, renewal.change)
+            insert(connection, "changes", [(version, *astuple(renewal.change))])
         return version
 
     def retire(self, retired: Collection[int], edges: Sequence[Edge]) -> None:
@@ -235,7 +224,7 @@ class GraphHistory:
         """
         with explained_errors(self.path), self._connection as connection:
             ((version,),) = connection.execute("SELECT version FROM graph").fetchall()
-            _insert_edges(connection, edges)
+            insert_edges(connection, edges, _next(connection, "edges"))
             _end_lives(connection, retired, version)
 
     def differences(self) -> dict[tuple[int, int], ChangedBlock]:
@@ -244,7 +233,8 @@ class GraphHistory:
         Raises `CairnError` if the file is damaged.
         """
         with explained_damage(self.path):
-            if not has_differences(self._connection):
+            tables = self._connection.execute("SELECT name FROM sqlite_schema").fetchall()
+            if (DIFFERENCES,) not in tables:
                 return {}
             return {
                 (int(column), int(row)): ChangedBlock(int(since_ns), _cells_of(cells))
@@ -270,9 +260,7 @@ class GraphHistory:
             connection.executemany(
                 f"DELETE FROM {DIFFERENCES} WHERE block_column = ? AND block_row = ?", sorted(gone)
             )
-            connection.executemany(
-                f"INSERT OR REPLACE INTO {DIFFERENCES} VALUES (?, ?, ?, ?)", rows
-            )
+            insert(connection, DIFFERENCES, rows, replacing=True)
 
     def rollback(self, version: int, stamp_ns: int, reason: str) -> int:
         """Return to the map of an earlier version, as a change; return the new version.
@@ -292,24 +280,27 @@ class GraphHistory:
         change = _rollback_change(then, now, stamp_ns, reason)
         with self._changing(newest) as (connection, new):
             _end_lives(connection, gone, new)
-            connection.executemany(
-                "INSERT INTO lives VALUES (?, ?, NULL)", [(number, new) for number in sorted(back)]
-            )
+            insert(connection, "lives", [(number, new, None) for number in sorted(back)])
             _replace_tiles(connection, then.renewals, new)
-            _insert_change(connection, new, change)
+            insert(connection, "changes", [(new, *astuple(change))])
         return new
 
-    def prune(self, budget: HistoryBudget) -> None:
-        """Delete the oldest history beyond a budget; raises `CairnError` if that fails."""
+    def prune(self, *, keyframes: int, tiles: int, changes: int) -> None:
+        """Delete the oldest history: keep so many retired keyframes, former tiles, and changes.
+
+        Raises `CairnError` if that fails.
+        """
         with explained_errors(self.path), self._connection as connection:
-            oldest = max(_excess(connection, budget.keyframes, _ENDED_KEYFRAMES),
-                         _excess(connection, budget.tiles, _ENDED_TILES))  # fmt: skip
+            oldest = max(
+                _excess(connection, keyframes, _ENDED_KEYFRAMES),
+                _excess(connection, tiles, _ENDED_TILES),
+            )
             if oldest:
                 _forget(connection, oldest)
             connection.execute(
                 "DELETE FROM changes WHERE version < (SELECT oldest FROM graph) AND version <= "
                 "(SELECT max(version) FROM changes) - ?",
-                (budget.changes,),
+                (changes,),
             )
 
     def _return_free_pages(self) -> None:
@@ -445,13 +436,12 @@ def change_between(
         kind: of the change; "": it follows from the cells.
 
     """
-    added, removed = (new == OCCUPIED) & (old != OCCUPIED), (old == OCCUPIED) & (new != OCCUPIED)
-    counts = int(np.count_nonzero(added)), int(np.count_nonzero(removed))
-    rows, columns = np.nonzero(added | removed)
+    before, after = old == OCCUPIED, new == OCCUPIED
+    counts = int(np.count_nonzero(after & ~before)), int(np.count_nonzero(before & ~after))
     x, y, width, height = 0.0, 0.0, 0.0, 0.0
-    if rows.size:
-        left, right = corner[1] + int(columns.min()), corner[1] + int(columns.max()) + 1
-        bottom, top = corner[0] + int(rows.min()), corner[0] + int(rows.max()) + 1
+    if (window := changed_window(before, after)) is not None:
+        left, right = corner[1] + window[1].start, corner[1] + window[1].stop
+        bottom, top = corner[0] + window[0].start, corner[0] + window[0].stop
         x, y = 0.5 * (left + right) * resolution, 0.5 * (bottom + top) * resolution
         width, height = (right - left) * resolution, (top - bottom) * resolution
     if not kind:
@@ -509,17 +499,6 @@ def _cells_of(blob: bytes) -> frozenset[tuple[int, int]]:
     return frozenset((row, column) for row, column in cells.tolist())
 
 
-def _insert_change(connection: sqlite3.Connection, version: int, change: GraphChange) -> None:
-    values = tuple(vars(change).values())
-    connection.execute("INSERT INTO changes VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                       (version, *values))  # fmt: skip
-
-
-def _insert_edges(connection: sqlite3.Connection, edges: Sequence[Edge]) -> None:
-    first = _next(connection, "edges")
-    connection.executemany("INSERT INTO edges VALUES (?, ?, ?, ?, ?, ?)", edge_rows(edges, first))
-
-
 def _end_lives(connection: sqlite3.Connection, numbers: Collection[int], version: int) -> None:
     connection.executemany(
         "UPDATE lives SET until = ? WHERE keyframe = ? AND until IS NULL",
@@ -552,8 +531,7 @@ def _end_submap(connection: sqlite3.Connection) -> None:
         "WHERE number > (SELECT coalesce(max(last), -1) FROM submaps)"
     ).fetchall()
     if first is not None:
-        submap = _next(connection, "submaps")
-        connection.execute("INSERT INTO submaps VALUES (?, ?, ?)", (submap, first, last))
+        insert(connection, "submaps", [(_next(connection, "submaps"), first, last)])
 
 
 def _map_in(connection: sqlite3.Connection, state: GraphState) -> GraphState:
@@ -576,14 +554,10 @@ def _next(connection: sqlite3.Connection, table: str) -> int:
 
 def _rollback_change(then: GraphState, now: GraphState, stamp_ns: int, reason: str) -> GraphChange:
     drawings = [draw_state(state, _COMPARED_M) for state in (now, then)]
-    origins = [drawing.frame.cells(0.0, 0.0) for drawing in drawings]
-    edges = [
-        (-round(y), -round(x), drawing.shape[0] - round(y), drawing.shape[1] - round(x))
-        for drawing, (x, y) in zip(drawings, origins, strict=True)
-    ]
-    top, left, bottom, right = (
-        pick(values)
-        for pick, values in zip((min, min, max, max), zip(*edges, strict=True), strict=True)
-    )
-    old, new = (drawing.window(top, left, (bottom - top, right - left)) for drawing in drawings)
+    # Rows and columns of each drawing before the map's origin, and from there on.
+    before = np.rint([drawing.frame.cells(0.0, 0.0)[::-1] for drawing in drawings]).astype(int)
+    after = np.array([drawing.shape for drawing in drawings]) - before
+    top, left = (-before.max(axis=0)).tolist()
+    rows, columns = (before.max(axis=0) + after.max(axis=0)).tolist()
+    old, new = (drawing.window(top, left, (rows, columns)) for drawing in drawings)
     return change_between(old, new, (top, left), _COMPARED_M, stamp_ns, reason, kind="rollback")

@@ -82,10 +82,6 @@ class ScanSurfaces:
         """Return the points with their normals."""
         return placed_together([(self, (0.0, 0.0, 0.0))])
 
-    def part(self, chosen: NDArray[np.bool_]) -> ScanSurfaces:
-        """Return some of the points: those that are `chosen` (n,)."""
-        return ScanSurfaces(self.values[chosen], self.step)
-
 
 def placed_together(surfaces: Sequence[tuple[ScanSurfaces, Pose]]) -> PointCloud:
     """Return the points of several scans, each in the frame in which the scan is at the pose."""
@@ -135,17 +131,12 @@ def scan_surfaces(cloud: PointCloud) -> ScanSurfaces:
 
 def scan_cloud(rays: Rays, farthest: float) -> PointCloud:
     """Return the surfaces that a scan shows, up to `farthest` [m]: thinned points with normals."""
-    with np.errstate(invalid="ignore"):
-        indices = np.flatnonzero(rays.ranges < farthest)
+    indices = np.flatnonzero(rays.ranges < farthest)
     if not indices.size:
         return NOTHING
-    ranges, angles = rays.ranges[indices], rays.angles[indices]
-    points = rays.starts[indices] + ranges[:, None] * np.column_stack(
-        (np.cos(angles), np.sin(angles))
-    )
     spacing = abs(float(rays.angles[-1] - rays.angles[0])) / max(1, len(rays.angles) - 1)
-    cloud = cloud_of(points, indices, rays.starts[len(rays.starts) // 2], spacing)
-    return cloud.thinned()
+    scanner = rays.starts[len(rays.starts) // 2]
+    return cloud_of(rays.points(farthest), indices, scanner, spacing).thinned()
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,10 +185,7 @@ def cloud_in(
 ) -> PointCloud:
     """Return the points of some keyframes together, in the frame `origin`."""
     return placed_together(
-        [
-            (keyframes[k].surfaces, relative(origin, (poses[k, 0], poses[k, 1], poses[k, 2])))
-            for k in members
-        ]
+        [(keyframes[k].surfaces, relative(origin, pose_of(poses, k))) for k in members]
     )
 
 
@@ -211,28 +199,26 @@ class PlaceIndex:
     """Finds the keyframes that saw the same surfaces: by cells of 0.5 m, and sides of walls."""
 
     def __init__(self) -> None:
-        self._signatures: list[PointCloud] = []
+        self._signatures: list[PointCloud] = []  # in the map
         self._cells: dict[tuple[int, int, int], list[int]] = defaultdict(list)
-        self._poses: list[Pose] = []
 
     def add(self, cloud: PointCloud, pose: Pose) -> None:
         """Add the next keyframe, at a pose in the map."""
         number = len(self._signatures)
-        self._signatures.append(cloud.thinned(_PLACE))
-        self._poses.append(pose)
-        for key in self._keys(number, pose):
+        self._signatures.append(cloud.thinned(_PLACE).placed(pose))
+        for key in self._keys(number):
             self._cells[key].append(number)
 
     def overlaps(self, number: int) -> list[tuple[float, int]]:
         """Return the keyframes that share surfaces with one, and which share of its, best first."""
-        keys = self._keys(number, self._poses[number])
+        keys = self._keys(number)
         votes = Counter(chain.from_iterable(self._cells.get(key, ()) for key in keys))
         del votes[number]
         found = sorted((-count, other) for other, count in votes.items())
         return [(-count / len(keys), other) for count, other in found]
 
-    def _keys(self, number: int, pose: Pose) -> set[tuple[int, int, int]]:
-        cloud = self._signatures[number].placed(pose)
+    def _keys(self, number: int) -> set[tuple[int, int, int]]:
+        cloud = self._signatures[number]
         cells = np.floor(cloud.points / _PLACE).astype(int)
         nx, ny = cloud.normals[:, 0], cloud.normals[:, 1]
         side = np.where(np.abs(nx) > np.abs(ny), nx > 0, 2 + (ny > 0))

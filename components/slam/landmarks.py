@@ -135,11 +135,10 @@ class LandmarkBuilder:
             candidates = {one.observation.object_id, *one.observation.alternatives}
             at_ns = int(stamps[one.keyframe])
             measured = _merged([[one]], path, [at_ns])[0].tolist()
-            near = sorted(
-                (self._graph.deviation(Sighting(one.keyframe, landmark, *measured)), object_id)
-                for object_id, landmark in self._newest.items()
-                if object_id in candidates
-            )
+            known = [k for k in self._newest if k in candidates]
+            sightings = [Sighting(one.keyframe, self._newest[k], *measured) for k in known]
+            deviations = self._graph.sighting_deviations(sightings).tolist()
+            near = sorted(zip(deviations, known, strict=True))
             if not near or near[0][0] > AGREES or (near[1:2] and near[1][0] < 2 * AGREES):
                 waiting.append(one)
                 continue
@@ -211,7 +210,7 @@ class LandmarkBuilder:
     def report(self) -> LandmarkReport:
         """Return the landmarks of the finished graph; `stamps` are the times of keyframes [ns]."""
         graph = self._graph
-        deviations = graph.sighting_deviations()
+        deviations = graph.sighting_deviations(graph.sightings)
         covariances = graph.landmark_covariances() if graph.sightings else {}
         certain, uncertain = [], []
         for object_id, landmark in sorted(self._newest.items()):
@@ -253,7 +252,7 @@ class LandmarkBuilder:
             self._graph.sightings[row] = sighting
         else:
             self._graph.add_sighting(sighting)
-        return self._graph.deviation(sighting) > AGREES
+        return bool(self._graph.sighting_deviations([sighting])[0] > AGREES)
 
     def _merged(self, path: OdometryPath, stamps: NDArray[np.int64]) -> Array:
         at = [int(stamps[group[0].keyframe]) for group in self._seen]

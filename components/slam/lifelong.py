@@ -9,7 +9,7 @@ needs least. So the size of the graph depends on the area, not on the time.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush
 
@@ -21,7 +21,6 @@ from cairn.components.slam.graph_history import (
     ChangedBlock,
     GraphChange,
     GraphHistory,
-    HistoryBudget,
     Renewal,
     change_between,
 )
@@ -30,7 +29,7 @@ from cairn.components.slam.map_differences import BLOCK_M, Block, MapDifferences
 from cairn.components.slam.pose_graph import Edge, EdgeKind, turned
 from cairn.planar.grid import UNKNOWN, OccupancyCells
 from cairn.planar.posed_scans import PosedScan
-from cairn.planar.poses import Pose, apart, distance, relative, wrap
+from cairn.planar.poses import Pose, apart, distance, relative, wrap_all
 from cairn.planar.renewals import Renewals, patches_of
 from cairn.planar.scan_grid import ScanGrid
 from cairn.planar.scans import Rays
@@ -73,10 +72,9 @@ _FOREIGN = 0.5
 
 @dataclass
 class _Pending:
-    """A block that differs since a time, was first seen so after long, and is tried again [ns]."""
+    """A block that differs, when it was first seen so after long, and is tried again [ns]."""
 
-    since_ns: int
-    cells: frozenset[tuple[int, int]]
+    change: ChangedBlock
     seen_ns: int | None = None
     retry_ns: int = 0
     wait_s: float = _FIRST_RETRY_S
@@ -117,15 +115,14 @@ class LifelongMap:
         poses = [(x, y, theta) for x, y, theta in state.poses.tolist()]
         self._poses: dict[int, Pose] = dict(zip(state.numbers, poses, strict=True))
         self._edges = history.edges(state.numbers)
-        self._drawing: ScanGrid | None = None
+        self.drawing: ScanGrid | None = None
+        """The drawing of the keyframes; None before `set_map`."""
         self._undrawn: list[int] = []
         self._grid: OccupancyCells | None = None
         self._differences: MapDifferences | None = None
         self._noted = history.differences()
         self._noted_ns: int | None = None
-        self._pending = {
-            block: _Pending(one.since_ns, one.cells) for block, one in self._noted.items()
-        }
+        self._pending = {block: _Pending(one) for block, one in self._noted.items()}
         self._waiting: list[_ChangedScan] = []
         self.is_of_other_building = False
         """Whether the grid map has mostly other obstacles than the graph, which then stays."""
@@ -159,9 +156,9 @@ class LifelongMap:
         self._grid, self._differences = grid, None
         self.is_of_other_building = False
         resolution = grid.frame.resolution
-        if self._drawing is None or self._drawing.frame.resolution != resolution:
-            self._drawing = ScanGrid(resolution, self._farthest)
-            self._drawing.renew(self._renewals)
+        if self.drawing is None or self.drawing.frame.resolution != resolution:
+            self.drawing = ScanGrid(resolution, self._farthest)
+            self.drawing.renew(self._renewals)
             self._undrawn = sorted(self._frames)
         self._compare_when_drawn()
 
@@ -204,7 +201,7 @@ class LifelongMap:
         Raises `CairnError` if the file cannot be written: the map stays, and a later call tries
         again.
         """
-        self._draw(_DRAWN)
+        self._draw()
         if self._changed is not None:
             self._thin(self._changed)
             self._changed = None
@@ -229,36 +226,25 @@ class LifelongMap:
             return renewal.change
         return None
 
-    def finish_drawing(self) -> None:
-        """Draw all keyframes now, as before a first comparison."""
-        self._draw(None)
-
-    def drawn(self) -> OccupancyCells:
-        """Return the drawing; raises `ValueError` while nothing is drawn."""
-        if self._drawing is None:
-            raise ValueError("nothing is drawn yet")
-        return self._drawing.grid()
-
-    def _draw(self, most: int | None) -> None:
-        if self._drawing is None or not self._undrawn:
+    def _draw(self) -> None:
+        if self.drawing is None or not self._undrawn:
             return
-        count = len(self._undrawn) if most is None else most
-        now, self._undrawn = self._undrawn[:count], self._undrawn[count:]
+        now, self._undrawn = self._undrawn[:_DRAWN], self._undrawn[_DRAWN:]
         for number in now:
             frame = self._frames[number]
             if frame.rays is not None:
-                self._drawing.add(self._poses[number], frame.rays.rays(), frame.version)
+                self.drawing.add(self._poses[number], frame.rays.rays(), frame.version)
         self._compare_when_drawn()
 
     def _compare_when_drawn(self) -> None:
-        if self._undrawn or self._grid is None or self._drawing is None:
+        if self._undrawn or self._grid is None or self.drawing is None:
             return
-        self._differences = MapDifferences(self._grid, self._drawing)
+        self._differences = MapDifferences(self._grid, self.drawing)
         self._check_building(self._differences)
 
     def _check_building(self, differences: MapDifferences) -> None:
-        assert self._drawing is not None
-        obstacles = int(np.count_nonzero(self._drawing.whole().values > 0))
+        assert self.drawing is not None
+        obstacles = int(np.count_nonzero(self.drawing.whole().values > 0))
         self.is_of_other_building = differences.count > _FOREIGN * max(1, obstacles)
 
     def _follow(self, blocks: Mapping[Block, frozenset[tuple[int, int]]], now_ns: int) -> None:
@@ -273,15 +259,13 @@ class LifelongMap:
             )
             if sum(around) < _LEAST_CELLS:
                 continue
-            known = self._pending.get(block)
-            is_same = known is not None and len(known.cells ^ cells) <= max(
-                _LEAST_CELLS, _SAME_SHARE * len(known.cells)
-            )
-            # Time that was set back starts the wait again.
-            if known is not None and is_same and known.since_ns <= now_ns:
-                pending[block] = known
-            else:
-                pending[block] = _Pending(now_ns, cells)
+            pending[block] = _Pending(ChangedBlock(now_ns, cells))
+            if (known := self._pending.get(block)) is not None:
+                before = known.change.cells
+                most_others = max(_LEAST_CELLS, _SAME_SHARE * len(before))
+                # Time that was set back starts the wait again.
+                if len(before ^ cells) <= most_others and known.change.since_ns <= now_ns:
+                    pending[block] = known
         self._pending = pending
         due = self._due(now_ns)
         self._waiting = [
@@ -293,7 +277,7 @@ class LifelongMap:
         return {
             block
             for block, one in self._pending.items()
-            if now_ns - one.since_ns >= self._permanent_ns
+            if now_ns - one.change.since_ns >= self._permanent_ns
         }
 
     def _note(self, now_ns: int) -> None:
@@ -301,9 +285,7 @@ class LifelongMap:
         since = self._noted_ns
         if since is not None and 0 <= now_ns - since < round(_NOTES_S * SECOND):
             return
-        noted = {
-            block: ChangedBlock(one.since_ns, one.cells) for block, one in self._pending.items()
-        }
+        noted = {block: one.change for block, one in self._pending.items()}
         news = {block: one for block, one in noted.items() if self._noted.get(block) != one}
         gone = self._noted.keys() - noted.keys()
         if news or gone:
@@ -380,7 +362,8 @@ class LifelongMap:
         if best is None:
             return None
         chosen, renewals, new = best
-        stood_s = (now_ns - min(self._pending[block].since_ns for block in cluster)) / SECOND
+        since_ns = min(self._pending[block].change.since_ns for block in cluster)
+        stood_s = (now_ns - since_ns) / SECOND
         shown_by = "1 scan shows" if len(chosen) == 1 else f"{len(chosen)} scans show"
         reason = f"the grid map had it for {stood_s:.0f} s; {shown_by} it"
         change = change_between(old, new, corner, differences.resolution, now_ns, reason)
@@ -390,10 +373,7 @@ class LifelongMap:
         self, change: GraphChange, chosen: list[tuple[_ChangedScan, Rays]], renewals: Renewals
     ) -> Renewal:
         """Return a change with its keyframes, tied to the nearest ones that stay."""
-        outdated = {
-            number for number, frame in self._frames.items() if self._is_outdated(number, frame,
-                                                                                 renewals)
-        }  # fmt: skip
+        outdated = {number for number in self._frames if self._is_outdated(number, renewals)}
         first = self._history.next_number()
         frames, poses, edges = [], [], []
         for number, (one, rays) in enumerate(reversed(chosen), start=first):
@@ -411,11 +391,12 @@ class LifelongMap:
                 measured = relative(self._poses[anchor], pose)
                 information = _information(one.covariance, pose[2])
                 edges.append(Edge(EdgeKind.MATCH, anchor, number, measured, information))
-        bridges = bridging(self._edges + edges, outdated, {**self._poses, **dict(
-            enumerate(poses, start=first))})  # fmt: skip
+        every = self._poses | dict(enumerate(poses, start=first))
+        bridges = bridging([*self._edges, *edges], outdated, every)
         return Renewal(change, poses, frames, renewals, outdated, [*edges, *bridges])
 
-    def _is_outdated(self, number: int, frame: Keyframe, renewals: Renewals) -> bool:
+    def _is_outdated(self, number: int, renewals: Renewals) -> bool:
+        frame = self._frames[number]
         if not frame.surfaces.count:
             return False
         points = frame.cloud.placed(self._poses[number]).points
@@ -424,25 +405,23 @@ class LifelongMap:
     def _make(self, renewal: Renewal) -> None:
         first = self._history.next_number()
         self.version = self._history.renew(self.version, renewal)
-        assert self._drawing is not None
+        assert self.drawing is not None
         self._renewals = renewal.renewals
-        self._drawing.renew(renewal.renewals)
-        self._drop(renewal.retired)
+        self.drawing.renew(renewal.renewals)
         for number, (frame, pose) in enumerate(
             zip(renewal.keyframes, renewal.poses, strict=True), start=first
         ):
             self._frames[number], self._poses[number] = frame, pose
             if frame.rays is not None:
-                self._drawing.add(pose, frame.rays.rays(), frame.version)
-        self._edges += renewal.edges
-        self._forget_edges()
+                self.drawing.add(pose, frame.rays.rays(), frame.version)
+        self._retire(renewal.retired, renewal.edges)
 
     def _thin(self, renewal: Renewal) -> None:
         """Retire the least needed keyframes near a change while there are too many."""
-        assert self._drawing is not None
+        assert self.drawing is not None
         known_m2 = (
-            np.count_nonzero(self._drawing.whole().values != UNKNOWN)
-            * self._drawing.frame.resolution**2
+            np.count_nonzero(self.drawing.whole().values != UNKNOWN)
+            * self.drawing.frame.resolution**2
         )
         most = math.ceil(self._per_m2 * known_m2)
         excess = min(len(self._frames) - most, 2 * len(renewal.keyframes))
@@ -450,17 +429,17 @@ class LifelongMap:
             retired = self._least_needed(renewal, excess)
             bridges = bridging(self._edges, retired, self._poses)
             self._history.retire(retired, bridges)
-            self._drop(retired)
-            self._edges += bridges
-            self._forget_edges()
+            self._retire(retired, bridges)
         tiles = len(self._renewals.tiles)
         self._history.prune(
-            HistoryBudget(most, _TILES * tiles + _MORE_TILES, _CHANGES * tiles + _MORE_CHANGES)
+            keyframes=most,
+            tiles=_TILES * tiles + _MORE_TILES,
+            changes=_CHANGES * tiles + _MORE_CHANGES,
         )
 
     def _least_needed(self, renewal: Renewal, count: int) -> set[int]:
         """Return keyframes near a change without which the drawing changes least."""
-        drawing = self._drawing
+        drawing = self.drawing
         assert drawing is not None
         place = (renewal.change.x, renewal.change.y, 0.0)
         older = [k for k, frame in self._frames.items() if frame.version < self.version]
@@ -491,16 +470,15 @@ class LifelongMap:
                 drawing.add(self._poses[number], rays[number], self._frames[number].version)
         return set(chosen)
 
-    def _drop(self, retired: Collection[int]) -> None:
-        assert self._drawing is not None
+    def _retire(self, retired: Collection[int], edges: Sequence[Edge]) -> None:
+        """Remove keyframes and their constraints, and add others in the place of these."""
+        assert self.drawing is not None
         for number in retired:
             frame, pose = self._frames.pop(number), self._poses.pop(number)
             if frame.rays is not None:
-                self._drawing.remove(pose, frame.rays.rays(), frame.version)
-
-    def _forget_edges(self) -> None:
-        known = self._frames.keys()
-        self._edges = [e for e in self._edges if e.first in known and e.second in known]
+                self.drawing.remove(pose, frame.rays.rays(), frame.version)
+        every, known = [*self._edges, *edges], self._frames.keys()
+        self._edges = [e for e in every if e.first in known and e.second in known]
 
 
 def bridging(
@@ -568,8 +546,7 @@ def _seen_blocks(scan: PosedScan, blocks: Collection[Block]) -> frozenset[Block]
     first, last = float(rays.angles[0]), float(rays.angles[-1])
     middle, step = 0.5 * (first + last), (last - first) / (count - 1)
     bearings = np.arctan2(offset[:, 1], offset[:, 0]) - scan.pose[2]
-    from_middle = np.array([wrap(b - middle) for b in bearings.tolist()])
-    index = np.rint(from_middle / step + 0.5 * (count - 1)).astype(np.int64)
+    index = np.rint(wrap_all(bearings - middle) / step + 0.5 * (count - 1)).astype(np.int64)
     inside = (index >= 0) & (index < count) & (ranges < min(_SEEN_M, rays.reach))
     measured = rays.ranges[np.clip(index, 0, count - 1)]
     with np.errstate(invalid="ignore"):

@@ -146,16 +146,14 @@ class MapDifferences:
 
     def _compare(self, rows: slice, columns: slice) -> None:
         """Compare the cells of a window, and those around it that its cells may explain."""
-        most_rows, most_columns = self.cells.shape
-        wide = tuple(
-            slice(max(0, part.start - 2 * _NEAR), min(most, part.stop + 2 * _NEAR))
-            for part, most in ((rows, most_rows), (columns, most_columns))
+        wide, inner = (
+            tuple(
+                slice(max(0, part.start - margin), min(most, part.stop + margin))
+                for part, most in zip((rows, columns), self.cells.shape, strict=True)
+            )
+            for margin in (2 * _NEAR, _NEAR)
         )
         found = differing(self.cells[wide], self.drawn(*wide))
-        inner = tuple(
-            slice(max(0, part.start - _NEAR), min(most, part.stop + _NEAR))
-            for part, most in ((rows, most_rows), (columns, most_columns))
-        )
         self._differs[inner] = found[
             inner[0].start - wide[0].start : inner[0].stop - wide[0].start,
             inner[1].start - wide[1].start : inner[1].stop - wide[1].start,

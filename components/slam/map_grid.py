@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cairn.components.slam.keyframes import Keyframe, pose_of
-from cairn.planar.grid import OccupancyCells
 from cairn.planar.poses import wrap_all
-from cairn.planar.renewals import Renewals
 from cairn.planar.scan_grid import ScanGrid
 
 Array = NDArray[np.float64]
@@ -26,10 +24,6 @@ class MapGrid:
         """The ends and passages of rays."""
         self._drawn = np.zeros((0, 3))  # where each keyframe is drawn; NaN: nowhere
         self._far = np.zeros(0)  # the distance of its surfaces [m]
-
-    def renew(self, renewals: Renewals) -> None:
-        """Draw in renewed places only keyframes from their version on, see `ScanGrid.renew`."""
-        self.counts.renew(renewals)
 
     def update(
         self,
@@ -71,7 +65,3 @@ class MapGrid:
                 self.counts.add(pose_of(poses, number), rays.rays(), version)
                 self._drawn[number] = poses[number]
         return bool(outdated[:most].size)
-
-    def grid(self) -> OccupancyCells:
-        """Return the map; raises `ValueError` while nothing is drawn."""
-        return self.counts.grid()

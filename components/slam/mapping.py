@@ -72,14 +72,6 @@ class Step:
     offset: Pose
 
 
-@dataclass(frozen=True)
-class Island:
-    """A connected part of the map: the numbers of its keyframes, and of its scans."""
-
-    keyframes: NDArray[np.int64]
-    scans: NDArray[np.int64]
-
-
 class Mapper:
     """Builds a map from odometry and scans, in the order of their times.
 
@@ -256,21 +248,6 @@ class Mapper:
             self._in_map_of = state, within, (graph.poses, graph.edges)
         return self._in_map_of[1]
 
-    @property
-    def islands(self) -> list[Island]:
-        """The parts of the map that nothing connects, the one with the most keyframes first.
-
-        Only the first one is the map. Where the robot was moved by hand, and no place was
-        recognized afterward, the position of the others relative to it is unknown.
-        """
-        first = self.graph.islands()
-        numbers = first[[step.keyframe for step in self.trajectory]]
-        islands = [
-            Island(np.flatnonzero(first == number), np.flatnonzero(numbers == number))
-            for number in np.unique(numbers).tolist()
-        ]
-        return sorted(islands, key=lambda one: (-len(one.keyframes), int(one.keyframes[0])))
-
     def poses(self) -> Array:
         """Return the pose (n, 3) of the base in the map at each scan; NaN outside of the map."""
         poses = np.array(
@@ -349,7 +326,7 @@ class Mapper:
         path = self._log.path(self.calibration.calibration)
         for number in self._driven_on:
             before = number - 1
-            if islands[before] != islands[number] and path.covers(stamps[[before]]).all():
+            if islands[before] != islands[number] and stamps[before] >= path.origin_ns:
                 start, end = path.at(stamps[[before, number]]).tolist()
                 known = _JUMP**-2.0 * np.eye(3)
                 edge = Edge(EdgeKind.JUMP, before, number, relative(start, end), known)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cairn.components.slam.landmarks import LandmarkBuilder
 from cairn.components.slam.odometry_log import OdometryCalibration, OdometryLog, OdometryPath
-from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, Prior, relative_all
+from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, relative_all
 from cairn.planar.motion_model import MotionModel, move_pose, odometry_step
 from cairn.planar.odometry_gains import GainEstimator
 from cairn.planar.poses import Pose, compose, relative
@@ -80,23 +80,6 @@ def corrected_step(
     return replace(edge, measured=compose(edge.measured, (x, y, turn)))
 
 
-def use_path(
-    path: OdometryPath,
-    model: MotionModel,
-    stamps: NDArray[np.int64],
-    graph: PoseGraph,
-    builder: LandmarkBuilder,
-) -> None:
-    """Replace what follows from odometry in the graph: steps without scans, and sightings."""
-    graph.edges = [
-        odometry_edge(edge.first, edge.second, stamps, path, model)
-        if edge.kind is EdgeKind.ODOMETRY and path.covers(stamps[edge.first])
-        else edge
-        for edge in graph.edges
-    ]
-    builder.rebuild(path, stamps)
-
-
 def estimate_calibration(
     start: CalibrationEstimate,
     log: OdometryLog,
@@ -113,7 +96,7 @@ def estimate_calibration(
     now = origin = np.array(astuple(start.calibration))
     known, usual = np.array(astuple(start.deviations)), np.array(_USUAL)
     information, covariance = np.diag(known**-2.0), np.diag(known**2.0)
-    covered = log.path(start.calibration).covers(stamps)
+    covered = stamps >= log.path(start.calibration).origin_ns
     pairs = [
         (edge.first, edge.second)
         for edge in graph.edges
@@ -141,12 +124,21 @@ def estimate_calibration(
             edges,
             np.stack(by_motion, axis=2),
             np.stack(by_sighting, axis=2),
-            Prior(origin - now, information),
+            origin - now,
+            information,
         )
         now = np.clip(now + change, *(origin + k * AGREES * usual for k in (-1, 1)))
         if graph.depends_on_odometry:
-            use_path(log.path(OdometryCalibration(*now)), model, stamps, graph, builder)
-            graph.refine()
+            # Steps without scans, and sightings, follow from odometry.
+            path = log.path(OdometryCalibration(*now))
+            graph.edges = [
+                odometry_edge(edge.first, edge.second, stamps, path, model)
+                if edge.kind is EdgeKind.ODOMETRY and covered[edge.first]
+                else edge
+                for edge in graph.edges
+            ]
+            builder.rebuild(path, stamps)
+            graph.minimize()
         if (np.abs(change) < _ENOUGH * usual).all():
             break
     deviations = np.sqrt(np.diag(covariance)).tolist()

@@ -66,11 +66,6 @@ class OdometryPath:
     poses: Array
     moving: Array
 
-    def covers(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which times (n,) are not before the path."""
-        covered: NDArray[np.bool_] = stamps_ns >= self.origin_ns
-        return covered
-
     def at(self, stamps_ns: NDArray[np.int64]) -> Array:
         """Return the poses (n, 3) at some times; before and after the path its ends."""
         seconds = (stamps_ns - self.origin_ns) / SECOND

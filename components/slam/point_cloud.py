@@ -66,9 +66,7 @@ NOTHING: Final = PointCloud(np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 def joined(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Return the points of all clouds, which are in one frame."""
-    if not clouds:
-        return NOTHING
+    """Return the points of all clouds, which are in one frame; there is at least one."""
     return PointCloud(
         np.concatenate([cloud.points for cloud in clouds]),
         np.concatenate([cloud.normals for cloud in clouds]),
@@ -87,9 +85,7 @@ def cloud_of(
         spacing: angle between two beams [rad].
 
     """
-    if not len(points):
-        return PointCloud(points, points.copy())
-    return PointCloud(points, _normals(points, indices, scanner, abs(spacing)))
+    return PointCloud(points, _normals(points, indices, scanner, spacing))
 
 
 @compiled("float64[:, ::1](float64[:, ::1], int64[::1], float64[::1], float64)")

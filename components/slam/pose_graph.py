@@ -17,7 +17,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from cairn.components.slam.alignment import LEAST_INFORMATION
-from cairn.components.slam.chains import Chains, chains_of
+from cairn.components.slam.chains import Chains, chains_of, turn_back
+from cairn.components.slam.keyframes import pose_of
 from cairn.planar.compiled import compiled
 from cairn.planar.poses import Pose, compose, wrap_all
 
@@ -84,14 +85,6 @@ class Sighting:
     bearing_sd: float
 
 
-@dataclass(frozen=True)
-class Prior:
-    """What is known of parameters (p,) without measurements: mean and information (p, p)."""
-
-    mean: Array
-    information: Array
-
-
 class PoseGraph:
     """Poses of keyframes, numbered from 0, positions of landmarks, and constraints between them."""
 
@@ -112,8 +105,7 @@ class PoseGraph:
 
     def pose(self, number: int) -> Pose:
         """Return a pose."""
-        x, y, theta = self.poses[number].tolist()
-        return x, y, theta
+        return pose_of(self.poses, number)
 
     def add_sighting(self, sighting: Sighting) -> None:
         """Add an observation of a landmark, which is where its first observation puts it."""
@@ -125,10 +117,6 @@ class PoseGraph:
                 x + sighting.range_m * math.cos(direction),
                 y + sighting.range_m * math.sin(direction),
             )
-
-    def deviation(self, sighting: Sighting) -> float:
-        """Return how far an observation is from where its landmark is, in standard deviations."""
-        return float(self._sighting_deviations([sighting])[0])
 
     @property
     def depends_on_odometry(self) -> bool:
@@ -298,17 +286,17 @@ class PoseGraph:
         self._align_parts()
         closures = [edge.kind is EdgeKind.CLOSURE for edge in self.edges]
         closure = float(self.deviations()[closures].max(initial=0.0)) / _KERNEL
-        sightings = self.sighting_deviations()[self._joined_rows()]
+        sightings = self.sighting_deviations(self.sightings)[self._joined_rows()]
         sighting = float(sightings.max(initial=0.0)) / _KERNEL
         stages = math.ceil(math.log2(max(1.0, closure, sighting)))
         start = self.poses, dict(self.landmarks)
         for stage in range(stages, -1, -1):
-            error = self._optimize(2.0**stage)
+            error = self.minimize(2.0**stage)
         if stages and closure <= 1.0:
             # Many gross errors lead the wide kernels astray: the poses may have been nearly right.
             far = self.poses, self.landmarks
             self.poses, self.landmarks = start
-            if self._optimize(1.0) > error:
+            if self.minimize() > error:
                 self.poses, self.landmarks = far
         wrong = self.deviations() > AGREES
         kept = [
@@ -319,14 +307,13 @@ class PoseGraph:
         if len(kept) < len(self.edges):
             self.rejected += len(self.edges) - len(kept)
             self.edges = kept
-            self._optimize(1.0)
+            self.minimize()
 
-    def refine(self) -> None:
-        """Move poses and landmarks a little, after constraints have changed a little."""
-        self._optimize(1.0)
+    def minimize(self, widened: float = 1.0) -> float:
+        """Minimize the error from where poses and landmarks are; return what remains of it.
 
-    def _optimize(self, widened: float) -> float:
-        """Minimize the error with wider kernels; return what remains of it."""
+        The kernels of constraints with large errors are `widened`.
+        """
         rows = self._joined_rows()
         graph, values = self._factors(rows, widened), self._values()
         parameters = gtsam.LevenbergMarquardtParams()
@@ -368,7 +355,12 @@ class PoseGraph:
             yield gtsam.PriorFactorPose2(first, gtsam.Pose2(*self.pose(first)), anchor)
 
     def correction(
-        self, motions: Sequence[Edge], by_motion: Array, by_sighting: Array, prior: Prior
+        self,
+        motions: Sequence[Edge],
+        by_motion: Array,
+        by_sighting: Array,
+        expected: Array,
+        information: Array,
     ) -> tuple[Array, Array]:
         """Return the change of parameters of measurements with which they agree best.
 
@@ -380,7 +372,8 @@ class PoseGraph:
                 `EdgeKind.ODOMETRY`.
             by_motion: (n, 3, p) derivatives of the motions, in the frame of `second`.
             by_sighting: (m, 2, p) derivatives of range and bearing of `sightings`.
-            prior: the change that is expected without measurements.
+            expected: (p,) change that is expected without measurements.
+            information: (p, p) of that.
 
         Returns:
             The change (p,) and its covariance (p, p).
@@ -407,7 +400,7 @@ class PoseGraph:
                     edge.first, first, edge.second, second, key, by, residual, unit(3)
                 )
             )
-        deviations = self.sighting_deviations()
+        deviations = self.sighting_deviations(self.sightings)
         for row in self._joined_rows().tolist():
             s = self.sightings[row]
             jacobian, residual = _sighting_factor(s, 1.0).linearize(values).jacobian()
@@ -420,17 +413,14 @@ class PoseGraph:
                     s.keyframe, pose, _landmark_key(s.landmark), point, key, by, residual, unit(2)
                 )
             )
-        root = np.linalg.cholesky(prior.information).T
-        linear.add(gtsam.JacobianFactor(key, root, root @ prior.mean, unit(len(root))))
+        root = np.linalg.cholesky(information).T
+        linear.add(gtsam.JacobianFactor(key, root, root @ expected, unit(len(root))))
         change: Array = linear.optimize().at(key)
         covariance: Array = gtsam.Marginals(linear, values).marginalCovariance(key)
         return change, covariance
 
-    def sighting_deviations(self) -> Array:
-        """Return the error of each observation (n,) in standard deviations."""
-        return self._sighting_deviations(self.sightings)
-
-    def _sighting_deviations(self, sightings: list[Sighting]) -> Array:
+    def sighting_deviations(self, sightings: Sequence[Sighting]) -> Array:
+        """Return how far observations (n,) are from where landmarks are, in standard deviations."""
         rows = [
             (*self.landmarks[s.landmark], s.range_m, s.bearing, s.range_sd, s.bearing_sd)
             for s in sightings
@@ -643,21 +633,17 @@ def _drift(
             b = ends[row, 1]
             if done[b]:
                 continue
-            x, y, turn = measured[edge, 0], measured[edge, 1], measured[edge, 2]
-            cosine, sine = math.cos(turn), math.sin(turn)
             noise = covariances[edge]
             if backward:
+                x, y, turn = measured[edge, 0], measured[edge, 1], measured[edge, 2]
+                cosine, sine = math.cos(turn), math.sin(turn)
                 # The adjoint of the measurement turns its noise to the frame of `first`.
                 adjoint[0, 0], adjoint[0, 1], adjoint[0, 2] = cosine, -sine, y
                 adjoint[1, 0], adjoint[1, 1], adjoint[1, 2] = sine, cosine, -x
                 adjoint[2, 0], adjoint[2, 1], adjoint[2, 2] = 0.0, 0.0, 1.0
                 covariance = adjoint @ (found[a] + noise) @ adjoint.T
             else:
-                adjoint[0, 0], adjoint[0, 1] = cosine, sine
-                adjoint[1, 0], adjoint[1, 1] = -sine, cosine
-                adjoint[0, 2] = -(cosine * y - sine * x)
-                adjoint[1, 2] = sine * y + cosine * x
-                adjoint[2, 0], adjoint[2, 1], adjoint[2, 2] = 0.0, 0.0, 1.0
+                turn_back(measured[edge], adjoint)
                 covariance = adjoint @ found[a] @ adjoint.T + noise
             variance = covariance[0, 0] + covariance[1, 1]
             if variance < best[b]:

@@ -19,7 +19,7 @@ from cairn.components.slam.keyframes import (
     scan_surfaces,
 )
 from cairn.components.slam.point_cloud import PointCloud
-from cairn.planar.grid import Frame, Grid
+from cairn.planar.grid import Frame
 from cairn.planar.poses import Pose, inverse, relative
 from cairn.planar.scan_grid import NOT_SEEN, OCCUPIED_SHARE, SEEN_FREE, ScanGrid
 
@@ -35,31 +35,21 @@ class SubmapView:
 
     Attributes:
         surfaces: those that stand still.
-        packed_space: the values of `space`, compressed.
-        shape: rows and columns of `space`.
-        frame: of `space`.
+        packed_evidence: what was seen of each cell of 0.1 m, and which are free, compressed: see
+            `ScanGrid.evidence`.
+        shape: rows and columns of these cells.
+        frame: of the cells.
 
     """
 
     surfaces: ScanSurfaces
-    packed_space: bytes
+    packed_evidence: bytes
     shape: tuple[int, int]
     frame: Frame
 
-    @property
-    def cloud(self) -> PointCloud:
-        """The surfaces that stand still."""
-        return self.surfaces.cloud()
-
-    @property
-    def space(self) -> Grid[np.uint8]:
-        """What was seen of each cell of 0.1 m, and which are free: see `ScanGrid.evidence`."""
-        values = np.frombuffer(zlib.decompress(self.packed_space), np.uint8)
-        return Grid(values.reshape(self.shape), self.frame)
-
     def nearby(self, reach: float, cell: float) -> PointCloud:
         """Return the surfaces up to `reach` [m] from the origin, one point per `cell` [m]."""
-        cloud = self.cloud.thinned(cell)
+        cloud = self.surfaces.cloud().thinned(cell)
         near = np.hypot(cloud.points[:, 0], cloud.points[:, 1]) < reach
         return PointCloud(cloud.points[near], cloud.normals[near])
 
@@ -71,7 +61,8 @@ class SubmapView:
         inside = (cells >= 0).all(axis=1) & (cells[:, 1] < rows) & (cells[:, 0] < columns)
         found = np.full(len(points), NOT_SEEN, np.uint8)
         if inside.any():
-            found[inside] = self.space.values[cells[inside, 1], cells[inside, 0]]
+            values = np.frombuffer(zlib.decompress(self.packed_evidence), np.uint8)
+            found[inside] = values.reshape(self.shape)[cells[inside, 1], cells[inside, 0]]
         return found
 
 
@@ -89,12 +80,12 @@ def view_of(submap: Submap, keyframes: Sequence[Keyframe], poses: Array) -> Subm
     # Beams pass where a person was before or after.
     stands = grid.ended_share(cloud.points) >= OCCUPIED_SHARE
     cloud = PointCloud(cloud.points[stands], cloud.normals[stands])
-    space = grid.evidence(_PASSES)
+    evidence = grid.evidence(_PASSES)
     return SubmapView(
         scan_surfaces(cloud.thinned()),
-        zlib.compress(space.values.tobytes(), zlib.Z_BEST_SPEED),
-        space.values.shape,
-        space.frame,
+        zlib.compress(evidence.values.tobytes(), zlib.Z_BEST_SPEED),
+        evidence.values.shape,
+        evidence.frame,
     )
 
 

@@ -144,9 +144,9 @@ def build_map(
     try:
         if scans is not None:
             drawing.counts.reserve(low, high)
-        drawing.renew(mapper.renewals)
+        drawing.counts.renew(mapper.renewals)
         drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
-        grid = drawing.grid() if scans is not None else None
+        grid = drawing.counts.grid() if scans is not None else None
     except ValueError as error:
         raise CairnError(
             f"{name}: {error}, so no map can be drawn; give a coarser --resolution"

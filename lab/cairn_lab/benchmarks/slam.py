@@ -28,7 +28,7 @@ from cairn.planar.scans import rays_of
 from cairn_lab.benchmarks.result import Metric
 from tests.components.slam import courses
 from tests.components.slam.courses import Course
-from tests.components.slam.map_errors import map_errors
+from tests.components.slam.map_errors import islands_of, map_errors
 from tests.components.slam.recordings import SCANNERS, OdometryErrors, Scanner, record
 
 WORLDS: dict[str, Callable[[], Course]] = {
@@ -66,7 +66,7 @@ def measure_world(world: str, scanner: str, seed: int = 0) -> list[Metric]:
                at_most=0.5 if is_limited else None,
                note=f"relations {errors.relation_m:.3f} m, {errors.relation_deg:.2f} deg;"
                f" cells within 5 cm of a wall {errors.walls:.3f};"
-               f" {len(mapper.islands)} islands"),
+               f" {len(islands_of(mapper))} islands"),
         Metric(f"{name}: speed", recording.seconds / spent, "x real time", at_least=20.0,
                note=f"{recording.seconds / live:.0f} while driving;"
                f" {len(mapper.keyframes)} keyframes"),

@@ -101,7 +101,6 @@ class RepairedRoom:
     ) -> list[GraphChange]:
         """Let time pass, then drive a round with a scan each second; return the changes."""
         graph.set_map(self.grid)
-        graph.finish_drawing()
         graph.work(round(self.now_s * SECOND))
         self.now_s += seconds
         made = []

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cairn.components.simulation.layout import WorldLayout
 from cairn.components.simulation.ray_casting import clearance
-from cairn.components.slam.mapping import Island, Mapper
+from cairn.components.slam.mapping import Mapper
 from cairn.planar.grid import OCCUPIED
 from cairn.planar.poses import Pose, compose, relative
 from cairn.planar.scan_grid import ScanGrid
@@ -49,9 +49,32 @@ class MapErrors:
         return self.worst_m > BROKEN_M
 
 
+@dataclass(frozen=True)
+class Island:
+    """A connected part of the map: the numbers of its keyframes, and of its scans."""
+
+    keyframes: NDArray[np.int64]
+    scans: NDArray[np.int64]
+
+
+def islands_of(mapper: Mapper) -> list[Island]:
+    """Return the parts of a map that nothing connects, the one with the most keyframes first.
+
+    Only the first one is the map. Where the robot was moved by hand, and no place was recognized
+    afterward, the position of the others relative to it is unknown.
+    """
+    first = mapper.graph.islands()
+    numbers = first[[step.keyframe for step in mapper.trajectory]]
+    islands = [
+        Island(np.flatnonzero(first == number), np.flatnonzero(numbers == number))
+        for number in np.unique(numbers).tolist()
+    ]
+    return sorted(islands, key=lambda one: (-len(one.keyframes), int(one.keyframes[0])))
+
+
 def map_errors(mapper: Mapper, recording: Recording) -> MapErrors:
     """Return the errors of the largest island of a finished map."""
-    main = mapper.islands[0]
+    main = islands_of(mapper)[0]
     inside = main.scans
     poses, truth = mapper.poses()[inside], np.array(recording.truth)[inside]
     shift = alignment_to(truth, poses)

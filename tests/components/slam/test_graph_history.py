@@ -15,7 +15,6 @@ from cairn.components.slam.graph_history import (
     ChangedBlock,
     GraphChange,
     GraphHistory,
-    HistoryBudget,
     Renewal,
     copy_graph,
     draw_state,
@@ -35,6 +34,7 @@ from cairn.system.clock import SECOND
 from tests.components.localizer.room import room
 from tests.components.slam.box_room import drive, scan
 from tests.components.slam.changing_room import REACH, ROUND, TABLE, scan_at, write_room_graph
+from tests.components.slam.map_errors import islands_of
 from tests.wording import words_in_order
 
 FEW = ROUND[::4]
@@ -110,13 +110,13 @@ def test_parts_that_nothing_joins_to_the_map_are_not_drawn(tmp_path: Path) -> No
         rays = Rays(seen.starts, seen.angles, 0.6 * seen.ranges, seen.reach)
         mapper.add_scan((40 + k) * SECOND, (3.9 + 0.1 * k, 0.0, 0.0), rays)
     mapper.finish()
-    assert len(mapper.islands) == 2
+    assert len(islands_of(mapper)) == 2
     write_graph(path, mapper, "a test")
     grid = MapGrid(0.1, 10.0)
     grid.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
 
     with GraphHistory(path) as history:
-        assert same(drawing(history), grid.grid())
+        assert same(drawing(history), grid.counts.grid())
 
 
 STEPS = st.lists(
@@ -154,7 +154,7 @@ def test_each_kept_version_is_drawn_as_it_was(
             assert same(drawing(history), drawn[target])
             drawn[version] = drawn[target]
         elif what == "prune":
-            history.prune(HistoryBudget(value, 2 * value, value))
+            history.prune(keyframes=value, tiles=2 * value, changes=value)
         elif what == "reopen":
             history.close()
             history = GraphHistory(path)
@@ -177,7 +177,7 @@ def test_budget_bounds_what_is_kept(original: Path, tmp_path: Path) -> None:
     with GraphHistory(path) as history:
         for seed in range(30):
             renew(history, seed, history.state().numbers[:1])
-            history.prune(HistoryBudget(5, 12, 7))
+            history.prune(keyframes=5, tiles=12, changes=7)
         oldest, newest = history.versions()
     assert newest == 30
     assert 20 <= oldest < 30
@@ -202,7 +202,7 @@ def test_rollback_to_a_deleted_version_names_what_is_kept(original: Path, tmp_pa
     with GraphHistory(path) as history:
         for seed in range(4):
             renew(history, seed, history.state().numbers[:1])
-        history.prune(HistoryBudget(1, 100, 100))
+        history.prune(keyframes=1, tiles=100, changes=100)
         oldest, _ = history.versions()
         assert oldest > 0
         with pytest.raises(CairnError, match=f"keeps the versions {oldest} to 4 of the map; 0 is"):

@@ -19,7 +19,7 @@ from cairn.components.slam.lifelong import LifelongMap, bridging
 from cairn.components.slam.map_differences import differing
 from cairn.components.slam.pose_graph import Edge, EdgeKind
 from cairn.errors import CairnError
-from cairn.planar.grid import FREE, OCCUPIED, Grid
+from cairn.planar.grid import FREE, OCCUPIED, Grid, OccupancyCells
 from cairn.planar.poses import relative
 from tests.components.localizer.room import RESOLUTION, Box
 from tests.components.slam.changing_room import (
@@ -63,9 +63,14 @@ def size_of(file: Path) -> int:
     return int(pages * size)
 
 
+def drawn_by(graph: LifelongMap) -> OccupancyCells:
+    assert graph.drawing is not None
+    return graph.drawing.grid()
+
+
 def differences(graph: LifelongMap, there: RepairedRoom) -> int:
     """Number of cells in which the drawing differs from the repaired grid map."""
-    drawn = graph.drawn()
+    drawn = drawn_by(graph)
     (x, y), (row, column) = drawn.frame.origin[:2], there.grid.values.shape
     cells = np.full((row, column), -1, np.int8)
     top = round((y - there.grid.frame.origin[1]) / RESOLUTION)
@@ -106,7 +111,7 @@ def test_table_that_was_moved_for_good_is_moved_in_the_graph(history: GraphHisto
     made = there.drive(graph, PERMANENT_S) + there.drive(graph, PERMANENT_S)
 
     assert made
-    drawn = graph.drawn()
+    drawn = drawn_by(graph)
     assert at(drawn, 4.75, 3.3) == FREE  # the middle of the old place
     assert obstacles_in(drawn, MOVED) > 30
     assert differences(graph, there) == 0
@@ -203,7 +208,7 @@ def test_person_in_a_scan_is_not_drawn(history: GraphHistory) -> None:
     there.drive(graph, 60.0)
 
     assert graph.version > 0
-    assert obstacles_in(graph.drawn(), person) == 0
+    assert obstacles_in(drawn_by(graph), person) == 0
 
 
 def test_other_building_is_not_mapped_into_the_graph(history: GraphHistory) -> None:
@@ -222,7 +227,7 @@ def test_turned_grid_map_is_refused(history: GraphHistory) -> None:
     graph.set_map(Grid(there.grid.values, frame))
 
     with pytest.raises(CairnError, match=r"turned by 0\.300 rad"):
-        graph.finish_drawing()
+        graph.work(0)
 
 
 def test_map_is_extended_without_what_is_gone(file: Path, history: GraphHistory) -> None:

@@ -31,8 +31,8 @@ def test_map_is_drawn_anew_where_poses_have_changed(mapper: Mapper) -> None:
 
     assert drawing.update(mapper.keyframes, mapper.graph.poses, shown)
 
-    expected = fresh(mapper, shown).grid()
-    assert np.array_equal(drawing.grid().values, expected.values)
+    expected = fresh(mapper, shown).counts.grid()
+    assert np.array_equal(drawing.counts.grid().values, expected.values)
 
 
 def test_bounded_calls_reach_the_same_map(mapper: Mapper) -> None:
@@ -43,7 +43,7 @@ def test_bounded_calls_reach_the_same_map(mapper: Mapper) -> None:
         calls += 1
 
     assert calls == -(-len(mapper.keyframes) // 2)
-    assert np.array_equal(drawing.grid().values, fresh(mapper, shown).grid().values)
+    assert np.array_equal(drawing.counts.grid().values, fresh(mapper, shown).counts.grid().values)
 
 
 def test_keyframes_outside_of_the_map_are_not_drawn(mapper: Mapper) -> None:
@@ -53,4 +53,4 @@ def test_keyframes_outside_of_the_map_are_not_drawn(mapper: Mapper) -> None:
 
     drawing.update(mapper.keyframes, mapper.graph.poses, shown)
 
-    assert np.array_equal(drawing.grid().values, fresh(mapper, shown).grid().values)
+    assert np.array_equal(drawing.counts.grid().values, fresh(mapper, shown).counts.grid().values)

@@ -13,7 +13,7 @@ from cairn.components.slam.mapping import Mapper
 from cairn.planar.scans import Rays
 from cairn.visual_map.observations import Observation
 from tests.components.slam import box_room, courses
-from tests.components.slam.map_errors import map_errors
+from tests.components.slam.map_errors import islands_of, map_errors
 from tests.components.slam.recordings import SCANNERS, Leg, Recording, record
 
 FARTHEST_M = 30.0
@@ -66,7 +66,7 @@ def test_a_robot_carried_to_other_rooms_is_joined_to_the_map() -> None:
     legs = [Leg(stops), *(Leg(stops[4:8], odometry_moved=moved) for moved in carried)]
     recording = record(course, SCANNERS["UST-10LX"], legs=legs)
     mapper = mapped(recording)
-    assert [len(island.scans) for island in mapper.islands] == [len(recording.stamps)]
+    assert [len(island.scans) for island in islands_of(mapper)] == [len(recording.stamps)]
     errors = map_errors(mapper, recording)
     assert errors.worst_m < 0.2
     assert errors.walls > 0.95
@@ -80,7 +80,7 @@ def test_an_unrecognized_place_stays_an_island_of_its_own() -> None:
     recording = record(course, SCANNERS["URG-04LX"], legs=[Leg(first * 2), Leg(second)])
     mapper = mapped(recording)
     legs = np.array(recording.legs)
-    islands = mapper.islands
+    islands = islands_of(mapper)
     assert len(islands) == 2
     assert [set(legs[island.scans]) for island in islands] == [{0}, {1}]
     assert not map_errors(mapper, recording).is_broken
@@ -91,9 +91,9 @@ def test_scans_of_a_moved_robot_belong_to_its_new_island() -> None:
     legs = [Leg([(1.0, 6.0), (4.0, 6.0)]), Leg([(7.5, 3.0), (7.0, 2.0)])]
     recording = record(course, SCANNERS["UST-10LX"], legs=legs)
     mapper = mapped(recording)
-    assert len(mapper.islands) == 2
+    assert len(islands_of(mapper)) == 2
     carried = recording.legs.index(1)
-    belongs = {k: n for n, island in enumerate(mapper.islands) for k in island.scans.tolist()}
+    belongs = {k: n for n, island in enumerate(islands_of(mapper)) for k in island.scans.tolist()}
     assert belongs[carried - 1] != belongs[carried]
     assert len({belongs[k] for k in range(carried, len(recording.legs))}) == 1
 
@@ -152,7 +152,7 @@ def test_a_robot_is_recognized_where_it_was_just_before_it_was_carried_away() ->
             mapper.add_scan(stamp, (odometry, 0.0, 0.0), rays)
     mapper.finish()
 
-    large, small = mapper.islands
+    large, small = islands_of(mapper)
     assert small.scans.tolist() == list(range(20, 40))
     assert len(large.scans) == len(mapper.trajectory) - 20
 
@@ -169,10 +169,10 @@ def test_a_robot_that_drives_on_while_scans_change_stays_on_the_map_unless_odome
         rays = Rays(rays.starts, rays.angles, size * rays.ranges, rays.reach)
         x = 0.1 * k + (jump_m if k >= 20 else 0.0)
         mapper.add_scan(k * box_room.SECOND, (x, 0.0, 0.0), rays)
-    assert len(mapper.islands) == 2
+    assert len(islands_of(mapper)) == 2
     mapper.finish()
 
-    assert len(mapper.islands) == islands
+    assert len(islands_of(mapper)) == islands
     if not jump_m:
         assert mapper.poses()[:, 0] == pytest.approx(0.1 * np.arange(40), abs=0.1)
 
@@ -180,7 +180,7 @@ def test_a_robot_that_drives_on_while_scans_change_stays_on_the_map_unless_odome
 def test_a_map_of_nothing_is_finished() -> None:
     mapper = Mapper(10.0)
     mapper.finish()
-    assert not mapper.islands
+    assert not islands_of(mapper)
 
 
 def test_scans_follow_a_map_that_an_object_has_corrected() -> None:

@@ -28,14 +28,16 @@ def view(walls: list[float], person: float | None = None) -> SubmapView:
 
 def test_a_person_who_walked_on_is_not_part_of_the_view() -> None:
     seen = view([4.0] * 20, person=2.0)
-    assert seen.cloud.count > 50
-    assert np.allclose(seen.cloud.points[:, 0], 4.0, atol=0.05)
-    assert math.isclose(view([4.0], person=2.0).cloud.points[:, 0].min(), 2.0, abs_tol=0.05)
+    assert seen.surfaces.cloud().count > 50
+    assert np.allclose(seen.surfaces.cloud().points[:, 0], 4.0, atol=0.05)
+    assert math.isclose(
+        view([4.0], person=2.0).surfaces.cloud().points[:, 0].min(), 2.0, abs_tol=0.05
+    )
 
 
 def test_points_in_free_space_are_in_conflict() -> None:
     far, near = view([6.0] * 4), view([3.0] * 4)
-    middle = near.cloud.points[np.abs(near.cloud.points[:, 1]) < 3.0]
+    middle = near.surfaces.cloud().points[np.abs(near.surfaces.cloud().points[:, 1]) < 3.0]
     assert conflicts(middle, [(STILL, far)]) > 0.9
-    assert conflicts(far.cloud.points, [(STILL, far)]) < 0.05
+    assert conflicts(far.surfaces.cloud().points, [(STILL, far)]) < 0.05
     assert conflicts(middle + np.array([100.0, 0.0]), [(STILL, far)]) == 0.0

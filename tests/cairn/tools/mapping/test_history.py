@@ -9,7 +9,6 @@ import pytest
 from cairn import CairnError
 from cairn.components.slam.graph_history import (
     GraphHistory,
-    HistoryBudget,
     draw_state,
     read_log,
 )
@@ -146,7 +145,7 @@ def test_rollback_on_a_full_disk_changes_neither_graph_nor_grid_map(
 
 def test_rollback_beyond_the_history_names_the_oldest_time(changed: Path) -> None:
     with GraphHistory(changed) as history:
-        history.prune(HistoryBudget(0, 0, 100))
+        history.prune(keyframes=0, tiles=0, changes=100)
         oldest, newest = history.versions()
     assert oldest == newest
 

@@ -82,7 +82,7 @@ class SlamOfThisComputer:
     def __init__(self, folder: Path, mapper: Mapper) -> None:
         drawing = MapGrid(0.1, 10.0)
         drawing.update(mapper.keyframes, mapper.graph.poses, mapper.in_map())
-        write_map(folder / "map.yaml", drawing.grid())
+        write_map(folder / "map.yaml", drawing.counts.grid())
         self.file = GraphFile.create(folder / "map.graph", 10.0, "a test")
         self.file.save(mapper)
         self._reply = {
