@@ -26,8 +26,8 @@ _EFFECTIVE = 0.5
 # Kernel width of resampling as a share of the particles' deviation. Liu and West 2001 recommend
 # discounts of 0.95 to 0.99, which are widths of 0.23 to 0.10.
 _BANDWIDTH = 0.2
-# A likelihood is fused in at most so many stages, each of which leaves one in so many particles
-# effective. The share of a stage is found by as many halvings: 1/256 of a log-likelihood.
+# A likelihood is fused in at most so many stages, whose shares are found by as many halvings: 1/256
+# of a log-likelihood. While a robot is tracked, one in so many particles must stay effective.
 _STAGES = 8
 
 
@@ -92,6 +92,7 @@ class ParticleSet:
             self.log_weights[None],
             lambda poses, _: log_likelihood(poses[:, 0])[None],
             self.random,
+            1.0 / _STAGES,
         )
         if resampled and (due := self._due(self.poses)) != self.count:
             weights = normalized(self.log_weights)
@@ -190,15 +191,17 @@ def tempered_update(
     log_weights: Array,
     log_likelihood: Callable[[Array, NDArray[np.intp]], Array],
     random: np.random.Generator,
+    kept: float = _EFFECTIVE,
 ) -> bool:
     """Fuse a log-likelihood into particle sets `poses` (3, rows, n), `log_weights` (rows, n), in
     place. Return whether any was resampled.
 
     `log_likelihood` returns (k, n) for the poses (3, k, n) of the rows with the numbers (k,). A row
     of which fewer than half of the particles are effective then is resampled. Where the likelihood
-    would leave too few of them even for that, it is fused in stages, each followed by resampling
+    would leave less than the share `kept`, it is fused in stages, each followed by resampling
     (progressive correction: Musso, Oudjane, Le Gland 2001), so that a few hundred particles
-    survive the first observation after a long time without any.
+    survive the first observation after a long time without any. With a share of an eighth, one of
+    two places that look alike is lost at times; with half, both stay.
     """
     rows = np.arange(log_weights.shape[0])
     left = np.ones(rows.size)
@@ -207,7 +210,7 @@ def tempered_update(
         added = log_likelihood(poses[:, rows], rows)
         share = left[rows]
         if stage < _STAGES - 1:
-            share = _shares(log_weights[rows], added, share)
+            share = _shares(log_weights[rows], added, share, kept)
         log_weights[rows] += share[:, None] * added
         left[rows] -= share
         thin = effective_count(log_weights[rows]) < _EFFECTIVE * added.shape[1]
@@ -215,18 +218,17 @@ def tempered_update(
             poses[:, row] = resample(poses[:, row], normalized(log_weights[row]), random)
             log_weights[row] = 0.0
             is_resampled = True
-        rows = rows[left[rows] > 0.0]
-        if not rows.size:
+        if not (rows := rows[left[rows] > 0.0]).size:
             break
     log_weights -= log_weights.max(axis=1, keepdims=True)
     return is_resampled
 
 
-def _shares(log_weights: Array, added: Array, left: Array) -> Array:
+def _shares(log_weights: Array, added: Array, left: Array, kept: float) -> Array:
     """Return the largest share (by halving) of what is left that leaves enough effective."""
     share = left.copy()
     for _ in range(_STAGES):
-        thin = effective_count(log_weights + added * share[:, None]) < added.shape[1] / _STAGES
+        thin = effective_count(log_weights + added * share[:, None]) < kept * added.shape[1]
         if not thin.any():
             break
         share[thin] *= 0.5
