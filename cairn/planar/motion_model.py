@@ -36,7 +36,8 @@ class MotionModel:
         )
         aside = self.forward_slip**2 * far if step.measured else 0.0
         times = step.uncertain
-        return times * math.sqrt(ahead), times * math.sqrt(aside), times * math.sqrt(turn)
+        forward = math.hypot(times * math.sqrt(ahead), step.gain_m)
+        return forward, times * math.sqrt(aside), times * math.sqrt(turn)
 
 
 MEASURED: Final = MotionModel(0.0, 0.0, 0.02, 0.04, 0.03)
@@ -50,7 +51,8 @@ COMMANDED: Final = MotionModel(0.025, 0.04)
 class OdometryStep:
     """Motion over a period, along the middle heading: meters forward and to the left, radians to
     the left, seconds in motion; `measured` by the wheels, or only commanded. Its deviations are
-    `uncertain` times those of the motion model.
+    `uncertain` times those of the motion model; and as the gain of odometry is not known exactly,
+    the distance is off by `gain_m` [m].
     """
 
     ahead: float
@@ -59,6 +61,7 @@ class OdometryStep:
     moving_s: float
     measured: bool = True
     uncertain: float = 1.0
+    gain_m: float = 0.0
 
 
 def move_pose(pose: Pose, step: OdometryStep) -> Pose:

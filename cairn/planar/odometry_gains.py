@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cairn.planar.motion_model import MotionModel, OdometryStep
+from cairn.planar.motion_model import MotionModel, OdometryStep, move_pose, odometry_step
 from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
@@ -16,6 +17,8 @@ Array = NDArray[np.float64]
 SHOWN_M = 0.05
 """A scan shows a position that it leaves uncertain by less than this in any direction [m]."""
 
+# Directions [1] in which it is asked, and headings [rad] that the pose may have there instead.
+_DIRECTIONS, _TURNED = 8, (-0.05, -0.025, 0.0, 0.025, 0.05)
 # How far gains usually are from 1, and a veer from 0 [rad/m].
 _USUAL, _USUAL_VEER = 0.1, 0.01
 # Gains are measured over stretches of the way whose ends are known up to this [m], [rad]: each ends
@@ -56,6 +59,11 @@ class _Stretch:
     def way_m(self) -> float:
         return self.sums.ahead + self.sums.aside
 
+    @property
+    def is_turned(self) -> bool:
+        """Whether it is long enough to measure turns."""
+        return abs(self.stated) >= _TURN_RAD or self.way_m >= _LONGEST_M
+
     def extend(self, step: OdometryStep, pose: Pose) -> None:
         turn = wrap(pose[2] - self.last[2])
         heading = self.last[2] + 0.5 * turn
@@ -80,7 +88,7 @@ class GainEstimator:
     """Compares odometry with the motion that scans show, over stretches of the way.
 
     What shifts both ends of a stretch alike has no effect: a map that is inexact, or a pose that
-    lags behind.
+    lags behind. Between its ends, scans need not show the position, if the map is not made of them.
 
     Attributes:
         forward: distance driven per distance of odometry [1].
@@ -99,6 +107,9 @@ class GainEstimator:
         self.uncertain = 1.0
         self._off = 1.0  # mean of the squares, in variances
         self._model = model
+        self._stated: Pose = (0.0, 0.0, 0.0)  # the motion by odometry since the newest pose
+        self._hidden_m, self._was_hidden = 0.0, False  # the way since a scan showed the position
+        self._has_scans = False
         self._straight: _Stretch | None = None
         self._turning: _Stretch | None = None
 
@@ -110,8 +121,14 @@ class GainEstimator:
         return forward, turn, veer
 
     def corrected(self, step: OdometryStep) -> OdometryStep:
-        """Return a step of odometry as the robot moved, by the gains."""
-        forward = float(self.forward[0])
+        """Return a step of odometry as the robot moved, by the gains.
+
+        The error of a gain has the same sign on all of the way on which no scan shows the position:
+        its variance grows with the square of that way. Without scans it is not counted, as objects
+        show the position.
+        """
+        forward, way = float(self.forward[0]), self._hidden_m
+        squares = (way + math.hypot(step.ahead, step.aside)) ** 2 - way**2 if self._has_scans else 0
         gain, veer = self.turn.tolist()
         return replace(
             step,
@@ -119,42 +136,74 @@ class GainEstimator:
             aside=forward * step.aside,
             turned=gain * step.turned + veer * step.ahead,
             uncertain=self.uncertain,
+            gain_m=math.sqrt(squares * float(self._forward_known[0, 0])),
         )
+
+    def move(self, step: OdometryStep) -> OdometryStep:
+        """Add a step of odometry; return it as the robot moved."""
+        moved = self.corrected(step)
+        self._stated = move_pose(self._stated, step)
+        if self._has_scans:
+            self._hidden_m += math.hypot(step.ahead, step.aside)
+        return moved
 
     def interrupt(self) -> None:
         """End the stretch without a measurement: something else than motion changed the pose."""
         self._straight = self._turning = None
 
-    def add(self, step: OdometryStep, pose: Pose, shown: bool) -> bool:
-        """Add a step of odometry, and the pose after it; `shown`: a scan shows all of its position.
+    def add(self, pose: Pose, *, shown: bool) -> bool:
+        """Add the pose at a scan, after the steps so far; `shown`: it shows all of the position.
 
         Return whether the gains may have changed.
         """
-        new = _Stretch(pose, pose) if shown else None
+        self._has_scans = True
+        step, self._stated = odometry_step(self._stated), (0.0, 0.0, 0.0)
+        if shown:
+            self._hidden_m = 0.0
         straight, turning = self._straight, self._turning
         if straight is None or turning is None:
-            self._straight, self._turning = new, new and replace(new)
+            if shown:
+                self._straight, self._turning = _Stretch(pose, pose), _Stretch(pose, pose)
+                self._was_hidden = False
             return False
-        if shown:
-            straight.extend(step, pose)
-            turning.extend(step, pose)
-        is_long = straight.way_m >= _LONGEST_M
-        is_turned = abs(turning.stated) >= _TURN_RAD or turning.way_m >= _LONGEST_M
-        if not shown or is_long:
-            self._straight = new
-            stated = math.hypot(straight.x, straight.y)
-            if stated >= _LEAST_M:
-                x, y = straight.last[0] - straight.begin[0], straight.last[1] - straight.begin[1]
-                sd = math.hypot(_END_M, self._model.deviations(straight.sums)[0])
-                along = (straight.x * x + straight.y * y) / stated
-                self._measure(self.forward, self._forward_known, np.array([stated]), along, sd)
-        if not shown or is_turned:
-            self._turning = new and replace(new)
-            if abs(turning.stated) >= _LEAST_RAD or turning.way_m >= _LEAST_M:
-                sd = math.hypot(_END_RAD, self._model.deviations(turning.sums)[2])
-                by = np.array([turning.stated, turning.ahead])
-                self._measure(self.turn, self._turn_known, by, turning.turned, sd)
-        return not shown or is_long or is_turned
+        straight.extend(step, pose)
+        turning.extend(step, pose)
+        is_long = self._was_hidden or straight.way_m >= _LONGEST_M
+        is_turned = self._was_hidden or turning.is_turned
+        self._was_hidden = not shown
+        if shown and is_long:
+            self._measure_forward(straight)
+            self._straight = _Stretch(pose, pose)
+        if shown and is_turned:
+            self._measure_turn(turning)
+            self._turning = _Stretch(pose, pose)
+        return shown and (is_long or is_turned)
+
+    def conclude(self) -> bool:
+        """End the stretch where scans showed the position last; return whether gains may have
+        changed.
+        """
+        straight, turning = self._straight, self._turning
+        self.interrupt()
+        if straight is None or turning is None:
+            return False
+        self._measure_forward(straight)
+        self._measure_turn(turning)
+        return True
+
+    def _measure_forward(self, stretch: _Stretch) -> None:
+        stated = math.hypot(stretch.x, stretch.y)
+        if stated >= _LEAST_M:
+            x, y = stretch.last[0] - stretch.begin[0], stretch.last[1] - stretch.begin[1]
+            sd = math.hypot(_END_M, self._model.deviations(stretch.sums)[0])
+            along = (stretch.x * x + stretch.y * y) / stated
+            self._measure(self.forward, self._forward_known, np.array([stated]), along, sd)
+
+    def _measure_turn(self, stretch: _Stretch) -> None:
+        if abs(stretch.stated) >= _LEAST_RAD or stretch.way_m >= _LEAST_M:
+            sd = math.hypot(_END_RAD, self._model.deviations(stretch.sums)[2])
+            by = np.array([stretch.stated, stretch.ahead])
+            self._measure(self.turn, self._turn_known, by, stretch.turned, sd)
 
     def _measure(
         self, values: Array, known: Array, by: Array, measured: float, deviation: float
@@ -171,3 +220,16 @@ class GainEstimator:
         if error**2 < _SLIPPED**2 * variance:
             values += across * (error / variance)
             known -= np.outer(across, across) / variance
+
+
+def shows_position(log_likelihood: Callable[[Array], Array], pose: Pose) -> bool:
+    """Return whether a scan shows the position: `SHOWN_M` away in any direction, it is explained
+    worse, by more than half of a nat, with every heading.
+
+    `log_likelihood` returns that of the scan (n,) at poses (3, n).
+    """
+    directions = np.linspace(-math.pi, math.pi, _DIRECTIONS, endpoint=False)
+    around, turned = np.meshgrid(directions, _TURNED)
+    x, y = pose[0] + SHOWN_M * np.cos(around), pose[1] + SHOWN_M * np.sin(around)
+    best = log_likelihood(np.stack((x.ravel(), y.ravel(), pose[2] + turned.ravel()))).max()
+    return bool(log_likelihood(np.array(pose)[:, None])[0] > best + 0.5)

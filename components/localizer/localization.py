@@ -46,9 +46,9 @@ from cairn.components.localizer.recent_observations import (
 )
 from cairn.components.localizer.scan_fit import BeamSelector, RecentScans, ScanFit
 from cairn.planar.grid import OccupancyCells
-from cairn.planar.motion_model import move_pose, odometry_step
+from cairn.planar.motion_model import move_pose
 from cairn.planar.odometry import OdometryChange
-from cairn.planar.odometry_gains import SHOWN_M, GainEstimator
+from cairn.planar.odometry_gains import SHOWN_M, GainEstimator, shows_position
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
@@ -115,7 +115,6 @@ class Localization:
         self._fit = ScanFit()
         self._calibrator = CovarianceCalibrator()
         self._gains = GainEstimator(settings.motion)
-        self._stated: Pose = (0.0, 0.0, 0.0)  # by odometry, since the last scan
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
         self._beams = BeamSelector(settings.beams)
@@ -163,9 +162,7 @@ class Localization:
 
     def advance(self, stamp: float) -> None:
         """Move all particles to the time `stamp` [s]."""
-        stated = self.track.advance(stamp)
-        self._stated = move_pose(self._stated, stated)
-        step = self._gains.corrected(stated)
+        step = self._gains.move(self.track.advance(stamp))
         self._reckoned = move_pose(self._reckoned, step)
         self._moved_s += step.moving_s
         self._beams.add_motion(step)
@@ -259,8 +256,8 @@ class Localization:
         before = self.filters.estimate()
         self.filters.fuse_scan(lambda poses: new * likelihood(poses))
         pose = self.filters.estimate()
-        self._gains.add(odometry_step(self._stated), pose.mean, pose.widest < SHOWN_M)
-        self._stated = (0.0, 0.0, 0.0)
+        is_shown = pose.widest < SHOWN_M and shows_position(likelihood, pose.mean)
+        self._gains.add(pose.mean, shown=is_shown)
         self._calibrator.add_correction(before, pose, new)
         self._calibrator.add_deviation(field.deviation(pose.mean, selected), field.frame.resolution)
         was_lost = self._fit.lost

@@ -149,7 +149,10 @@ class Mapper:
             step = odometry_step(relative(self._odometry, odometry))
             moved = move_pose((0.0, 0.0, 0.0), self.calibration.calibration.corrected(step))
             tracked = self.tracker.track(self.pose, moved, cloud, self._gains.uncertain)
-            if self._gains.add(step, tracked.pose, tracked.is_shown):
+            self._gains.move(step)
+            # Of these scans the map is made: where they show nothing, it is where odometry puts it.
+            ended = not tracked.is_shown and self._gains.conclude()
+            if self._gains.add(tracked.pose, shown=tracked.is_shown) or ended:
                 self.calibration = with_gains(self.calibration, self._gains)
         self._odometry = odometry
         self.pose = tracked.pose

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from cairn.planar.motion_model import MEASURED, OdometryStep, move_pose, odometry_step
-from cairn.planar.odometry_gains import GainEstimator
+from cairn.planar.motion_model import MEASURED, OdometryStep, move_pose
+from cairn.planar.odometry_gains import GainEstimator, shows_position
 from cairn.planar.poses import Pose, compose, relative
 
 _STEP_M, _POSE_SD_M, _POSE_SD_RAD = 0.05, 0.01, 0.003
@@ -38,7 +39,8 @@ def drive(
         true = move_pose(true, moved)
         noise = random.standard_normal(3) * (_POSE_SD_M, _POSE_SD_M, _POSE_SD_RAD)
         x, y, theta = (value + error for value, error in zip(true, noise, strict=True))
-        gains.add(stated, compose((x, y, theta), offset), shown)
+        gains.move(stated)
+        gains.add(compose((x, y, theta), offset), shown=shown)
 
 
 @settings(max_examples=20)
@@ -77,7 +79,49 @@ def test_way_that_no_scan_shows_says_nothing() -> None:
     gains = GainEstimator(MEASURED)
     drive(gains, 60.0, forward=0.9, shown=False)
     assert (gains.forward.tolist(), gains.turn.tolist()) == ([1.0], [1.0, 0.0])
-    assert gains.corrected(odometry_step((0.1, 0.0, 0.1))) == odometry_step((0.1, 0.0, 0.1))
+
+
+def test_way_is_uncertain_in_proportion_as_long_as_no_scan_shows_the_position() -> None:
+    gains = GainEstimator(MEASURED)
+    (forward_sd, _, _) = gains.deviations
+    gains.add((0.0, 0.0, 0.0), shown=True)
+    steps = [gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1)) for _ in range(200)]
+    assert math.hypot(*(step.gain_m for step in steps)) == pytest.approx(200 * _STEP_M * forward_sd)
+
+    gains.add((10.0, 0.0, 0.0), shown=True)
+    step = gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
+    assert step.gain_m == pytest.approx(_STEP_M * forward_sd)
+
+
+def test_position_at_both_ends_of_a_hidden_way_shows_the_gain() -> None:
+    gains = GainEstimator(MEASURED)
+    gains.add((0.0, 0.0, 0.0), shown=True)
+    for k in range(1, 101):
+        gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
+        # What the pose is in between follows from odometry, and shows nothing.
+        gains.add((0.9 * 5.0 if k == 100 else k * _STEP_M, 0.0, 0.0), shown=k == 100)
+    assert gains.forward[0] == pytest.approx(0.9, abs=0.01)
+
+
+def test_end_of_a_way_shows_nothing_if_the_map_is_made_of_the_scans() -> None:
+    gains = GainEstimator(MEASURED)
+    for k in range(101):
+        is_shown = k % 100 == 0
+        if not is_shown:
+            gains.conclude()
+        gains.add((0.9 * k * _STEP_M, 0.0, 0.0), shown=is_shown)
+        gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
+    assert gains.forward[0] == 1.0
+
+
+@pytest.mark.parametrize(("walls", "is_shown"), [("across and along", True), ("along", False)])
+def test_wall_along_the_way_does_not_show_how_far(walls: str, is_shown: bool) -> None:
+    def log_likelihood(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        far = poses[0] ** 2 if walls == "across and along" else 0.0
+        total: NDArray[np.float64] = far + poses[1] ** 2 + poses[2] ** 2
+        return -0.5 * total / 0.02**2
+
+    assert shows_position(log_likelihood, (0.0, 0.0, 0.0)) == is_shown
 
 
 def test_slip_is_not_taken_for_a_gain() -> None:
@@ -88,8 +132,9 @@ def test_slip_is_not_taken_for_a_gain() -> None:
     held: Pose = (0.0, 0.0, 0.0)
     gains.interrupt()
     for _ in range(41):
-        gains.add(OdometryStep(_STEP_M, 0.0, 0.0, 0.1), held, shown=True)
-    gains.add(OdometryStep(_STEP_M, 0.0, 0.0, 0.1), held, shown=False)
+        gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
+        gains.add(held, shown=True)
+    gains.conclude()
     assert gains.forward.tolist() == before.tolist()
 
 
@@ -101,6 +146,7 @@ def test_jump_of_the_pose_is_no_motion() -> None:
             gains.interrupt()
             pose = compose(pose, (0.4, 0.0, 0.0))
         pose = compose(pose, (_STEP_M, 0.0, 0.0))
-        gains.add(OdometryStep(_STEP_M, 0.0, 0.0, 0.1), pose, shown=True)
+        gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
+        gains.add(pose, shown=True)
     assert gains.forward[0] == pytest.approx(1.0, abs=0.001)
     assert relative((0.0, 0.0, 0.0), pose)[0] > 20.0
