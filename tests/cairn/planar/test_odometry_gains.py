@@ -90,7 +90,7 @@ def test_way_is_uncertain_in_proportion_as_long_as_no_scan_shows_the_position() 
 
     gains.add((10.0, 0.0, 0.0), shown=True)
     step = gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
-    assert step.gain_m == pytest.approx(_STEP_M * forward_sd)
+    assert step.gain_m == pytest.approx(_STEP_M * gains.deviations[0])
 
 
 def test_position_at_both_ends_of_a_hidden_way_shows_the_gain() -> None:
