@@ -14,13 +14,16 @@ from cairn.planar.poses import Pose, wrap
 
 Array = NDArray[np.float64]
 
+AS_CONFIGURED, AS_MAPPED = 0.1, 0.05
+"""How far gains usually are from 1: as a base is configured, and when a map was made with it."""
+
 SHOWN_M = 0.05
 """A scan shows a position that it leaves uncertain by less than this in any direction [m]."""
 
 # Directions [1] in which it is asked, and headings [rad] that the pose may have there instead.
 _DIRECTIONS, _TURNED = 8, (-0.05, -0.025, 0.0, 0.025, 0.05)
-# How far gains usually are from 1, and a veer from 0 [rad/m].
-_USUAL, _USUAL_VEER = 0.1, 0.01
+# How far a veer usually is from 0 [rad/m].
+_USUAL_VEER = 0.01
 # Gains are measured over stretches of the way whose ends are known up to this [m], [rad]: each ends
 # after so much motion [m], that for turns also after so large a turn [rad]. Shorter ones than these
 # [m], [rad] say little. What is off by more than so many deviations shows wheels that slipped.
@@ -99,17 +102,22 @@ class GainEstimator:
 
     """
 
-    def __init__(self, model: MotionModel) -> None:
-        """Start with odometry that is right; `model` is its uncertainty besides the gains."""
+    def __init__(self, model: MotionModel, usual: float) -> None:
+        """Start with odometry that is right.
+
+        Args:
+            model: its uncertainty besides the gains.
+            usual: how far gains usually are from 1.
+
+        """
         self.forward, self.turn = np.array([1.0]), np.array([1.0, 0.0])
-        self._forward_known = np.diag([_USUAL**2])
-        self._turn_known = np.diag([_USUAL**2, _USUAL_VEER**2])
+        self._forward_known = np.diag([usual**2])
+        self._turn_known = np.diag([usual**2, _USUAL_VEER**2])
         self.uncertain = 1.0
         self._off = 1.0  # mean of the squares, in variances
         self._model = model
         self._stated: Pose = (0.0, 0.0, 0.0)  # the motion by odometry since the newest pose
-        self._hidden_m, self._was_hidden = 0.0, False  # the way since a scan showed the position
-        self._has_scans = False
+        self._has_scans, self._hidden_m = False, 0.0  # the way since one showed the position
         self._straight: _Stretch | None = None
         self._turning: _Stretch | None = None
 
@@ -164,13 +172,10 @@ class GainEstimator:
         if straight is None or turning is None:
             if shown:
                 self._straight, self._turning = _Stretch(pose, pose), _Stretch(pose, pose)
-                self._was_hidden = False
             return False
         straight.extend(step, pose)
         turning.extend(step, pose)
-        is_long = self._was_hidden or straight.way_m >= _LONGEST_M
-        is_turned = self._was_hidden or turning.is_turned
-        self._was_hidden = not shown
+        is_long, is_turned = straight.way_m >= _LONGEST_M, turning.is_turned
         if shown and is_long:
             self._measure_forward(straight)
             self._straight = _Stretch(pose, pose)
@@ -223,13 +228,15 @@ class GainEstimator:
 
 
 def shows_position(log_likelihood: Callable[[Array], Array], pose: Pose) -> bool:
-    """Return whether a scan shows the position: `SHOWN_M` away in any direction, it is explained
-    worse, by more than half of a nat, with every heading.
+    """Return whether a scan shows the position, near which `pose` is, whatever the heading is.
 
-    `log_likelihood` returns that of the scan (n,) at poses (3, n).
+    The best position within `SHOWN_M` is then more likely than all those three times as far away,
+    as if they were two standard deviations from it. `log_likelihood` returns that of the scan (n,)
+    at poses (3, n).
     """
     directions = np.linspace(-math.pi, math.pi, _DIRECTIONS, endpoint=False)
-    around, turned = np.meshgrid(directions, _TURNED)
-    x, y = pose[0] + SHOWN_M * np.cos(around), pose[1] + SHOWN_M * np.sin(around)
-    best = log_likelihood(np.stack((x.ravel(), y.ravel(), pose[2] + turned.ravel()))).max()
-    return bool(log_likelihood(np.array(pose)[:, None])[0] > best + 0.5)
+    around, turned, far = np.meshgrid(directions, _TURNED, (0.0, SHOWN_M, 3.0 * SHOWN_M))
+    x, y = pose[0] + far * np.cos(around), pose[1] + far * np.sin(around)
+    found = log_likelihood(np.stack((x.ravel(), y.ravel(), pose[2] + turned.ravel())))
+    is_far = far.ravel() > SHOWN_M
+    return bool(found[~is_far].max() - found[is_far].max() > 0.5 * 2.0**2)

@@ -48,7 +48,7 @@ from cairn.components.localizer.scan_fit import BeamSelector, RecentScans, ScanF
 from cairn.planar.grid import OccupancyCells
 from cairn.planar.motion_model import move_pose
 from cairn.planar.odometry import OdometryChange
-from cairn.planar.odometry_gains import SHOWN_M, GainEstimator, shows_position
+from cairn.planar.odometry_gains import AS_MAPPED, SHOWN_M, GainEstimator, shows_position
 from cairn.planar.poses import Pose
 from cairn.schemas.cairn_msgs import ObjectEvidence
 from cairn.schemas.cairn_nav_msgs import NO_REASON, Reason, ReasonCode
@@ -114,7 +114,7 @@ class Localization:
         self._scans = RecentScans()
         self._fit = ScanFit()
         self._calibrator = CovarianceCalibrator()
-        self._gains = GainEstimator(settings.motion)
+        self._gains = GainEstimator(settings.motion, AS_MAPPED)
         self._reckoned: Pose = (0.0, 0.0, 0.0)
         self._moved_s = 0.0
         self._beams = BeamSelector(settings.beams)

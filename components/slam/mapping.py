@@ -36,7 +36,7 @@ from cairn.components.slam.pose_graph import AGREES, Edge, EdgeKind, PoseGraph, 
 from cairn.components.slam.tracking import ScanTracker, Tracked
 from cairn.planar.motion_model import MEASURED, MotionModel, move_pose, odometry_step
 from cairn.planar.odometry import FASTEST_WHEELS
-from cairn.planar.odometry_gains import GainEstimator
+from cairn.planar.odometry_gains import AS_CONFIGURED, GainEstimator
 from cairn.planar.poses import Pose, apart, compose, distance, relative, wrap
 from cairn.planar.renewals import Renewals
 from cairn.planar.scans import Rays
@@ -113,7 +113,7 @@ class Mapper:
         self.calibration = NOT_ESTIMATED
         """How the robot moves when odometry states a motion: its gains are estimated while driving
         by scans; and with the lag, by all, when the map is finished."""
-        self._gains = GainEstimator(model)
+        self._gains = GainEstimator(model, AS_CONFIGURED)
         self._continues = False  # the next scan is the first since the map was read
         # Whether closures or observations contradict the poses, and the number of keyframes at the
         # last optimization.
