@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cairn.components.localizer.observations import (
+    NEAREST_M,
     CameraView,
     Landmark,
     as_observed_from,
@@ -89,7 +90,7 @@ def test_late_observation_implies_the_same_position(
 ) -> None:
     observation = Observation(1, range_m, bearing, 0.01, 0.001)
     carried = as_observed_from(observation, step)
-    if carried.range_m <= 0.06:
+    if carried.range_m <= NEAREST_M:
         return  # the robot stands on it now
 
     now = compose(then, step)
