@@ -156,8 +156,12 @@ class GainEstimator:
         return moved
 
     def interrupt(self) -> None:
-        """End the stretch without a measurement: something else than motion changed the pose."""
+        """End the stretch without a measurement: something else than motion changed the pose.
+
+        How uncertain it is then does not follow from the way before.
+        """
         self._straight = self._turning = None
+        self._hidden_m = 0.0
 
     def add(self, pose: Pose, *, shown: bool) -> bool:
         """Add the pose at a scan, after the steps so far; `shown`: it shows all of the position.

@@ -16,8 +16,8 @@ _STARTING = ("second_program.sh", "tests.service", "third_program.sh")
 _BOOT_MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay")
 # Software emulation works on every machine. With a clock that counts instructions, one per
 # nanosecond (about those of one core of a Raspberry Pi 4), the guest sees nothing of how slow or
-# busy the machine is; it waits for its timers in real time. Booting systemd so takes too long: with
-# a processor for each core, and the machine's clock, it takes a fraction of it.
+# busy the machine is; it waits for its timers in real time. Systemd takes too long so (14 minutes
+# for the guest's first one): that guest has two processors and the machine's clock.
 _COUNTED = ("-accel", "tcg,thread=single,tb-size=1024", "-icount", "shift=0", "-smp", "1")
 _FAST = ("-accel", "tcg,thread=multi,tb-size=1024", "-smp", "2")
 

@@ -83,12 +83,22 @@ def test_way_that_no_scan_shows_says_nothing() -> None:
 
 def test_way_is_uncertain_in_proportion_as_long_as_no_scan_shows_the_position() -> None:
     gains = GainEstimator(MEASURED, AS_CONFIGURED)
-    (forward_sd, _, _) = gains.deviations
+    forward_sd, _, _ = gains.deviations
     gains.add((0.0, 0.0, 0.0), shown=True)
     steps = [gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1)) for _ in range(200)]
     assert math.hypot(*(step.gain_m for step in steps)) == pytest.approx(200 * _STEP_M * forward_sd)
 
     gains.add((10.0, 0.0, 0.0), shown=True)
+    step = gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
+    assert step.gain_m == pytest.approx(_STEP_M * gains.deviations[0])
+
+
+def test_pose_that_was_found_anew_is_as_uncertain_as_it_says() -> None:
+    gains = GainEstimator(MEASURED, AS_CONFIGURED)
+    gains.add((0.0, 0.0, 0.0), shown=False)
+    for _ in range(200):
+        gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
+    gains.interrupt()
     step = gains.move(OdometryStep(_STEP_M, 0.0, 0.0, 0.1))
     assert step.gain_m == pytest.approx(_STEP_M * gains.deviations[0])
 
@@ -105,8 +115,8 @@ def test_position_at_both_ends_of_a_hidden_way_shows_the_gain() -> None:
 
 def test_end_of_a_way_shows_nothing_if_the_map_is_made_of_the_scans() -> None:
     gains = GainEstimator(MEASURED, AS_CONFIGURED)
-    for k in range(101):
-        is_shown = k % 100 == 0
+    for k in range(251):
+        is_shown = k % 250 == 0
         if not is_shown:
             gains.conclude()
         gains.add((0.9 * k * _STEP_M, 0.0, 0.0), shown=is_shown)
